@@ -1,0 +1,1 @@
+//! SSIM, DSSIM, PSNR.

@@ -1,0 +1,6 @@
+//! The Rust twins of the kernels in `shaders/`: same names, same order, a function for one invocation and a parallel
+//! loop. They are the oracle of the GPU's tests and the `cpu` backend.
+
+pub mod layering;
+pub mod march;
+pub mod raycast;

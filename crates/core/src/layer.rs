@@ -1,0 +1,264 @@
+//! The one definition of a layered frame, used by every generator, the codec and every renderer.
+//!
+//! A layered frame holds, for each pixel of the generating view, a short list of segments along its ray, front to
+//! back. A segment is read as a homogeneous medium between two planes of constant view depth; gaps between segments
+//! are empty space. List `i` covers the pixel area `[i, i+1)` and was marched along its centre (design, trap 6).
+//!
+//! A segment is 12 bytes in three planes of `u32`, the same on the CPU and the GPU. Planes are separate so that each
+//! fits a 128 MiB storage binding at 1920×1080 with 15 segments in every list:
+//! - `depth`: front in the low and back in the high 16 bits, each the view depth mapped linearly from
+//!   [near, far] to [0, 65535] (Zellmann 2012). Front < back always.
+//! - `c_rg`, `c_b_tau`: red and green, blue and optical depth τ, as half floats, low bits first. C is the
+//!   premultiplied colour of the segment composited on its own; τ = −ln(1 − α) ≤ [`TAU_MAX`].
+
+use glam::Vec3;
+
+use crate::camera::Camera;
+use crate::ids::{FrameId, LookVersion, PoseId};
+
+/// What is said of a layered frame beside its lists.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameHeader {
+    /// Number of this frame.
+    pub frame: FrameId,
+    /// The pose this frame answers.
+    pub pose: PoseId,
+    /// The look it was made with.
+    pub look: LookVersion,
+    /// The generating camera; its size is the number of lists.
+    pub camera: Camera,
+    /// Longest list that can occur, 1 to [`MAX_K`].
+    pub k: u8,
+}
+
+/// W×H lists of segments. `offsets[i]..offsets[i + 1]` are the segments of list `i` (row by row from the top).
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayeredFrame {
+    /// Camera, ids and limits.
+    pub header: FrameHeader,
+    /// Prefix sum of the list lengths, W·H + 1 entries, first 0.
+    pub offsets: Vec<u32>,
+    /// Depth plane.
+    pub depth: Vec<u32>,
+    /// Red and green plane.
+    pub c_rg: Vec<u32>,
+    /// Blue and optical depth plane.
+    pub c_b_tau: Vec<u32>,
+}
+
+/// One segment, unpacked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Segment {
+    /// Front depth, 0..65535 between near and far.
+    pub front: u16,
+    /// Back depth, greater than `front`.
+    pub back: u16,
+    /// Premultiplied linear colour of the whole segment on its own.
+    pub c: Vec3,
+    /// Optical depth of the whole segment.
+    pub tau: f32,
+}
+
+impl Segment {
+    /// Opacity of the whole segment.
+    pub fn alpha(&self) -> f32 {
+        1.0 - (-self.tau).exp()
+    }
+
+    /// The three packed words, in the order depth, c_rg, c_b_tau.
+    pub fn pack(&self) -> [u32; 3] {
+        [
+            u32::from(self.front) | u32::from(self.back) << 16,
+            pack_halves(self.c.x, self.c.y),
+            pack_halves(self.c.z, self.tau.min(TAU_MAX)),
+        ]
+    }
+
+    /// Inverse of [`Segment::pack`].
+    pub fn unpack([depth, c_rg, c_b_tau]: [u32; 3]) -> Self {
+        let (r, g) = unpack_halves(c_rg);
+        let (b, tau) = unpack_halves(c_b_tau);
+        Self { front: depth as u16, back: (depth >> 16) as u16, c: Vec3::new(r, g, b), tau }
+    }
+}
+
+impl LayeredFrame {
+    /// A frame without any segment.
+    pub fn empty(header: FrameHeader) -> Self {
+        let n = header.camera.intrinsics.num_pixels();
+        Self { header, offsets: vec![0; n + 1], depth: vec![], c_rg: vec![], c_b_tau: vec![] }
+    }
+
+    /// Number of segments in all lists.
+    pub fn num_segments(&self) -> usize {
+        self.depth.len()
+    }
+
+    /// The indices of the segments of list `i`.
+    pub fn list(&self, i: usize) -> std::ops::Range<usize> {
+        self.offsets[i] as usize..self.offsets[i + 1] as usize
+    }
+
+    /// Segment number `i`, unpacked.
+    pub fn segment(&self, i: usize) -> Segment {
+        Segment::unpack([self.depth[i], self.c_rg[i], self.c_b_tau[i]])
+    }
+
+    /// Appends a segment to the planes; the caller keeps `offsets`.
+    pub fn push(&mut self, segment: &Segment) {
+        let [depth, c_rg, c_b_tau] = segment.pack();
+        self.depth.push(depth);
+        self.c_rg.push(c_rg);
+        self.c_b_tau.push(c_b_tau);
+    }
+
+    /// The picture from the frame's own pose: every list composited with *over*. Premultiplied linear.
+    pub fn flatten(&self) -> crate::picture::Picture {
+        let i = self.header.camera.intrinsics;
+        let mut picture = crate::picture::Picture::new(i.width, i.height);
+        for (n, pixel) in picture.pixels.iter_mut().enumerate() {
+            let mut acc = Over::default();
+            for s in self.list(n) {
+                let s = self.segment(s);
+                acc.add(s.c, s.tau);
+            }
+            *pixel = acc.rgba();
+        }
+        picture
+    }
+
+    /// Checks every promise of this module; the message names the first one broken.
+    pub fn validate(&self) -> Result<(), String> {
+        let n = self.header.camera.intrinsics.num_pixels();
+        if !self.header.camera.is_valid() {
+            return Err("camera is not valid".into());
+        }
+        if self.header.k == 0 || self.header.k as usize > MAX_K {
+            return Err(format!("k is {}, expected 1 to {MAX_K}", self.header.k));
+        }
+        if self.offsets.len() != n + 1 || self.offsets[0] != 0 {
+            return Err(format!("{} offsets for {n} lists", self.offsets.len()));
+        }
+        let total = self.depth.len();
+        if self.c_rg.len() != total || self.c_b_tau.len() != total || self.offsets[n] as usize != total {
+            return Err("planes and offsets disagree on the number of segments".into());
+        }
+        for i in 0..n {
+            let (a, b) = (self.offsets[i], self.offsets[i + 1]);
+            if b < a || b - a > u32::from(self.header.k) {
+                return Err(format!("list {i} has offsets {a}..{b} with k = {}", self.header.k));
+            }
+            let mut last_back = 0;
+            for j in self.list(i) {
+                let s = self.segment(j);
+                if s.front >= s.back || s.front < last_back {
+                    return Err(format!("list {i}: depths {}..{} after {last_back}", s.front, s.back));
+                }
+                let sane = |x: f32| (0.0..=HALF_MAX).contains(&x);
+                if !(sane(s.c.x) && sane(s.c.y) && sane(s.c.z) && (0.0..=TAU_MAX).contains(&s.tau)) {
+                    return Err(format!("list {i}: colour {:?} or optical depth {} out of range", s.c, s.tau));
+                }
+                last_back = s.back;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Front-to-back compositing with *over*, premultiplied. The identity is the default value.
+#[derive(Clone, Copy, Debug)]
+pub struct Over {
+    /// Colour so far.
+    pub c: Vec3,
+    /// Transmittance so far (κ).
+    pub transmittance: f32,
+}
+
+impl Default for Over {
+    fn default() -> Self {
+        Self { c: Vec3::ZERO, transmittance: 1.0 }
+    }
+}
+
+impl Over {
+    /// Puts a piece with premultiplied colour `c` and optical depth `tau` behind what is there.
+    pub fn add(&mut self, c: Vec3, tau: f32) {
+        self.c += c * self.transmittance;
+        self.transmittance *= (-tau).exp();
+    }
+
+    /// Premultiplied colour and opacity.
+    pub fn rgba(&self) -> [f32; 4] {
+        [self.c.x, self.c.y, self.c.z, 1.0 - self.transmittance]
+    }
+}
+
+/// View depth (world units) to the 16-bit scale of a frame, unrounded and unclamped.
+pub fn depth_to_units(camera: &Camera, depth: f32) -> f32 {
+    (depth - camera.near) * (DEPTH_UNITS / (camera.far - camera.near))
+}
+
+/// Packs two non-negative finite numbers as half floats, `lo` in the low bits. Rounds to nearest; values above
+/// [`HALF_MAX`] and NaN become [`HALF_MAX`] and 0.
+pub fn pack_halves(lo: f32, hi: f32) -> u32 {
+    u32::from(half_from_f32(lo)) | u32::from(half_from_f32(hi)) << 16
+}
+
+/// Inverse of [`pack_halves`]; the sign bit is ignored and infinities read as large finite numbers.
+pub fn unpack_halves(word: u32) -> (f32, f32) {
+    (f32_from_half(word as u16), f32_from_half((word >> 16) as u16))
+}
+
+/// Non-negative half to float by moving the bits and scaling the exponent (exact for subnormals too).
+fn f32_from_half(h: u16) -> f32 {
+    f32::from_bits(u32::from(h & 0x7fff) << 13) * f32::from_bits((254 - 15) << 23)
+}
+
+fn half_from_f32(x: f32) -> u16 {
+    // `max` turns NaN into 0. The product brings the exponent bias to the half's.
+    let scaled = (x.max(0.0).min(HALF_MAX) * f32::from_bits(15 << 23)).to_bits();
+    ((scaled + 0xfff + (scaled >> 13 & 1)) >> 13) as u16
+}
+
+/// Greatest optical depth of a segment: e^−1000 is zero in any picture, and a thousandth of such a segment is still
+/// seen with a transmittance of e^−1.
+pub const TAU_MAX: f32 = 1000.0;
+/// Greatest list length.
+pub const MAX_K: usize = 16;
+/// Depth units between near and far.
+pub const DEPTH_UNITS: f32 = 65535.0;
+/// Greatest finite half float.
+pub const HALF_MAX: f32 = 65504.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_round_to_nearest_and_never_misbehave() {
+        for (x, expect) in [(0.0, 0.0), (1.0, 1.0), (0.5, 0.5), (65504.0, 65504.0), (1e9, 65504.0), (-3.0, 0.0)] {
+            assert_eq!(unpack_halves(pack_halves(x, 0.0)).0, expect);
+        }
+        assert_eq!(unpack_halves(pack_halves(f32::NAN, f32::INFINITY)), (0.0, HALF_MAX));
+        let mut x = 1e-7f32;
+        while x < 6e4 {
+            let (y, z) = unpack_halves(pack_halves(x, x));
+            assert_eq!(y, z);
+            // Half of the spacing of half floats: 2^−11 relative, 2^−25 absolute for subnormals.
+            assert!((x - y).abs() <= (x * 2f32.powi(-11)).max(2f32.powi(-25)) * 1.0001, "{x} {y}");
+            x *= 1.003;
+        }
+        for h in 0..=0x7bffu16 {
+            assert_eq!(half_from_f32(f32_from_half(h)), h);
+        }
+    }
+
+    #[test]
+    fn over_has_an_identity_and_is_associative_with_segments() {
+        let mut acc = Over::default();
+        acc.add(Vec3::new(0.2, 0.1, 0.0), 0.5);
+        let before = acc;
+        acc.add(Vec3::ZERO, 0.0);
+        assert_eq!((before.c, before.transmittance), (acc.c, acc.transmittance));
+    }
+}

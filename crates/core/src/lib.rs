@@ -1,0 +1,21 @@
+//! The meaning of isinglass: volumes, layered frames, the kernels on the CPU, the codec, the wire format and the
+//! session state machines.
+//!
+//! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
+//! from a file or a peer can never make it panic, hang or allocate without bound.
+//!
+//! Modules use only those above them: [`ids`], [`space`], [`camera`], [`picture`], [`volume`], [`transfer`],
+//! [`layer`], [`kernels`], [`codec`], [`wire`], [`session`], [`image_error`].
+
+pub mod camera;
+pub mod codec;
+pub mod ids;
+pub mod image_error;
+pub mod kernels;
+pub mod layer;
+pub mod picture;
+pub mod session;
+pub mod space;
+pub mod transfer;
+pub mod volume;
+pub mod wire;

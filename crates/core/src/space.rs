@@ -1,0 +1,85 @@
+//! The named spaces, and the conventions that hold in all of isinglass.
+//!
+//! - **voxel**: continuous; voxel `i` covers `[i, i+1)` and its centre is at `i + 0.5`. x runs fastest in memory.
+//! - **world**: physical length (the unit of the volume's spacing). Right-handed. The centre of the volume's box is
+//!   the origin; the axes are the volume's own.
+//! - **view**: right-handed, +x right, +y up; the camera looks along −z. *Depth* is −z, positive in front.
+//! - **pixel**: continuous; pixel `i` covers `[i, i+1)`; x runs right, y runs *down*, row 0 is the top.
+//!
+//! Transforms are named `a_from_b`. Lengths named `s` are world distances along a ray with a unit direction.
+
+use glam::Vec3;
+
+/// A ray in world space; `dir` has unit length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// Start of the ray, world space.
+    pub origin: Vec3,
+    /// Unit direction, world space.
+    pub dir: Vec3,
+}
+
+impl Ray {
+    /// The point at world distance `s` from the origin.
+    pub fn at(&self, s: f32) -> Vec3 {
+        self.origin + self.dir * s
+    }
+}
+
+/// An axis-aligned box in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Least corner.
+    pub min: Vec3,
+    /// Greatest corner.
+    pub max: Vec3,
+}
+
+impl Aabb {
+    /// The interval `[s0, s1]` of the ray inside the box, cut at the ray's origin; `None` if they do not meet.
+    ///
+    /// A zero component of the direction is replaced by a tiny one of the same sign, so no NaN can arise (slab
+    /// method).
+    pub fn clip(&self, ray: &Ray) -> Option<(f32, f32)> {
+        let inv = safe_dir(ray.dir).recip();
+        let a = (self.min - ray.origin) * inv;
+        let b = (self.max - ray.origin) * inv;
+        let s0 = a.min(b).max_element().max(0.0);
+        let s1 = a.max(b).min_element();
+        (s1 > s0).then_some((s0, s1))
+    }
+
+    /// Half of the diagonal: the radius of the bounding sphere around [`Aabb::center`].
+    pub fn radius(&self) -> f32 {
+        (self.max - self.min).length() * 0.5
+    }
+
+    /// The middle of the box.
+    pub fn center(&self) -> Vec3 {
+        (self.min + self.max) * 0.5
+    }
+}
+
+/// `dir` with every component at least 1e-9 away from zero, so that it can be inverted.
+pub fn safe_dir(dir: Vec3) -> Vec3 {
+    let fix = |c: f32| if c.abs() < TINY_DIR { TINY_DIR.copysign(c) } else { c };
+    Vec3::new(fix(dir.x), fix(dir.y), fix(dir.z))
+}
+
+/// Smallest magnitude of a direction component that is divided by.
+const TINY_DIR: f32 = 1e-9;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clip_from_outside_inside_and_beside() {
+        let cube = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+        let along_x = |origin| Ray { origin, dir: Vec3::X };
+        assert_eq!(cube.clip(&along_x(Vec3::new(-3.0, 0.0, 0.0))), Some((2.0, 4.0)));
+        assert_eq!(cube.clip(&along_x(Vec3::ZERO)), Some((0.0, 1.0)));
+        assert_eq!(cube.clip(&along_x(Vec3::new(3.0, 0.0, 0.0))), None);
+        assert_eq!(cube.clip(&along_x(Vec3::new(-3.0, 1.5, 0.0))), None);
+    }
+}

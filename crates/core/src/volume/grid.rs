@@ -1,0 +1,212 @@
+//! A scalar volume on a regular grid.
+
+use glam::Vec3;
+
+use crate::space::Aabb;
+
+/// The stored voxels, x fastest. Other types are converted on reading: signed integers by an offset, wider ones and
+/// doubles to `f32`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Voxels {
+    /// Eight bits unsigned.
+    U8(Vec<u8>),
+    /// Sixteen bits unsigned.
+    U16(Vec<u16>),
+    /// Single-precision floats, all finite.
+    F32(Vec<f32>),
+}
+
+impl Voxels {
+    /// Number of voxels.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(v) => v.len(),
+            Self::U16(v) => v.len(),
+            Self::F32(v) => v.len(),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes of one voxel as stored.
+    pub fn bytes_per_voxel(&self) -> usize {
+        match self {
+            Self::U8(_) => 1,
+            Self::U16(_) => 2,
+            Self::F32(_) => 4,
+        }
+    }
+
+    /// The stored number of voxel `i`, as a float.
+    pub fn get(&self, i: usize) -> f32 {
+        match self {
+            Self::U8(v) => f32::from(v[i]),
+            Self::U16(v) => f32::from(v[i]),
+            Self::F32(v) => v[i],
+        }
+    }
+}
+
+/// What a file said of its volume beside the voxels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VolumeInfo {
+    /// File name or name of the built-in volume.
+    pub name: String,
+    /// Type of a voxel in the file, such as `uint8`.
+    pub dtype: String,
+    /// Unit of the spacing, such as `mm`, if the file knows it.
+    pub unit: Option<String>,
+    /// Where the three axes point, such as `RAS`, if the file knows it.
+    pub orientation: Option<String>,
+    /// What was odd about the file, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// A scalar volume with its physical size. See [`crate::space`] for voxel and world space.
+#[derive(Clone, Debug)]
+pub struct Volume {
+    dims: [u32; 3],
+    spacing: Vec3,
+    voxels: Voxels,
+    value_scale: f32,
+    value_offset: f32,
+    stored_range: (f32, f32),
+    /// Name, type and remarks.
+    pub info: VolumeInfo,
+}
+
+/// Why voxels do not make a volume.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum VolumeError {
+    /// A dimension is zero or larger than [`Volume::MAX_SIDE`].
+    #[error("dimensions are {0:?}, expected 1 to {max} along each axis", max = Volume::MAX_SIDE)]
+    Dims([u32; 3]),
+    /// The number of voxels is not the product of the dimensions.
+    #[error("dimensions {dims:?} need {expected} voxels, found {found}")]
+    Count {
+        /// The dimensions.
+        dims: [u32; 3],
+        /// Their product.
+        expected: u64,
+        /// Voxels given.
+        found: u64,
+    },
+    /// A spacing is not a positive number, or the three differ beyond reason.
+    #[error("spacing is {0}, expected three positive numbers")]
+    Spacing(Vec3),
+    /// A voxel is NaN or infinite.
+    #[error("{count} voxels are NaN or infinite, the first at {first:?}; expected finite values")]
+    NotFinite {
+        /// How many.
+        count: u64,
+        /// Coordinates of the first.
+        first: [u32; 3],
+    },
+}
+
+impl Volume {
+    /// Largest number of voxels along an axis: wgpu's default limit for 3-D textures.
+    pub const MAX_SIDE: u32 = 2048;
+
+    /// A volume of `dims` voxels, `spacing` apart (world units). Stored numbers mean `value_scale·stored +
+    /// value_offset`.
+    pub fn new(
+        dims: [u32; 3],
+        spacing: Vec3,
+        voxels: Voxels,
+        (value_scale, value_offset): (f32, f32),
+        info: VolumeInfo,
+    ) -> Result<Self, VolumeError> {
+        if dims.iter().any(|&d| d == 0 || d > Self::MAX_SIDE) {
+            return Err(VolumeError::Dims(dims));
+        }
+        let expected = dims.iter().map(|&d| u64::from(d)).product::<u64>();
+        if expected != voxels.len() as u64 {
+            return Err(VolumeError::Count { dims, expected, found: voxels.len() as u64 });
+        }
+        let spacing_ok = spacing.is_finite() && spacing.min_element() > 0.0;
+        if !spacing_ok || spacing.max_element() > spacing.min_element() * 1e4 || spacing.max_element() > 1e12 {
+            return Err(VolumeError::Spacing(spacing));
+        }
+        if let Voxels::F32(v) = &voxels {
+            let count = v.iter().filter(|x| !x.is_finite()).count() as u64;
+            if let Some(i) = v.iter().position(|x| !x.is_finite()) {
+                let (nx, ny) = (dims[0] as usize, dims[1] as usize);
+                let first = [(i % nx) as u32, (i / nx % ny) as u32, (i / nx / ny) as u32];
+                return Err(VolumeError::NotFinite { count, first });
+            }
+        }
+        let stored_range = match &voxels {
+            Voxels::U8(v) => min_max(v.iter().map(|&x| f32::from(x))),
+            Voxels::U16(v) => min_max(v.iter().map(|&x| f32::from(x))),
+            Voxels::F32(v) => min_max(v.iter().copied()),
+        };
+        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, info })
+    }
+
+    /// Voxels along x, y, z.
+    pub fn dims(&self) -> [u32; 3] {
+        self.dims
+    }
+
+    /// Distance between voxel centres, world units.
+    pub fn spacing(&self) -> Vec3 {
+        self.spacing
+    }
+
+    /// The voxels as stored.
+    pub fn voxels(&self) -> &Voxels {
+        &self.voxels
+    }
+
+    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres).
+    pub fn bounds(&self) -> Aabb {
+        let half = self.dims_f32() * self.spacing * 0.5;
+        Aabb { min: -half, max: half }
+    }
+
+    /// The dimensions as floats.
+    pub fn dims_f32(&self) -> Vec3 {
+        Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32)
+    }
+
+    /// The physical value of a stored number.
+    pub fn value_from_stored(&self, stored: f32) -> f32 {
+        stored * self.value_scale + self.value_offset
+    }
+
+    /// Scale and offset from stored numbers to physical values.
+    pub fn value_map(&self) -> (f32, f32) {
+        (self.value_scale, self.value_offset)
+    }
+
+    /// Least and greatest stored number.
+    pub fn stored_range(&self) -> (f32, f32) {
+        self.stored_range
+    }
+
+    /// Least and greatest physical value.
+    pub fn value_range(&self) -> (f32, f32) {
+        let (a, b) = (self.value_from_stored(self.stored_range.0), self.value_from_stored(self.stored_range.1));
+        (a.min(b), a.max(b))
+    }
+
+    /// Bytes of the voxels in memory.
+    pub fn bytes_in_memory(&self) -> u64 {
+        self.voxels.len() as u64 * self.voxels.bytes_per_voxel() as u64
+    }
+
+    /// The stored number at integer coordinates, clamped to the grid.
+    pub fn stored_at(&self, x: i32, y: i32, z: i32) -> f32 {
+        let c = |v: i32, n: u32| v.clamp(0, n as i32 - 1) as usize;
+        let (x, y, z) = (c(x, self.dims[0]), c(y, self.dims[1]), c(z, self.dims[2]));
+        self.voxels.get((z * self.dims[1] as usize + y) * self.dims[0] as usize + x)
+    }
+}
+
+fn min_max(values: impl Iterator<Item = f32>) -> (f32, f32) {
+    values.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)))
+}
