@@ -1,0 +1,112 @@
+//! Cuts at equal shares of the accumulated opacity (Lochmann 2016, section 3.1). Twin of
+//! `shaders/layering/equal_transmittance.wgsl`.
+//!
+//! March 1 finds the opacity of the whole ray; march 2 cuts where (1 − κ(s))/(1 − κ(∞)) reaches i/k, so the k
+//! segments run without a gap from the first to the last content and each adds an equal share (design, trap 2). A
+//! step that a cut falls into is split as a homogeneous medium. As published, nothing is kept behind opaque matter.
+
+use glam::Vec3;
+
+use super::{OpenSegment, SegmentList};
+use crate::kernels::march::{Sink, TRANSMITTANCE_MIN, opacity};
+
+/// March 1: transmittance of the whole ray and the end of its content.
+#[derive(Clone, Copy, Debug)]
+pub struct Profile {
+    transmittance: f32,
+    s_last: f32,
+}
+
+impl Default for Profile {
+    fn default() -> Self {
+        Self { transmittance: 1.0, s_last: 0.0 }
+    }
+}
+
+impl Sink for Profile {
+    fn step(&mut self, _s0: f32, s1: f32, _c: Vec3, tau: f32) -> bool {
+        self.transmittance *= (-tau).exp();
+        self.s_last = s1;
+        self.transmittance > TRANSMITTANCE_MIN
+    }
+}
+
+/// March 2: cuts the content.
+#[derive(Clone, Copy, Debug)]
+pub struct Cuts {
+    k: usize,
+    profile: Profile,
+    /// Optical depth from the start of the content to the next cut.
+    tau_cut: f32,
+    tau_total: f32,
+    transmittance: f32,
+    open: Option<OpenSegment>,
+    list: SegmentList,
+}
+
+impl Cuts {
+    /// At most `k` segments for a ray with the given profile.
+    pub fn new(k: usize, profile: Profile) -> Self {
+        let mut cuts = Self {
+            k,
+            profile,
+            tau_cut: 0.0,
+            tau_total: 0.0,
+            transmittance: 1.0,
+            open: None,
+            list: SegmentList::default(),
+        };
+        cuts.tau_cut = cuts.depth_of_cut(1);
+        cuts
+    }
+
+    /// Optical depth at which the share `i`/k is reached; infinite for the last.
+    fn depth_of_cut(&self, i: usize) -> f32 {
+        if i >= self.k {
+            return f32::INFINITY;
+        }
+        let share = i as f32 / self.k as f32;
+        -(1.0 - share * (1.0 - self.profile.transmittance)).ln()
+    }
+
+    /// Adds a piece to the open segment; opens one at its front if there is none.
+    fn extend(&mut self, s0: f32, s1: f32, c: Vec3, tau: f32) {
+        let open = self.open.get_or_insert(OpenSegment { s0, s1: s0, c: Vec3::ZERO, tau: 0.0 });
+        open.c += c * (-open.tau).exp();
+        open.tau += tau;
+        open.s1 = s1;
+    }
+
+    /// The list.
+    pub fn finish(mut self) -> SegmentList {
+        if let Some(open) = self.open.take().filter(|o| o.tau > 0.0) {
+            self.list.push(open);
+        }
+        self.list
+    }
+}
+
+impl Sink for Cuts {
+    fn step(&mut self, mut s0: f32, s1: f32, mut c: Vec3, mut tau: f32) -> bool {
+        while self.tau_total + tau > self.tau_cut && self.list.len + 1 < self.k {
+            let part = ((self.tau_cut - self.tau_total) / tau).clamp(0.0, 1.0);
+            let s_cut = s0 + (s1 - s0) * part;
+            let c_part = c * (opacity(tau * part) / opacity(tau));
+            self.extend(s0, s_cut, c_part, tau * part);
+            if let Some(open) = self.open.take() {
+                self.list.push(open);
+            }
+            // The rest of the step, and an open segment that starts at the cut: the list has no gaps.
+            c *= opacity(tau * (1.0 - part)) / opacity(tau);
+            self.tau_total += tau * part;
+            tau *= 1.0 - part;
+            s0 = s_cut;
+            self.open = Some(OpenSegment { s0: s_cut, s1: s_cut, c: Vec3::ZERO, tau: 0.0 });
+            self.tau_cut = self.depth_of_cut(self.list.len + 1);
+        }
+        self.extend(s0, s1, c, tau);
+        self.tau_total += tau;
+        self.transmittance *= (-tau).exp();
+        s1 < self.profile.s_last
+    }
+}
