@@ -5,7 +5,7 @@
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
 //! Modules use only those above them: [`ids`], [`space`], [`camera`], [`picture`], [`volume`], [`transfer`],
-//! [`layer`], [`kernels`], [`codec`], [`wire`], [`session`], [`image_error`].
+//! [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 pub mod camera;
 pub mod codec;
@@ -13,6 +13,7 @@ pub mod ids;
 pub mod image_error;
 pub mod kernels;
 pub mod layer;
+pub mod look;
 pub mod picture;
 pub mod session;
 pub mod space;

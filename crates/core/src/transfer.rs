@@ -6,11 +6,13 @@
 //! therefore never missed, and any step length has the right opacity (design, trap 9). Colour is averaged with the
 //! weight σ within a step; attenuation inside the step acts on that average.
 
+use serde::{Deserialize, Serialize};
+
 use crate::picture::linear_from_srgb;
 use crate::volume::{Histogram, Volume};
 
 /// One control point. Between points, colour and opacity vary linearly.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ControlPoint {
     /// Position in the domain, 0 to 1.
     pub x: f32,
@@ -21,7 +23,7 @@ pub struct ControlPoint {
 }
 
 /// Which physical values the positions 0 and 1 stand for.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Domain {
     /// Least and greatest value of the volume.
     Full,
@@ -32,7 +34,7 @@ pub enum Domain {
 }
 
 /// The thickness that the opacity of a control point speaks of.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum UnitLength {
     /// The geometric mean of the volume's spacings.
     Voxel,
@@ -43,7 +45,7 @@ pub enum UnitLength {
 }
 
 /// A transfer function as written by a person.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TransferFunction {
     /// Name of the preset or file.
     pub name: String,
@@ -111,7 +113,9 @@ impl TransferFunction {
             previous = p.x;
         }
         match self.domain {
-            Domain::Values(a, b) | Domain::Percentiles(a, b) if !(a < b && a.is_finite() && b.is_finite()) => {
+            Domain::Values(a, b) | Domain::Percentiles(a, b)
+                if !(a < b && a.is_finite() && b.is_finite()) =>
+            {
                 return Err(TransferError::Domain(a, b));
             }
             _ => {}
@@ -205,8 +209,7 @@ impl TransferTable {
         let x = |stored: f32| (stored * self.x_scale + self.x_offset).clamp(0.0, 1.0) * TABLE_BINS as f32;
         let (a, b) = (x(lo).min(x(hi)), x(lo).max(x(hi)));
         let (a, b) = ((a - 1e-3).max(0.0) as usize, ((b + 1e-3).ceil() as usize).min(TABLE_BINS));
-        self.integral[b][3] > self.integral[a][3]
-            || self.density[a..=b].iter().any(|m| m[3] > 0.0)
+        self.integral[b][3] > self.integral[a][3] || self.density[a..=b].iter().any(|m| m[3] > 0.0)
     }
 }
 

@@ -1,1 +1,12 @@
-//! Session state machines.
+//! The state of a connection on both sides, without any I/O: bytes and times come in through `handle_*`, decisions
+//! come out of `poll_*` and the answers. Times are microseconds on the clock of the side that asks; no clock of one
+//! machine is ever subtracted from the other's.
+//!
+//! - [`admission`]: who is let in.
+//! - [`server`]: which poses count, which chunks are worth sending, and in which order.
+//! - [`client`]: which chunks make a frame, what is decoded next, and the ledger of every frame's life.
+
+pub mod admission;
+mod bucket;
+pub mod client;
+pub mod server;

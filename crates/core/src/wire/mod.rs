@@ -1,1 +1,27 @@
-//! Wire format.
+//! What rides on which stream or datagram. Every byte that leaves a process is defined here or in [`crate::codec`],
+//! and described in `docs/PROTOCOL.md`.
+//!
+//! | what | direction | carrier |
+//! |---|---|---|
+//! | [`ClientMessage`], [`ServerMessage`] | both | one bidirectional stream that the client opens; see [`control`] |
+//! | [`PoseRequest`] | client to server | datagram; see [`pose`] |
+//! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
+
+pub mod control;
+mod pose;
+mod token;
+
+pub use control::{
+    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeDescription, Welcome,
+};
+pub use pose::{POSE_BYTES, PoseError, PoseRequest};
+pub use token::{Token, TokenError};
+
+/// Version of everything that is said on a connection.
+pub const PROTOCOL_VERSION: u32 = 1;
+/// What both sides name in the TLS handshake: peers of another version do not get further.
+pub const ALPN: &[u8] = b"isinglass/1";
+/// Longest control message.
+pub const MAX_CONTROL_BYTES: usize = 64 * 1024;
+/// Chunks a frame may have.
+pub const MAX_CHUNKS: usize = 16;

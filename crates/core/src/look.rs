@@ -1,0 +1,56 @@
+//! What a viewer may choose about the picture: classification, shading and the layering rule.
+
+use serde::{Deserialize, Serialize};
+
+use crate::kernels::layering::Layering;
+use crate::layer::MAX_K;
+use crate::transfer::{TransferError, TransferFunction};
+
+/// The choices that a frame is made with. Each change has a [`LookVersion`](crate::ids::LookVersion).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Look {
+    /// From scalar to colour and extinction.
+    pub transfer: TransferFunction,
+    /// Whether gradients shade the colour.
+    pub shaded: bool,
+    /// What becomes of the samples of a march.
+    pub layering: Layering,
+    /// Longest list, 1 to [`MAX_K`].
+    pub k: u8,
+}
+
+/// Why a look cannot be used.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum LookError {
+    /// The transfer function is not one.
+    #[error("transfer function: {0}")]
+    Transfer(#[from] TransferError),
+    /// The name is too long or cannot be printed.
+    #[error(
+        "the transfer function's name has {0} bytes or unprintable characters, expected at most {MAX_NAME_BYTES}"
+    )]
+    Name(usize),
+    /// The list length is out of range.
+    #[error("k is {0}, expected 1 to {MAX_K}")]
+    K(u8),
+}
+
+impl Look {
+    /// Checks what the type cannot say.
+    ///
+    /// # Errors
+    /// The first promise broken.
+    pub fn validate(&self) -> Result<(), LookError> {
+        let name = &self.transfer.name;
+        if name.len() > MAX_NAME_BYTES || name.chars().any(char::is_control) {
+            return Err(LookError::Name(name.len()));
+        }
+        if !(1..=MAX_K).contains(&usize::from(self.k)) {
+            return Err(LookError::K(self.k));
+        }
+        Ok(self.transfer.validate()?)
+    }
+}
+
+/// Longest name that is accepted.
+pub const MAX_NAME_BYTES: usize = 200;

@@ -1,0 +1,124 @@
+//! Who is let in: one place per token, bound to the first client that uses it.
+//!
+//! A token of a link is good for one viewer. The first client that shows it binds the place to its own secret (the
+//! *instance*), and gets a ticket that takes the token's place. Every later admission rotates the ticket. The token
+//! before the newest stays good for the same instance only, because the welcome that carried the newer one may have
+//! been lost with the connection; for anyone else it is used up.
+
+use crate::wire::{PROTOCOL_VERSION, Refusal, Token};
+
+/// Number of a viewer: the same for all connections of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ViewerId(pub u32);
+
+/// The places of a server.
+#[derive(Debug, Default)]
+pub struct Admission {
+    places: Vec<Place>,
+}
+
+#[derive(Debug)]
+struct Place {
+    /// As handed out in a link: remembered only to tell its second user what happened.
+    link: Token,
+    current: Token,
+    bound: Option<Bound>,
+}
+
+#[derive(Debug)]
+struct Bound {
+    instance: Token,
+    previous: Token,
+}
+
+impl Admission {
+    /// Adds a place for one viewer with this token; `None` if there are [`MAX_PLACES`] already.
+    pub fn add(&mut self, token: Token) -> Option<ViewerId> {
+        if self.places.len() >= MAX_PLACES {
+            return None;
+        }
+        self.places.push(Place { link: token.clone(), current: token, bound: None });
+        Some(ViewerId(self.places.len() as u32 - 1))
+    }
+
+    /// Decides on a hello. `ticket` must be fresh random bytes; on success it has become the viewer's token.
+    ///
+    /// # Errors
+    /// What the client shall be told.
+    pub fn admit(
+        &mut self,
+        protocol: u32,
+        token: &Token,
+        instance: &Token,
+        ticket: &Token,
+    ) -> Result<ViewerId, Refusal> {
+        if protocol != PROTOCOL_VERSION {
+            return Err(Refusal::Version { server: PROTOCOL_VERSION, client: protocol });
+        }
+        let (mut found, mut used) = (None, false);
+        // Every place is looked at in full, so that the time tells nothing.
+        for (i, place) in self.places.iter().enumerate() {
+            let current = place.current.matches(token);
+            let link = place.link.matches(token);
+            let good = match &place.bound {
+                None => current,
+                Some(b) => b.instance.matches(instance) & (current | b.previous.matches(token)),
+            };
+            used |= current | link;
+            if good {
+                found = Some(i);
+            }
+        }
+        let Some(i) = found else {
+            return Err(if used { Refusal::TokenUsed } else { Refusal::UnknownToken });
+        };
+        self.places[i].bound = Some(Bound { instance: instance.clone(), previous: token.clone() });
+        self.places[i].current = ticket.clone();
+        Ok(ViewerId(i as u32))
+    }
+}
+
+/// Most places a server has in its life.
+pub const MAX_PLACES: usize = 10_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn t(n: u8) -> Token {
+        Token::new([n; 16])
+    }
+
+    #[test]
+    fn a_token_lets_in_one_viewer_who_may_come_back() {
+        let mut a = Admission::default();
+        let first = a.add(t(1)).unwrap();
+        let second = a.add(t(2)).unwrap();
+        let v = PROTOCOL_VERSION;
+        assert_eq!(a.admit(v, &t(9), &t(100), &t(10)), Err(Refusal::UnknownToken));
+        assert_eq!(a.admit(v, &t(1), &t(100), &t(10)), Ok(first));
+        // Another viewer with the same link, or with a stolen ticket.
+        assert_eq!(a.admit(v, &t(1), &t(101), &t(11)), Err(Refusal::TokenUsed));
+        assert_eq!(a.admit(v, &t(10), &t(101), &t(11)), Err(Refusal::TokenUsed));
+        // Its welcome was lost: the token still counts for the same instance.
+        assert_eq!(a.admit(v, &t(1), &t(100), &t(12)), Ok(first));
+        // Its ticket; the one that was lost is dead.
+        assert_eq!(a.admit(v, &t(12), &t(100), &t(13)), Ok(first));
+        assert_eq!(a.admit(v, &t(10), &t(100), &t(14)), Err(Refusal::UnknownToken));
+        // The link's token is two rotations old.
+        assert_eq!(a.admit(v, &t(13), &t(100), &t(14)), Ok(first));
+        assert_eq!(a.admit(v, &t(1), &t(100), &t(15)), Err(Refusal::TokenUsed));
+        assert_eq!(a.admit(v, &t(2), &t(101), &t(16)), Ok(second));
+    }
+
+    #[test]
+    fn another_version_is_refused_before_the_token_is_spent() {
+        let mut a = Admission::default();
+        a.add(t(1)).unwrap();
+        let other = PROTOCOL_VERSION + 1;
+        assert!(
+            matches!(a.admit(other, &t(1), &t(2), &t(3)), Err(Refusal::Version { client, .. }) if client == other)
+        );
+        assert!(a.admit(PROTOCOL_VERSION, &t(1), &t(2), &t(3)).is_ok());
+    }
+}

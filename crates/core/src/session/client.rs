@@ -1,0 +1,430 @@
+//! The client's side of a connection: from chunks to the next thing worth decoding, and the ledger of a frame's life.
+//!
+//! At most [`MAX_ASSEMBLING`] frames are in reassembly; a newer one pushes the oldest out. A frame whose base is
+//! complete ends the older ones. What is handed out for decoding never goes back to an older frame.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use crate::ids::{ChunkIndex, FrameId, PoseId};
+use crate::wire::MAX_CHUNKS;
+
+/// Where a chunk belongs, as its own header says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChunkPlace {
+    /// The frame.
+    pub frame: FrameId,
+    /// The pose that the frame answers.
+    pub pose: PoseId,
+    /// Position in the frame.
+    pub index: ChunkIndex,
+    /// Chunks of the frame, 1 to [`MAX_CHUNKS`].
+    pub num_chunks: u16,
+    /// How many of them, from the first, are the base.
+    pub num_base_chunks: u16,
+}
+
+/// Why a chunk cannot be used.
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum ChunkError {
+    /// The numbers in its header contradict each other.
+    #[error("frame {}: chunk {} of {}, {} of them base, expected at most {MAX_CHUNKS}", .0.frame, .0.index, .0.num_chunks, .0.num_base_chunks)]
+    Place(ChunkPlace),
+    /// Its header contradicts that of a chunk before.
+    #[error("frame {0}: chunks disagree about the frame")]
+    Disagree(FrameId),
+    /// The chunk is there already.
+    #[error("frame {0}: chunk {1} arrived twice")]
+    Twice(FrameId, ChunkIndex),
+}
+
+/// Chunks that shall be decoded now.
+#[derive(Debug)]
+pub struct DecodeJob {
+    /// The connection they came on; see [`Session::handle_connected`].
+    pub connection: u32,
+    /// The frame.
+    pub frame: FrameId,
+    /// Whether this job begins the frame; otherwise its chunks are added to those of the job before.
+    pub is_first: bool,
+    /// Whether no chunk is missing after this job.
+    pub is_last: bool,
+    /// The chunks, in any order.
+    pub chunks: Vec<Vec<u8>>,
+}
+
+/// Stamps of a frame's life on the client's clock, µs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameTimes {
+    /// The frame.
+    pub frame: FrameId,
+    /// The pose it answers.
+    pub pose: PoseId,
+    /// The pose was set.
+    pub pose_set: Option<u64>,
+    /// The first byte arrived.
+    pub first_byte: u64,
+    /// The base was complete.
+    pub base_complete: Option<u64>,
+    /// The base was decoded.
+    pub base_decoded: Option<u64>,
+    /// The last chunk arrived.
+    pub complete: Option<u64>,
+    /// All of it was decoded.
+    pub complete_decoded: Option<u64>,
+    /// The frame was on the screen for the first time.
+    pub first_shown: Option<u64>,
+    /// Bytes of the chunks that arrived.
+    pub bytes: u64,
+}
+
+/// State of one viewer; it outlives connections.
+///
+/// Call `handle_connected` for each new connection, `handle_pose` when a pose is set, `handle_chunk` for each whole
+/// chunk; then `poll_decode` until it is `None`, and `handle_decoded` or `handle_broken` after each job. `now` must
+/// not run backwards.
+#[derive(Debug, Default)]
+pub struct Session {
+    connection: u32,
+    poses: VecDeque<(PoseId, u64)>,
+    assembling: BTreeMap<FrameId, Assembling>,
+    newest_base: Option<FrameId>,
+    newest_decoded: Option<FrameTimes>,
+    ledger: VecDeque<FrameTimes>,
+    decoded_at: VecDeque<u64>,
+    dropped_frames: u64,
+}
+
+#[derive(Debug)]
+struct Assembling {
+    place: ChunkPlace,
+    /// Chunks that no decode job has taken yet.
+    waiting: Vec<Vec<u8>>,
+    arrived: u32,
+    is_decoding: bool,
+}
+
+impl Assembling {
+    fn has_base(&self) -> bool {
+        let base = (1u32 << self.place.num_base_chunks) - 1;
+        self.arrived & base == base
+    }
+
+    fn has_all(&self) -> bool {
+        self.arrived.count_ones() == u32::from(self.place.num_chunks)
+    }
+}
+
+impl Session {
+    /// A new connection is up. Frame numbers start again; what was not decoded is gone.
+    pub fn handle_connected(&mut self) {
+        self.connection += 1;
+        self.assembling.clear();
+        self.newest_base = None;
+    }
+
+    /// A pose was set.
+    pub fn handle_pose(&mut self, now_micros: u64, pose: PoseId) {
+        if self.poses.len() == MAX_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((pose, now_micros));
+    }
+
+    /// Whether a chunk of this frame can still be of use.
+    pub fn wants(&self, frame: FrameId) -> bool {
+        self.newest_base.is_none_or(|newest| frame >= newest)
+            && (self.assembling.len() < MAX_ASSEMBLING
+                || self.assembling.keys().next().is_some_and(|o| frame >= *o))
+    }
+
+    /// A whole chunk has arrived; its first byte did at `first_byte_micros`. Late chunks are dropped in silence.
+    ///
+    /// # Errors
+    /// If the chunk contradicts itself or others. The connection can go on.
+    pub fn handle_chunk(
+        &mut self,
+        now_micros: u64,
+        first_byte_micros: u64,
+        place: ChunkPlace,
+        bytes: Vec<u8>,
+    ) -> Result<(), ChunkError> {
+        let ChunkPlace { frame, index, num_chunks, num_base_chunks, .. } = place;
+        let is_sound = usize::from(num_chunks) <= MAX_CHUNKS
+            && index.0 < num_chunks
+            && (1..=num_chunks).contains(&num_base_chunks);
+        if !is_sound {
+            return Err(ChunkError::Place(place));
+        }
+        if !self.wants(frame) {
+            return Ok(());
+        }
+        if !self.assembling.contains_key(&frame) {
+            if self.ledger.iter().any(|t| t.frame == frame && t.complete.is_some()) {
+                return Err(ChunkError::Twice(frame, index));
+            }
+            if self.assembling.len() == MAX_ASSEMBLING {
+                self.assembling.pop_first();
+                self.dropped_frames += 1;
+            }
+            self.assembling
+                .insert(frame, Assembling { place, waiting: vec![], arrived: 0, is_decoding: false });
+            self.open_ledger(first_byte_micros, place);
+        }
+        let Some(a) = self.assembling.get_mut(&frame) else { return Ok(()) };
+        let same = ChunkPlace { index, ..a.place };
+        if same != place {
+            return Err(ChunkError::Disagree(frame));
+        }
+        if a.arrived & 1 << index.0 != 0 {
+            return Err(ChunkError::Twice(frame, index));
+        }
+        a.arrived |= 1 << index.0;
+        let length = bytes.len() as u64;
+        a.waiting.push(bytes);
+        let (has_base, has_all) = (a.has_base(), a.has_all());
+        if let Some(times) = self.times_mut(frame) {
+            times.bytes += length;
+            times.first_byte = times.first_byte.min(first_byte_micros);
+            if has_base {
+                times.base_complete.get_or_insert(now_micros);
+            }
+            if has_all {
+                times.complete.get_or_insert(now_micros);
+            }
+        }
+        if has_base && self.newest_base.is_none_or(|newest| newest < frame) {
+            let keep = self.assembling.split_off(&frame);
+            self.dropped_frames += self.assembling.values().filter(|a| !a.is_decoding).count() as u64;
+            self.assembling = keep;
+            self.newest_base = Some(frame);
+        }
+        Ok(())
+    }
+
+    /// What to decode next: the newest frame whose base is complete, and once more when all of it is there.
+    pub fn poll_decode(&mut self) -> Option<DecodeJob> {
+        let frame = self.newest_base?;
+        let a = self.assembling.get_mut(&frame)?;
+        let is_last = a.has_all();
+        if a.is_decoding && !is_last {
+            return None;
+        }
+        let is_first = !std::mem::replace(&mut a.is_decoding, true);
+        let chunks = std::mem::take(&mut a.waiting);
+        if is_last {
+            self.assembling.remove(&frame);
+        }
+        Some(DecodeJob { connection: self.connection, frame, is_first, is_last, chunks })
+    }
+
+    /// A job is decoded. Its times, if the picture may be shown: it is of this connection and not older than the one
+    /// before.
+    pub fn handle_decoded(
+        &mut self,
+        now_micros: u64,
+        connection: u32,
+        frame: FrameId,
+        is_complete: bool,
+    ) -> Option<FrameTimes> {
+        if connection != self.connection {
+            return None;
+        }
+        let times = self.times_mut(frame)?;
+        if is_complete {
+            times.complete_decoded.get_or_insert(now_micros);
+        }
+        let is_new = times.base_decoded.is_none();
+        times.base_decoded.get_or_insert(now_micros);
+        let times = *times;
+        if is_new {
+            if self.decoded_at.len() == MAX_RATE_SAMPLES {
+                self.decoded_at.pop_front();
+            }
+            self.decoded_at.push_back(now_micros);
+        }
+        self.newest_decoded = Some(times);
+        Some(times)
+    }
+
+    /// A job could not be decoded: the frame is given up.
+    pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
+        if connection == self.connection {
+            self.assembling.remove(&frame);
+            self.dropped_frames += 1;
+        }
+    }
+
+    /// A frame was on the screen.
+    pub fn handle_shown(&mut self, now_micros: u64, frame: FrameId) {
+        if let Some(times) = self.times_mut(frame) {
+            times.first_shown.get_or_insert(now_micros);
+        }
+    }
+
+    /// The newest frame whose base is complete, for the next pose datagram.
+    pub fn newest_complete(&self) -> Option<FrameId> {
+        self.newest_base
+    }
+
+    /// From the pose of the newest decoded frame to now, µs.
+    pub fn age_micros(&self, now_micros: u64) -> Option<u64> {
+        Some(now_micros.saturating_sub(self.newest_decoded?.pose_set?))
+    }
+
+    /// Frames decoded in the last second.
+    pub fn frames_per_second(&self, now_micros: u64) -> u32 {
+        self.decoded_at.iter().filter(|&&t| t + 1_000_000 > now_micros).count() as u32
+    }
+
+    /// Frames of which something arrived that was never decoded.
+    pub fn dropped_frames(&self) -> u64 {
+        self.dropped_frames
+    }
+
+    /// The last frames' lives, oldest first.
+    pub fn ledger(&self) -> impl Iterator<Item = &FrameTimes> {
+        self.ledger.iter()
+    }
+
+    fn open_ledger(&mut self, first_byte: u64, place: ChunkPlace) {
+        // A new connection numbers its frames from the start again: the newer life replaces the older.
+        self.ledger.retain(|t| t.frame != place.frame);
+        if self.ledger.len() == MAX_LEDGER {
+            self.ledger.pop_front();
+        }
+        let pose_set = self.poses.iter().rev().find(|(p, _)| *p == place.pose).map(|(_, t)| *t);
+        let (frame, pose) = (place.frame, place.pose);
+        self.ledger.push_back(FrameTimes { frame, pose, pose_set, first_byte, ..Default::default() });
+    }
+
+    fn times_mut(&mut self, frame: FrameId) -> Option<&mut FrameTimes> {
+        self.ledger.iter_mut().rev().find(|t| t.frame == frame)
+    }
+}
+
+/// Frames in reassembly at the same time.
+pub const MAX_ASSEMBLING: usize = 4;
+/// Poses whose time is remembered: four seconds' worth, longer than any round trip.
+const MAX_POSES: usize = 512;
+/// Frames in the ledger.
+const MAX_LEDGER: usize = 256;
+/// Times that the frame rate is counted from; also the highest rate that is shown.
+const MAX_RATE_SAMPLES: usize = 512;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(frame: u32, index: u16) -> ChunkPlace {
+        ChunkPlace {
+            frame: FrameId(frame),
+            pose: PoseId(frame * 10),
+            index: ChunkIndex(index),
+            num_chunks: 4,
+            num_base_chunks: 2,
+        }
+    }
+
+    fn arrive(s: &mut Session, now: u64, frame: u32, index: u16) -> Result<(), ChunkError> {
+        s.handle_chunk(now, now, place(frame, index), vec![index as u8; 3])
+    }
+
+    #[test]
+    fn a_frame_is_decoded_at_its_base_and_at_its_end() {
+        let mut s = Session::default();
+        s.handle_connected();
+        s.handle_pose(5, PoseId(10));
+        for (now, index) in [(10, 2), (11, 1)] {
+            arrive(&mut s, now, 1, index).unwrap();
+            assert!(s.poll_decode().is_none());
+        }
+        arrive(&mut s, 12, 1, 0).unwrap();
+        let job = s.poll_decode().unwrap();
+        assert_eq!((job.is_first, job.is_last, job.chunks.len()), (true, false, 3));
+        assert!(s.poll_decode().is_none());
+        let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
+        assert_eq!((times.pose_set, times.first_byte, times.base_complete), (Some(5), 10, Some(12)));
+        assert_eq!(s.age_micros(25), Some(20));
+        arrive(&mut s, 20, 1, 3).unwrap();
+        let job = s.poll_decode().unwrap();
+        assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));
+        let times = s.handle_decoded(21, job.connection, job.frame, true).unwrap();
+        assert_eq!((times.complete, times.complete_decoded, times.bytes), (Some(20), Some(21), 12));
+        s.handle_shown(30, FrameId(1));
+        s.handle_shown(40, FrameId(1));
+        assert_eq!(s.ledger().next().unwrap().first_shown, Some(30));
+        assert_eq!((s.frames_per_second(30), s.frames_per_second(2_000_000)), (1, 0));
+    }
+
+    #[test]
+    fn chunks_that_contradict_are_errors_and_late_ones_are_dropped() {
+        let mut s = Session::default();
+        let bad = [
+            ChunkPlace { num_chunks: 17, ..place(1, 0) },
+            ChunkPlace { num_base_chunks: 0, ..place(1, 0) },
+            ChunkPlace { num_base_chunks: 5, ..place(1, 0) },
+            place(1, 4),
+        ];
+        for p in bad {
+            assert_eq!(s.handle_chunk(0, 0, p, vec![]), Err(ChunkError::Place(p)));
+        }
+        arrive(&mut s, 0, 2, 0).unwrap();
+        assert_eq!(arrive(&mut s, 0, 2, 0), Err(ChunkError::Twice(FrameId(2), ChunkIndex(0))));
+        let other = ChunkPlace { num_base_chunks: 1, ..place(2, 1) };
+        assert_eq!(s.handle_chunk(0, 0, other, vec![]), Err(ChunkError::Disagree(FrameId(2))));
+        arrive(&mut s, 0, 2, 1).unwrap();
+        arrive(&mut s, 0, 1, 0).unwrap();
+        assert_eq!(s.assembling.len(), 1, "frame 1 is older than a complete base");
+        assert!(!s.wants(FrameId(1)) && s.wants(FrameId(2)));
+    }
+
+    #[test]
+    fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
+        // A small multiplicative generator is random enough for orders of arrival.
+        let mut seed = 12345u64;
+        let mut random = move |n: u64| {
+            seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (seed >> 33) % n
+        };
+        let mut s = Session::default();
+        s.handle_connected();
+        let (mut shown, mut jobs, mut fulls) = (FrameId(0), 0, 0);
+        let mut in_flight: Vec<(u32, u16)> = vec![];
+        for now in 0..20_000u64 {
+            if now % 4 == 0 {
+                in_flight.extend((0..4).map(|i| (now as u32 / 4 + 1, i)));
+            }
+            let newest = in_flight.len().saturating_sub(24);
+            in_flight.drain(..newest.min(random(2) as usize * newest));
+            let (frame, index) = in_flight.swap_remove(random(in_flight.len() as u64) as usize);
+            arrive(&mut s, now, frame, index).unwrap();
+            assert!(s.assembling.len() <= MAX_ASSEMBLING);
+            assert!(s.ledger.len() <= MAX_LEDGER);
+            while let Some(job) = s.poll_decode() {
+                assert!(job.frame > shown || job.frame == shown && !job.is_first);
+                shown = job.frame;
+                jobs += 1;
+                fulls += u32::from(job.is_last);
+                assert!(s.handle_decoded(now, job.connection, job.frame, job.is_last).is_some());
+            }
+        }
+        assert!(jobs > 500 && fulls > 50, "{jobs} {fulls}");
+    }
+
+    #[test]
+    fn a_new_connection_starts_its_frames_again() {
+        let mut s = Session::default();
+        s.handle_connected();
+        arrive(&mut s, 0, 50, 0).unwrap();
+        arrive(&mut s, 0, 50, 1).unwrap();
+        let old = s.poll_decode().unwrap();
+        s.handle_connected();
+        assert!(s.handle_decoded(1, old.connection, old.frame, false).is_none());
+        assert_eq!(s.newest_complete(), None);
+        arrive(&mut s, 2, 1, 0).unwrap();
+        arrive(&mut s, 2, 1, 1).unwrap();
+        let job = s.poll_decode().unwrap();
+        assert_eq!(job.frame, FrameId(1));
+        assert!(s.handle_decoded(3, job.connection, job.frame, false).is_some());
+    }
+}

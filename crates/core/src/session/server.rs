@@ -1,0 +1,206 @@
+//! The server's side of a connection: newest pose wins, and newest frame wins without starving.
+//!
+//! A frame is a *base*, which can be shown alone, and *refinements*. If every superseded chunk were dropped, a link
+//! slower than the offer would deliver nothing: each frame would be cancelled just before it is through. So
+//! - a base is dropped only when a *newer base is known to be complete* at the client;
+//! - refinements are dropped the moment a newer base is handed over.
+
+use super::bucket::Bucket;
+use crate::ids::{ChunkIndex, FrameId, PoseId};
+use crate::look::Look;
+use crate::wire::control::ControlError;
+use crate::wire::{ClientMessage, ClientStats, PoseError, PoseRequest, Refusal};
+
+/// State of one admitted connection.
+///
+/// Call `handle_datagram` and `handle_message` for what arrives, `handle_base_handed` before the base of a frame is
+/// written, `handle_base_delivered` when all of it is acknowledged; ask `is_superseded` after any of these.
+#[derive(Clone, Debug)]
+pub struct Session {
+    newest_pose: PoseId,
+    handed: FrameId,
+    complete: FrameId,
+    poses: Bucket,
+    messages: Bucket,
+}
+
+/// What a client asks for on the control stream.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Another look.
+    SetLook(Look),
+    /// How the client fares.
+    Stats(ClientStats),
+    /// The client leaves.
+    Bye,
+}
+
+impl Session {
+    /// A session that was admitted now.
+    pub fn new(now_micros: u64) -> Self {
+        Self {
+            newest_pose: PoseId(0),
+            handed: FrameId(0),
+            complete: FrameId(0),
+            poses: Bucket::new(MAX_POSES_PER_SECOND, now_micros),
+            messages: Bucket::new(MAX_MESSAGES_PER_SECOND, now_micros),
+        }
+    }
+
+    /// A datagram has arrived. The pose in it, if it is newer than all before and within the rate.
+    ///
+    /// # Errors
+    /// If the datagram is not a pose; the connection can go on.
+    pub fn handle_datagram(
+        &mut self,
+        now_micros: u64,
+        bytes: &[u8],
+    ) -> Result<Option<PoseRequest>, PoseError> {
+        if !self.poses.take(now_micros) {
+            return Ok(None);
+        }
+        let request = PoseRequest::decode(bytes)?;
+        if let Some(frame) = request.newest_complete {
+            self.handle_base_delivered(frame);
+        }
+        if request.id <= self.newest_pose {
+            return Ok(None);
+        }
+        self.newest_pose = request.id;
+        Ok(Some(request))
+    }
+
+    /// A control message has arrived after the hello.
+    ///
+    /// # Errors
+    /// If the client must be sent away for it.
+    pub fn handle_message(&mut self, now_micros: u64, body: &[u8]) -> Result<Request, Refusal> {
+        if !self.messages.take(now_micros) {
+            return Err(Refusal::Protocol(format!("more than {MAX_MESSAGES_PER_SECOND} messages a second")));
+        }
+        match crate::wire::control::decode(body).map_err(|e| violation(&e))? {
+            ClientMessage::SetLook(look) => Ok(Request::SetLook(look)),
+            ClientMessage::Stats(stats) => Ok(Request::Stats(stats)),
+            ClientMessage::Bye => Ok(Request::Bye),
+            ClientMessage::Hello { .. } => Err(Refusal::Protocol("a second hello".into())),
+        }
+    }
+
+    /// The base of a frame is about to be written.
+    pub fn handle_base_handed(&mut self, frame: FrameId) {
+        self.handed = self.handed.max(frame);
+    }
+
+    /// The client has all of a frame's base. A client that claims frames it was never sent gains nothing.
+    pub fn handle_base_delivered(&mut self, frame: FrameId) {
+        self.complete = self.complete.max(frame.min(self.handed));
+    }
+
+    /// Whether a chunk is not worth its bytes any more.
+    pub fn is_superseded(&self, frame: FrameId, is_base: bool) -> bool {
+        if is_base { self.complete > frame } else { self.handed > frame }
+    }
+
+    /// The newest frame whose base the client has; 0 for none.
+    pub fn newest_complete(&self) -> FrameId {
+        self.complete
+    }
+}
+
+/// What a client is told that sent something unreadable.
+pub fn violation(error: &ControlError) -> Refusal {
+    Refusal::Protocol(crate::wire::control::one_line(&error.to_string()))
+}
+
+/// Priority of a chunk's stream: any base before any refinement, newer frames first, and within a frame by index.
+/// The control stream has [`CONTROL_PRIORITY`].
+///
+/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the two bands never meet.
+pub fn priority(frame: FrameId, index: ChunkIndex, is_base: bool) -> i32 {
+    let place = ((frame.0 & 0x01ff_ffff) << 4) as i32 + 15 - i32::from(index.0.min(15));
+    if is_base { BASE_BAND + place } else { place }
+}
+
+/// Above every chunk.
+pub const CONTROL_PRIORITY: i32 = i32::MAX;
+/// Pose datagrams read per second. Clients send at most 120; twice that leaves room for bunching.
+pub const MAX_POSES_PER_SECOND: u32 = 240;
+/// Control messages read per second.
+pub const MAX_MESSAGES_PER_SECOND: u32 = 100;
+const BASE_BAND: i32 = 1 << 30;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Intrinsics, Pose};
+    use glam::Vec3;
+
+    fn datagram(id: u32, newest_complete: Option<FrameId>) -> Vec<u8> {
+        let pose = Pose::orbit(Vec3::ZERO, 0.1 * id as f32, 0.0, 3.0);
+        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.5 };
+        PoseRequest { id: PoseId(id), stamp_micros: 0, pose, intrinsics, newest_complete }.encode().to_vec()
+    }
+
+    #[test]
+    fn only_newer_poses_count() {
+        let mut s = Session::new(0);
+        let mut accepted = vec![];
+        for id in [3, 1, 3, 2, 7, 5, 8] {
+            accepted.extend(s.handle_datagram(0, &datagram(id, None)).unwrap().map(|p| p.id.0));
+        }
+        assert_eq!(accepted, [3, 7, 8]);
+        assert!(s.handle_datagram(0, b"junk").is_err());
+        assert!((0..1000).all(|_| s.handle_datagram(0, &datagram(1, None)).is_ok_and(|p| p.is_none())));
+        assert!(matches!(s.handle_datagram(0, &datagram(9, None)), Ok(None)), "over the rate");
+        assert!(matches!(s.handle_datagram(1_000_000, &datagram(9, None)), Ok(Some(_))));
+    }
+
+    #[test]
+    fn a_base_outlives_newer_frames_until_one_of_them_is_complete() {
+        let mut s = Session::new(0);
+        for n in 1..100 {
+            s.handle_base_handed(FrameId(n));
+            assert!(!s.is_superseded(FrameId(1), true), "frame 1 is all that may ever arrive");
+            assert_eq!(s.is_superseded(FrameId(1), false), n > 1);
+            assert!(!s.is_superseded(FrameId(n), false));
+        }
+        s.handle_base_delivered(FrameId(40));
+        for n in 1..100 {
+            assert_eq!(s.is_superseded(FrameId(n), true), n < 40);
+        }
+    }
+
+    #[test]
+    fn a_claim_of_frames_never_sent_does_not_stop_the_newest() {
+        let mut s = Session::new(0);
+        s.handle_base_handed(FrameId(5));
+        s.handle_datagram(0, &datagram(1, Some(FrameId(u32::MAX)))).unwrap();
+        assert_eq!(s.newest_complete(), FrameId(5));
+        s.handle_base_handed(FrameId(6));
+        assert!(!s.is_superseded(FrameId(6), true));
+    }
+
+    #[test]
+    fn priorities_never_mix_bases_and_refinements() {
+        for n in [1u32, 2, 1_000_000, 0x01ff_fffe] {
+            let (old, new) = (FrameId(n), FrameId(n + 1));
+            let p = |f, i, base| priority(f, ChunkIndex(i), base);
+            assert!(p(new, 0, true) > p(old, 0, true));
+            assert!(p(new, 15, false) > p(old, 0, false));
+            assert!(p(old, 0, true) > p(old, 1, true));
+            assert!(p(old, 15, true) > p(new, 0, false));
+            assert!(p(FrameId(0), 15, true) > p(FrameId(0x01ff_ffff), 0, false));
+            assert!(p(new, 0, true) < CONTROL_PRIORITY);
+        }
+    }
+
+    #[test]
+    fn a_second_hello_and_a_flood_are_violations() {
+        let mut s = Session::new(0);
+        let t = || crate::wire::Token::new([0; 16]);
+        let hello = crate::wire::control::encode(&crate::wire::control::hello(t(), t(), "x")).unwrap();
+        assert!(matches!(s.handle_message(0, &hello[4..]), Err(Refusal::Protocol(_))));
+        let bye = crate::wire::control::encode(&ClientMessage::Bye).unwrap();
+        assert_eq!((0..1000).filter(|_| s.handle_message(0, &bye[4..]).is_ok()).count(), 99);
+    }
+}

@@ -1,0 +1,445 @@
+//! The messages of the control stream.
+//!
+//! A message is a little-endian `u32` length, at most [`MAX_CONTROL_BYTES`], and so many bytes: the message in
+//! bincode 2 (standard configuration: variable-length little-endian integers). Both sides check every message with
+//! its `validate` before using it. Adding a variant at the end of an enum is a new protocol version too.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::{MAX_CONTROL_BYTES, PROTOCOL_VERSION, Token};
+use crate::camera::MAX_SIDE;
+use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::look::{Look, LookError, MAX_NAME_BYTES};
+use crate::space::Aabb;
+use crate::volume::{Histogram, Volume};
+
+/// What a client says. [`ClientMessage::Hello`] comes first and once.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum ClientMessage {
+    /// Who wants in.
+    Hello {
+        /// The client's [`PROTOCOL_VERSION`].
+        protocol: u32,
+        /// The token of the link, or the ticket of the last welcome.
+        token: Token,
+        /// A secret that this client keeps for as long as it runs: a token that has let it in lets in no other.
+        instance: Token,
+        /// Name of the client, for the server's log.
+        name: String,
+    },
+    /// Asks for another look.
+    SetLook(Look),
+    /// How the client fares.
+    Stats(ClientStats),
+    /// The client leaves on its own will.
+    Bye,
+}
+
+/// What a server says. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum ServerMessage {
+    /// The client is in.
+    Welcome(Box<Welcome>),
+    /// Frames from now on have this look.
+    LookChanged {
+        /// Number of the look, named by the frames.
+        version: LookVersion,
+        /// The look.
+        look: Look,
+    },
+    /// The client is not let in, or is sent away; the connection closes after this.
+    Refused(Refusal),
+    /// One line for the person at the viewer.
+    Notice(String),
+    /// What the newest frame cost.
+    Stats(ServerStats),
+}
+
+/// All that a viewer must know to begin.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Welcome {
+    /// Takes the place of the token the next time this client connects.
+    pub ticket: Token,
+    /// The volume.
+    pub volume: VolumeDescription,
+    /// Number of the look.
+    pub look_version: LookVersion,
+    /// The look.
+    pub look: Look,
+    /// Largest width and height of a frame, pixels.
+    pub max_side: u32,
+    /// Pose datagrams beyond this rate are dropped, 1/s.
+    pub max_poses_per_second: u32,
+}
+
+/// What a viewer is told of the volume.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VolumeDescription {
+    /// File name or name of the built-in volume.
+    pub name: String,
+    /// Voxels along x, y, z.
+    pub dims: [u32; 3],
+    /// Size of a voxel, world units.
+    pub spacing: [f32; 3],
+    /// Unit of the spacing, if known.
+    pub unit: Option<String>,
+    /// Where the axes point, such as `RAS`, if known.
+    pub orientation: Option<String>,
+    /// Least and greatest value.
+    pub value_range: (f32, f32),
+    /// Voxels in at most [`MAX_BINS`] equal bins over the value range.
+    pub histogram: Vec<u64>,
+}
+
+/// How a client fares, on its own clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ClientStats {
+    /// Frames shown in the last second.
+    pub frames_per_second: f32,
+    /// From pose set to frame shown, µs, for the newest frame.
+    pub age_micros: u64,
+    /// Time of one novel view, µs.
+    pub novel_view_micros: u64,
+}
+
+/// What a frame cost the server.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ServerStats {
+    /// The frame.
+    pub frame: FrameId,
+    /// The pose it answers.
+    pub pose: PoseId,
+    /// The stamp of that pose, echoed.
+    pub pose_stamp_micros: u64,
+    /// Marching and layering, µs.
+    pub generate_micros: u64,
+    /// Encoding, µs.
+    pub encode_micros: u64,
+    /// Encoded length of all chunks.
+    pub bytes: u64,
+    /// Segments in the frame.
+    pub segments: u64,
+}
+
+/// Why a client is not let in. The text is what the person at the viewer reads.
+#[derive(Clone, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Refusal {
+    /// Nobody was given this token.
+    #[error("the server does not know the token of this link; copy the link it printed last")]
+    UnknownToken,
+    /// Another viewer has used the token.
+    #[error("this link was used by another viewer already; ask the server for a new one")]
+    TokenUsed,
+    /// The versions differ.
+    #[error(
+        "the server speaks protocol version {server}, this viewer {client}; install the same version on both"
+    )]
+    Version {
+        /// The server's version.
+        server: u32,
+        /// The client's version.
+        client: u32,
+    },
+    /// No place is free.
+    #[error("the server is full: all {0} places are taken")]
+    Full(u32),
+    /// The client did not follow the protocol.
+    #[error("protocol violation: {0}")]
+    Protocol(String),
+}
+
+impl Refusal {
+    /// Whether asking again later, with nothing changed, may succeed.
+    pub fn is_temporary(&self) -> bool {
+        matches!(self, Self::Full(_))
+    }
+}
+
+/// Why bytes are not a control message.
+#[derive(Debug, thiserror::Error)]
+pub enum ControlError {
+    /// The length is zero or above the limit.
+    #[error("a control message of {0} bytes, expected 1 to {MAX_CONTROL_BYTES}")]
+    Length(usize),
+    /// The bytes do not decode.
+    #[error("a control message that does not decode: {0}")]
+    Decode(#[from] bincode::error::DecodeError),
+    /// A message could not be written.
+    #[error("a control message that does not encode: {0}")]
+    Encode(#[from] bincode::error::EncodeError),
+    /// Bytes are left after the message.
+    #[error("a control message with {0} bytes too many")]
+    Trailing(usize),
+    /// A text is too long or holds control characters.
+    #[error("a control message with an unusable {0}")]
+    Text(&'static str),
+    /// A number is out of range.
+    #[error("a control message with an unusable {0}")]
+    Value(&'static str),
+    /// The look cannot be used.
+    #[error("a control message with an unusable look: {0}")]
+    Look(#[from] LookError),
+}
+
+/// A message that can be checked; both directions have one type.
+pub trait Message: Serialize + DeserializeOwned {
+    /// Checks what the types cannot say.
+    ///
+    /// # Errors
+    /// The first promise broken.
+    fn validate(&self) -> Result<(), ControlError>;
+}
+
+impl Message for ClientMessage {
+    fn validate(&self) -> Result<(), ControlError> {
+        match self {
+            Self::Hello { name, .. } => text("name", name, MAX_NAME_BYTES),
+            Self::SetLook(look) => Ok(look.validate()?),
+            Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
+            Self::Stats(_) | Self::Bye => Ok(()),
+        }
+    }
+}
+
+impl Message for ServerMessage {
+    fn validate(&self) -> Result<(), ControlError> {
+        match self {
+            Self::Welcome(w) => {
+                w.volume.validate()?;
+                w.look.validate()?;
+                if !(1..=MAX_SIDE).contains(&w.max_side) || w.max_poses_per_second == 0 {
+                    return Err(ControlError::Value("limit"));
+                }
+                Ok(())
+            }
+            Self::LookChanged { look, .. } => Ok(look.validate()?),
+            Self::Refused(Refusal::Protocol(s)) => text("reason", s, MAX_NOTICE_BYTES),
+            Self::Notice(s) => text("notice", s, MAX_NOTICE_BYTES),
+            Self::Refused(_) | Self::Stats(_) => Ok(()),
+        }
+    }
+}
+
+impl VolumeDescription {
+    /// Describes a volume. `histogram` must be the volume's own.
+    pub fn of(volume: &Volume, histogram: &Histogram) -> Self {
+        let cut =
+            |s: &str| -> String { s.chars().filter(|c| !c.is_control()).take(MAX_NAME_BYTES / 4).collect() };
+        let bins = histogram.counts.len().clamp(1, MAX_BINS);
+        let mut counts = vec![0u64; bins];
+        for (i, n) in histogram.counts.iter().enumerate() {
+            counts[i * bins / histogram.counts.len()] += n;
+        }
+        Self {
+            name: cut(&volume.info.name),
+            dims: volume.dims(),
+            spacing: volume.spacing().to_array(),
+            unit: volume.info.unit.as_deref().map(cut),
+            orientation: volume.info.orientation.as_deref().map(cut),
+            value_range: volume.value_range(),
+            histogram: counts,
+        }
+    }
+
+    /// The volume's box in world space: centred at the origin.
+    pub fn bounds(&self) -> Aabb {
+        let half =
+            glam::Vec3::from_array(std::array::from_fn(|i| self.dims[i] as f32 * self.spacing[i] * 0.5));
+        Aabb { min: -half, max: half }
+    }
+
+    fn validate(&self) -> Result<(), ControlError> {
+        text("volume name", &self.name, MAX_NAME_BYTES)?;
+        for s in [&self.unit, &self.orientation].into_iter().flatten() {
+            text("unit or orientation", s, MAX_NAME_BYTES)?;
+        }
+        let positive = |x: &f32| *x > 0.0 && x.is_finite();
+        if self.dims.contains(&0) || !self.spacing.iter().all(positive) || !self.bounds().radius().is_finite()
+        {
+            return Err(ControlError::Value("volume size"));
+        }
+        let (lo, hi) = self.value_range;
+        if !(lo <= hi && lo.is_finite() && hi.is_finite()) {
+            return Err(ControlError::Value("value range"));
+        }
+        if self.histogram.len() > MAX_BINS {
+            return Err(ControlError::Value("histogram"));
+        }
+        Ok(())
+    }
+}
+
+/// A message with its length in front.
+///
+/// # Errors
+/// If the message breaks its own promises or is too long: the peer would hang up.
+pub fn encode<M: Message>(message: &M) -> Result<Vec<u8>, ControlError> {
+    message.validate()?;
+    let body = bincode::serde::encode_to_vec(message, bincode::config::standard())?;
+    let mut out = Vec::with_capacity(4 + body.len());
+    out.extend_from_slice(&(check_length(body.len())? as u32).to_le_bytes());
+    out.extend_from_slice(&body);
+    Ok(out)
+}
+
+/// The length of the message that follows these four bytes.
+///
+/// # Errors
+/// If it is zero or above [`MAX_CONTROL_BYTES`].
+pub fn body_length(prefix: [u8; 4]) -> Result<usize, ControlError> {
+    check_length(u32::from_le_bytes(prefix) as usize)
+}
+
+/// Reads a message, without the length in front of it.
+///
+/// # Errors
+/// If the bytes are no message, are followed by others, or break a promise of the message.
+pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
+    check_length(body.len())?;
+    let config = bincode::config::standard().with_limit::<MAX_CONTROL_BYTES>();
+    let (message, used): (M, usize) = bincode::serde::decode_from_slice(body, config)?;
+    if used != body.len() {
+        return Err(ControlError::Trailing(body.len() - used));
+    }
+    message.validate()?;
+    Ok(message)
+}
+
+/// A text as it can go into a [`ServerMessage::Notice`]: one line, cut where it is too long.
+pub fn one_line(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_NOTICE_BYTES / 4).collect()
+}
+
+/// The first message of this client.
+pub fn hello(token: Token, instance: Token, name: &str) -> ClientMessage {
+    let name = name.chars().filter(|c| !c.is_control()).take(MAX_NAME_BYTES / 4).collect();
+    ClientMessage::Hello { protocol: PROTOCOL_VERSION, token, instance, name }
+}
+
+fn check_length(length: usize) -> Result<usize, ControlError> {
+    if (1..=MAX_CONTROL_BYTES).contains(&length) { Ok(length) } else { Err(ControlError::Length(length)) }
+}
+
+/// Texts of a peer reach a terminal: control characters could rewrite it.
+fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
+    if s.len() > max_bytes || s.chars().any(char::is_control) {
+        Err(ControlError::Text(what))
+    } else {
+        Ok(())
+    }
+}
+
+/// Bins of a description's histogram.
+pub const MAX_BINS: usize = 256;
+/// Longest notice.
+const MAX_NOTICE_BYTES: usize = 2000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::layering::Layering;
+    use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+
+    fn look() -> Look {
+        let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
+        Look {
+            transfer: TransferFunction {
+                name: "ramp".into(),
+                domain: Domain::Values(-5.0, 7.0),
+                unit_length: UnitLength::Radius(0.1),
+                points: vec![p(0.0), p(1.0)],
+            },
+            shaded: true,
+            layering: Layering::EqualTransmittance,
+            k: 8,
+        }
+    }
+
+    fn messages() -> Vec<ServerMessage> {
+        let volume = VolumeDescription {
+            name: "ramp".into(),
+            dims: [4, 5, 6],
+            spacing: [1.0, 0.5, 2.0],
+            unit: Some("mm".into()),
+            orientation: None,
+            value_range: (-1.0, 1.0),
+            histogram: (0..256).collect(),
+        };
+        let welcome = Welcome {
+            ticket: Token::new([3; 16]),
+            volume,
+            look_version: LookVersion(4),
+            look: look(),
+            max_side: 4096,
+            max_poses_per_second: 240,
+        };
+        vec![
+            ServerMessage::Welcome(Box::new(welcome)),
+            ServerMessage::LookChanged { version: LookVersion(9), look: look() },
+            ServerMessage::Refused(Refusal::Full(3)),
+            ServerMessage::Notice("rendering on the CPU".into()),
+            ServerMessage::Stats(ServerStats { bytes: 1 << 40, ..Default::default() }),
+        ]
+    }
+
+    #[test]
+    fn decoding_inverts_encoding() {
+        for m in messages() {
+            let bytes = encode(&m).unwrap();
+            let length = body_length(bytes[..4].try_into().unwrap()).unwrap();
+            assert_eq!(length, bytes.len() - 4);
+            let again: ServerMessage = decode(&bytes[4..]).unwrap();
+            assert_eq!(encode(&again).unwrap(), bytes);
+        }
+        let hello = hello(Token::new([1; 16]), Token::new([2; 16]), "me\n\u{1b}[2J");
+        let bytes = encode(&hello).unwrap();
+        assert!(matches!(decode(&bytes[4..]), Ok(ClientMessage::Hello { name, .. }) if name == "me[2J"));
+    }
+
+    #[test]
+    fn cut_extended_and_flipped_messages_never_panic_and_decode_only_to_valid_ones() {
+        for m in messages() {
+            let good = encode(&m).unwrap()[4..].to_vec();
+            for len in 0..good.len() {
+                assert!(decode::<ServerMessage>(&good[..len]).is_err());
+            }
+            let longer = [&good[..], &[0]].concat();
+            assert!(matches!(decode::<ServerMessage>(&longer), Err(ControlError::Trailing(1))));
+            for bit in 0..good.len() * 8 {
+                let mut bytes = good.clone();
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                if let Ok(m) = decode::<ServerMessage>(&bytes) {
+                    assert!(m.validate().is_ok());
+                }
+                let _ = decode::<ClientMessage>(&bytes);
+            }
+        }
+    }
+
+    #[test]
+    fn lengths_and_texts_are_bounded() {
+        assert!(body_length([0; 4]).is_err());
+        assert!(body_length([0xff; 4]).is_err());
+        assert!(body_length((MAX_CONTROL_BYTES as u32).to_le_bytes()).is_ok());
+        // A string that claims 2^40 bytes: variant 3 (Notice), then a nine-byte length.
+        let mut lie = vec![3u8, 253];
+        lie.extend_from_slice(&(1u64 << 40).to_le_bytes());
+        assert!(matches!(decode::<ServerMessage>(&lie), Err(ControlError::Decode(_))));
+        let escape = ServerMessage::Notice("\u{1b}[2J".into());
+        assert!(matches!(encode(&escape), Err(ControlError::Text("notice"))));
+        assert!(encode(&ServerMessage::Notice(one_line("\u{1b}[2J"))).is_ok());
+        let mut bad = look();
+        bad.k = 0;
+        assert!(matches!(encode(&ClientMessage::SetLook(bad)), Err(ControlError::Look(LookError::K(0)))));
+    }
+
+    #[test]
+    fn a_description_keeps_every_voxel_in_few_bins() {
+        let volume = crate::volume::procedural::Builtin::Cloud.volume(24);
+        let d = VolumeDescription::of(&volume, &Histogram::of(&volume));
+        assert_eq!(d.histogram.iter().sum::<u64>(), d.dims.iter().map(|&n| u64::from(n)).product::<u64>());
+        assert!(d.histogram.len() <= MAX_BINS);
+        assert_eq!(d.bounds(), volume.bounds());
+    }
+}

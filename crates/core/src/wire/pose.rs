@@ -1,0 +1,189 @@
+//! The pose datagram: a fixed layout of [`POSE_BYTES`] bytes, little-endian, one pose each.
+//!
+//! | offset | type | meaning |
+//! |---|---|---|
+//! | 0 | u8 | kind, 1 |
+//! | 1 | u8 | 0 |
+//! | 2 | u16 | width in pixels |
+//! | 4 | u16 | height in pixels |
+//! | 6 | u16 | 0 |
+//! | 8 | u32 | pose id, not 0 |
+//! | 12 | u32 | newest frame whose base is complete at the client, 0 for none |
+//! | 16 | u64 | the client's clock when the pose was set, µs; the server only echoes it |
+//! | 24 | 3 × f32 | eye, world units |
+//! | 36 | 4 × f32 | world_from_view, quaternion x y z w |
+//! | 52 | f32 | vertical field of view, radians |
+
+use glam::{Quat, Vec3};
+
+use crate::camera::{Intrinsics, MAX_SIDE, Pose};
+use crate::ids::{FrameId, PoseId};
+
+/// A client's wish for a frame: the newest one wins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseRequest {
+    /// Number of the pose, ascending, not 0.
+    pub id: PoseId,
+    /// The client's clock when the pose was set, µs. Meaningless to the server, which only echoes it.
+    pub stamp_micros: u64,
+    /// Where the frame shall be seen from.
+    pub pose: Pose,
+    /// Size and field of view of the frame.
+    pub intrinsics: Intrinsics,
+    /// The newest frame whose base is complete at the client.
+    pub newest_complete: Option<FrameId>,
+}
+
+/// Why a datagram is not a pose.
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum PoseError {
+    /// The datagram has another length.
+    #[error("a pose datagram has {0} bytes, expected {POSE_BYTES}")]
+    Length(usize),
+    /// The first byte is another.
+    #[error("datagram of kind {0}, expected {KIND}")]
+    Kind(u8),
+    /// A reserved byte or the id is not what it must be.
+    #[error("a pose datagram with a wrong {0}")]
+    Field(&'static str),
+    /// A number is not finite or out of range.
+    #[error("a pose datagram with an unusable {0}")]
+    Value(&'static str),
+}
+
+impl PoseRequest {
+    /// The bytes of the datagram.
+    pub fn encode(&self) -> [u8; POSE_BYTES] {
+        let mut out = [0; POSE_BYTES];
+        let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
+        put(0, &[KIND]);
+        put(2, &(self.intrinsics.width.min(MAX_SIDE) as u16).to_le_bytes());
+        put(4, &(self.intrinsics.height.min(MAX_SIDE) as u16).to_le_bytes());
+        put(8, &self.id.0.to_le_bytes());
+        put(12, &self.newest_complete.unwrap_or(FrameId(0)).0.to_le_bytes());
+        put(16, &self.stamp_micros.to_le_bytes());
+        let numbers = self.pose.eye.to_array().into_iter().chain(self.pose.world_from_view.to_array());
+        for (i, x) in numbers.chain([self.intrinsics.fov_y]).enumerate() {
+            put(24 + 4 * i, &x.to_le_bytes());
+        }
+        out
+    }
+
+    /// Reads a datagram.
+    ///
+    /// # Errors
+    /// Anything that the server could not render: other lengths and kinds, numbers that are not finite, a rotation
+    /// that is not of unit length, an empty or too large picture.
+    pub fn decode(bytes: &[u8]) -> Result<Self, PoseError> {
+        let bytes: &[u8; POSE_BYTES] = bytes.try_into().map_err(|_| PoseError::Length(bytes.len()))?;
+        let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let u32_at = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+        let f32_at = |at: usize| f32::from_bits(u32_at(at));
+        if bytes[0] != KIND {
+            return Err(PoseError::Kind(bytes[0]));
+        }
+        if bytes[1] != 0 || u16_at(6) != 0 {
+            return Err(PoseError::Field("reserved byte"));
+        }
+        let request = Self {
+            id: PoseId(u32_at(8)),
+            stamp_micros: u64::from(u32_at(16)) | u64::from(u32_at(20)) << 32,
+            pose: Pose {
+                eye: Vec3::from_array(std::array::from_fn(|i| f32_at(24 + 4 * i))),
+                world_from_view: Quat::from_array(std::array::from_fn(|i| f32_at(36 + 4 * i))),
+            },
+            intrinsics: Intrinsics { width: u16_at(2).into(), height: u16_at(4).into(), fov_y: f32_at(52) },
+            newest_complete: Some(FrameId(u32_at(12))).filter(|f| f.0 != 0),
+        };
+        request.validate()?;
+        Ok(request)
+    }
+
+    /// Whether the request can be sent and rendered.
+    ///
+    /// # Errors
+    /// Names the first number that cannot be used.
+    pub fn validate(&self) -> Result<(), PoseError> {
+        let i = &self.intrinsics;
+        let side = 1..=MAX_SIDE;
+        if self.id.0 == 0 {
+            Err(PoseError::Field("id"))
+        } else if !self.pose.is_valid() || self.pose.eye.abs().max_element() > MAX_COORDINATE {
+            Err(PoseError::Value("pose"))
+        } else if !side.contains(&i.width) || !side.contains(&i.height) {
+            Err(PoseError::Value("size"))
+        } else if !(i.fov_y > 1e-3 && i.fov_y < 3.1) {
+            Err(PoseError::Value("field of view"))
+        } else {
+            Ok(())
+        }
+    }
+}
+
+/// Length of a pose datagram: far below the 1200 bytes that every QUIC path carries.
+pub const POSE_BYTES: usize = 56;
+/// Farthest an eye may be from the origin: squares of it are still finite single-precision numbers.
+const MAX_COORDINATE: f32 = 1e15;
+/// First byte of a pose datagram.
+const KIND: u8 = 1;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request() -> PoseRequest {
+        PoseRequest {
+            id: PoseId(77),
+            stamp_micros: 0x0123_4567_89ab_cdef,
+            pose: Pose::orbit(Vec3::new(1.0, -2.0, 3.0), 0.3, -0.7, 5.0),
+            intrinsics: Intrinsics { width: 640, height: 480, fov_y: 0.6 },
+            newest_complete: Some(FrameId(12)),
+        }
+    }
+
+    #[test]
+    fn decoding_inverts_encoding() {
+        for newest_complete in [None, Some(FrameId(1)), Some(FrameId(u32::MAX))] {
+            let r = PoseRequest { newest_complete, ..request() };
+            assert_eq!(PoseRequest::decode(&r.encode()), Ok(r));
+        }
+    }
+
+    #[test]
+    fn unusable_numbers_are_refused() {
+        let nan = f32::NAN;
+        let with = |f: &dyn Fn(&mut PoseRequest)| {
+            let mut r = request();
+            f(&mut r);
+            PoseRequest::decode(&r.encode())
+        };
+        assert_eq!(with(&|r| r.pose.eye.x = nan), Err(PoseError::Value("pose")));
+        assert_eq!(with(&|r| r.pose.eye.x = 1e30), Err(PoseError::Value("pose")));
+        assert_eq!(
+            with(&|r| r.pose.world_from_view = Quat::from_array([0.0; 4])),
+            Err(PoseError::Value("pose"))
+        );
+        assert_eq!(with(&|r| r.intrinsics.width = 0), Err(PoseError::Value("size")));
+        assert_eq!(with(&|r| r.intrinsics.fov_y = nan), Err(PoseError::Value("field of view")));
+        assert_eq!(with(&|r| r.id = PoseId(0)), Err(PoseError::Field("id")));
+        let mut too_wide = request().encode();
+        too_wide[3] = 0xff;
+        assert_eq!(PoseRequest::decode(&too_wide), Err(PoseError::Value("size")));
+    }
+
+    #[test]
+    fn any_cut_or_flipped_datagram_is_an_error_or_a_valid_pose() {
+        let good = request().encode();
+        for len in 0..good.len() {
+            assert_eq!(PoseRequest::decode(&good[..len]), Err(PoseError::Length(len)));
+        }
+        for i in 0..good.len() * 8 {
+            let mut bytes = good;
+            bytes[i / 8] ^= 1 << (i % 8);
+            if let Ok(r) = PoseRequest::decode(&bytes) {
+                assert_eq!(r.validate(), Ok(()));
+                assert_eq!(r.encode(), bytes, "a flipped bit that is not seen");
+            }
+        }
+    }
+}
