@@ -31,7 +31,8 @@ pub struct Shading {
     pub diffuse: f32,
     /// Unit direction towards the light, world space.
     pub light: Vec3,
-    /// Gradient, in domain positions a voxel, at which half of the shading acts; flatter matter is left unshaded.
+    /// Gradient, in domain positions a voxel, at which half of the shading acts; flatter matter gets the mean over all
+    /// directions, |cos| = ½.
     pub half_gradient: f32,
 }
 
@@ -288,11 +289,11 @@ impl<'a, T: Texels> Marcher<'a, T> {
         let normal = per_voxel * self.voxel_from_world;
         let length_squared = normal.length_squared();
         if length_squared <= 0.0 {
-            return 1.0;
+            return shading.ambient + shading.diffuse * 0.5;
         }
         let lambert = (normal.dot(shading.light) / length_squared.sqrt()).abs();
         let weight = strength / (strength + shading.half_gradient * shading.half_gradient);
-        mix(1.0, shading.ambient + shading.diffuse * lambert, weight)
+        shading.ambient + shading.diffuse * mix(0.5, lambert, weight)
     }
 
     /// The stored number at integer coordinates, clamped to the grid.

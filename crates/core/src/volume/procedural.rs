@@ -88,7 +88,7 @@ fn cubus(p: Vec3, spacing: f32) -> f32 {
     // One voxel of ramp: the band-limited cube, not a staircase.
     let inside = (0.5 - distance / spacing).clamp(0.0, 1.0);
     let number = cell.x + 3.0 * cell.y + 9.0 * cell.z;
-    inside * (0.45 + 0.55 * ((number * 11.0) % 27.0) / 26.0)
+    inside * (0.9 + 0.1 * ((number * 11.0) % 27.0) / 26.0)
 }
 
 fn shells(p: Vec3) -> f32 {

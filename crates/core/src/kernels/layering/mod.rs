@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::march::{Marcher, Scene, Texels, with_texels};
 use crate::camera::Camera;
-use crate::layer::{FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
+use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::space::Ray;
 
 /// The rules by name.
@@ -109,8 +109,11 @@ fn generate_with<T: Texels>(
             for x in 0..camera.intrinsics.width {
                 let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
                 let list = generate_list(scene, marcher, &ray, camera.near * s_per_depth, k, layering);
+                let mut last_back = 0;
                 for segment in &list.segments[..list.len] {
-                    row.push(&close_segment(&camera, segment, s_per_depth));
+                    let segment = close_segment(&camera, segment, s_per_depth, last_back);
+                    last_back = segment.back;
+                    row.push(&segment);
                 }
                 row.offsets.push(row.depth.len() as u32);
             }
@@ -159,13 +162,12 @@ fn generate_list<T: Texels>(
     }
 }
 
-/// Rounds the ends of a segment to depth units. A segment thinner than one unit is made one unit thick.
-fn close_segment(camera: &Camera, segment: &OpenSegment, s_per_depth: f32) -> Segment {
-    let units = |s: f32| (depth_to_units(camera, s / s_per_depth) + 0.5).clamp(0.0, 65535.0) as u16;
-    let (mut front, mut back) = (units(segment.s0), units(segment.s1));
-    if back <= front {
-        front = front.min(65534);
-        back = front + 1;
-    }
+/// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than one unit is made one unit
+/// thick; the units kept free at the far end are for those.
+fn close_segment(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_back: u16) -> Segment {
+    let greatest = DEPTH_UNITS - MAX_K as f32;
+    let units = |s: f32| (depth_to_units(camera, s / s_per_depth) + 0.5).clamp(0.0, greatest) as u16;
+    let front = units(segment.s0).max(last_back);
+    let back = units(segment.s1).max(front + 1);
     Segment { front, back, c: segment.c, tau: segment.tau.min(TAU_MAX) }
 }
