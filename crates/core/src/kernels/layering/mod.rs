@@ -162,12 +162,17 @@ fn generate_list<T: Texels>(
     }
 }
 
-/// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than one unit is made one unit
+/// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than [`MIN_UNITS`] is made so
 /// thick; the units kept free at the far end are for those.
 fn close_segment(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_back: u16) -> Segment {
-    let greatest = DEPTH_UNITS - MAX_K as f32;
+    let greatest = DEPTH_UNITS - (MAX_K * usize::from(MIN_UNITS)) as f32;
     let units = |s: f32| (depth_to_units(camera, s / s_per_depth) + 0.5).clamp(0.0, greatest) as u16;
     let front = units(segment.s0).max(last_back);
-    let back = units(segment.s1).max(front + 1);
+    let back = units(segment.s1).max(front + MIN_UNITS);
     Segment { front, back, c: segment.c, tau: segment.tau.min(TAU_MAX) }
 }
+
+/// Least thickness of a segment in depth units. Single precision finds where a ray crosses a depth to about 1/200 of
+/// a unit, so the part of such a segment that a ray crosses is known to 1/1000; the units are 1/16384 of the volume's
+/// diameter, far below any parallax.
+const MIN_UNITS: u16 = 4;

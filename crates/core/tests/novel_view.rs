@@ -1,0 +1,271 @@
+//! Layered frames and their novel views: exact at their own pose, and from anywhere equal to a brute-force reference
+//! that intersects every segment.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Quat, Vec3};
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
+use isinglass_core::picture::Picture;
+use isinglass_core::space::{Aabb, Ray};
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::procedural::Builtin;
+
+fn scene(builtin: Builtin) -> Scene {
+    let p = |x, color, opacity| ControlPoint { x, color, opacity };
+    let transfer = TransferFunction {
+        name: "test".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Radius(0.02),
+        points: vec![
+            p(0.0, [0.1, 0.2, 0.9], 0.0),
+            p(0.2, [0.2, 0.8, 0.5], 0.05),
+            p(0.8, [0.9, 0.6, 0.2], 0.5),
+            p(1.0, [1.0, 1.0, 0.9], 0.9),
+        ],
+    };
+    Scene::new(Arc::new(builtin.volume(40)), &transfer, MarchSettings::default())
+}
+
+fn camera(pose: Pose, size: u32, bounds: &Aabb) -> Camera {
+    Camera::new(pose, Intrinsics { width: size, height: size - 3, fov_y: 0.8 }, bounds)
+}
+
+fn frame_of(scene: &Scene, camera: Camera, k: u8, layering: Layering) -> LayeredFrame {
+    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k };
+    let frame = generate(scene, header, layering);
+    frame.validate().unwrap();
+    frame
+}
+
+/// Greatest difference of any channel in 8-bit sRGB.
+fn max_difference(a: &Picture, b: &Picture) -> u8 {
+    a.to_srgb8([0.0; 3]).iter().zip(&b.to_srgb8([0.0; 3])).map(|(x, y)| x.abs_diff(*y)).max().unwrap()
+}
+
+#[test]
+fn own_pose_is_the_rendering() {
+    for builtin in Builtin::ALL {
+        let scene = scene(builtin);
+        let bounds = scene.volume.bounds();
+        for (azimuth, distance) in [(0.3, 5.0), (2.0, 2.2), (4.0, 0.4)] {
+            let camera = camera(Pose::orbit(Vec3::ZERO, azimuth, 0.2, distance), 48, &bounds);
+            let truth = render(&scene, &camera);
+            for layering in Layering::ALL {
+                for k in [1, 2, 8, 16] {
+                    let frame = frame_of(&scene, camera, k, layering);
+                    let at = format!("{} {layering} k={k} azimuth {azimuth}", builtin.name());
+                    assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
+                    assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
+                }
+            }
+            // Negative control: one pixel to the side is not the rendering.
+            let frame = frame_of(&scene, camera, 8, Layering::VisibilityMerge);
+            let mut beside = camera;
+            beside.pose.eye += beside.pose.world_from_view * Vec3::X * 0.1 * distance;
+            assert!(max_difference(&raycast(&frame, &bounds, &beside), &truth) > 8);
+        }
+    }
+}
+
+/// Intersects a ray with every segment of every list inside the box, in double precision, sorts and composites.
+fn brute_force(frame: &LayeredFrame, bounds: &Aabb, ray: &Ray) -> [f64; 4] {
+    let Some((enter, leave)) = bounds.clip(ray) else { return [0.0; 4] };
+    let old = &frame.header.camera;
+    let basis = old.basis();
+    let (w, h) = (old.intrinsics.width, old.intrinsics.height);
+    let (forward, right, up) = (basis.forward.as_dvec3(), basis.right.as_dvec3(), basis.up.as_dvec3());
+    let o = (ray.origin - basis.eye).as_dvec3();
+    let d = ray.dir.as_dvec3();
+    let unit = f64::from(old.far - old.near) / f64::from(DEPTH_UNITS);
+    let depth = |s: f64| (o + d * s).dot(forward);
+    // Plane coordinates in which a list is lo·depth ≤ x ≤ hi·depth.
+    let lateral = |v: DVec3, axis: DVec3| v.dot(axis) / axis.length_squared();
+    let mut pieces = Vec::new();
+    for y in 0..h {
+        for x in 0..w {
+            let edge = |i: u32, n: u32| 2.0 * f64::from(i) / f64::from(n) - 1.0;
+            let sides = [
+                (right, edge(x, w), edge(x + 1, w)),
+                (up, -edge(y + 1, h), -edge(y, h)),
+            ];
+            let (mut s0, mut s1) = (f64::from(enter), f64::from(leave));
+            let mut half_space = |a: f64, b: f64| {
+                // Keeps a + b·s ≥ 0.
+                if b > 0.0 {
+                    s0 = s0.max(-a / b);
+                } else if b < 0.0 {
+                    s1 = s1.min(-a / b);
+                } else if a < 0.0 {
+                    s1 = -1.0;
+                }
+            };
+            half_space(depth(0.0) - f64::from(old.near), d.dot(forward));
+            for (axis, lo, hi) in sides {
+                half_space(lateral(o, axis) - lo * depth(0.0), lateral(d, axis) - lo * d.dot(forward));
+                half_space(hi * depth(0.0) - lateral(o, axis), hi * d.dot(forward) - lateral(d, axis));
+            }
+            if s1 <= s0 {
+                continue;
+            }
+            let (nx, ny) = (0.5 * (sides[0].1 + sides[0].2), 0.5 * (sides[1].1 + sides[1].2));
+            let per_depth = (forward + right * nx + up * ny).length();
+            for i in frame.list((y * w + x) as usize) {
+                let segment = frame.segment(i);
+                let front = f64::from(old.near) + f64::from(segment.front) * unit;
+                let back = f64::from(old.near) + f64::from(segment.back) * unit;
+                let dz = d.dot(forward);
+                let (mut a, mut b) = (s0, s1);
+                if dz.abs() > 1e-12 {
+                    let (p, q) = ((front - depth(0.0)) / dz, (back - depth(0.0)) / dz);
+                    a = a.max(p.min(q));
+                    b = b.min(p.max(q));
+                } else if depth(0.0) < front || depth(0.0) >= back {
+                    continue;
+                }
+                if b > a {
+                    let tau = f64::from(segment.tau) * (b - a) / ((back - front) * per_depth);
+                    let color = segment.c.as_dvec3() / (1.0 - (-f64::from(segment.tau)).exp());
+                    pieces.push((a, tau, color));
+                }
+            }
+        }
+    }
+    pieces.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (mut c, mut t) = (DVec3::ZERO, 1.0);
+    for (_, tau, color) in pieces {
+        c += color * t * (1.0 - (-tau).exp());
+        t *= (-tau).exp();
+    }
+    [c.x, c.y, c.z, 1.0 - t]
+}
+
+/// Cameras from which rays run along, across and against the old ones. The odd hundredths keep rays off the borders
+/// between lists, where either neighbour is right.
+fn poses_from_anywhere() -> Vec<(&'static str, Pose)> {
+    let eye = Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0);
+    let turned = |pose: Pose, q: Quat| Pose { world_from_view: pose.world_from_view * q, ..pose };
+    let back = Vec3::Z;
+    vec![
+        ("10 degrees on", Pose::orbit(Vec3::ZERO, 0.475, 0.2, 4.0)),
+        ("90 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + 1.5708, 0.21, 4.0)),
+        ("180 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + std::f32::consts::PI, -0.21, 4.0)),
+        ("inside the volume", Pose::orbit(Vec3::ZERO, 1.3, 0.4, 0.3)),
+        ("inside, looking at the old eye", Pose::look_at(Vec3::new(0.01, 0.02, 0.0), eye.eye, Vec3::Y)),
+        ("behind the old eye", Pose { eye: eye.eye + eye.world_from_view * (back * 2.0 + Vec3::X * 0.013), ..eye }),
+        (
+            "behind the old eye and beside",
+            Pose::look_at(eye.eye + eye.world_from_view * Vec3::new(1.5, 1.0, 2.0), Vec3::ZERO, Vec3::Y),
+        ),
+        ("at the old eye, looking away", turned(eye, Quat::from_rotation_y(3.1))),
+        ("at the old eye, turned", turned(eye, Quat::from_rotation_y(0.3) * Quat::from_rotation_z(0.7))),
+        ("along the old image plane", turned(Pose::orbit(Vec3::ZERO, 0.3 + 1.5708, 0.01, 1.2), Quat::IDENTITY)),
+    ]
+}
+
+#[test]
+fn rays_from_anywhere_match_brute_force() {
+    for builtin in Builtin::ALL {
+        let scene = scene(builtin);
+        let bounds = scene.volume.bounds();
+        for old_distance in [4.0, 0.5] {
+            let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, old_distance), 28, &bounds);
+            for layering in Layering::ALL {
+                let frame = frame_of(&scene, old, 6, layering);
+                for (name, pose) in poses_from_anywhere() {
+                    let new = camera(pose, 15, &bounds);
+                    let found = raycast(&frame, &bounds, &new);
+                    let mut truth = Picture::new(found.width, found.height);
+                    for (i, pixel) in truth.pixels.iter_mut().enumerate() {
+                        let (x, y) = (i as u32 % found.width, i as u32 / found.width);
+                        let (ray, _) = new.ray(x as f32 + 0.5, y as f32 + 0.5);
+                        *pixel = brute_force(&frame, &bounds, &ray).map(|v| v as f32);
+                    }
+                    assert!(found.pixels.iter().flatten().all(|v| v.is_finite()), "{name}");
+                    let difference = max_difference(&found, &truth);
+                    assert!(difference <= 1, "{} {layering} {name}: {difference}/255", builtin.name());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn brute_force_can_tell_a_wrong_answer() {
+    let scene = scene(Builtin::Cloud);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
+    let frame = frame_of(&scene, old, 6, Layering::VisibilityMerge);
+    let mut thinner = frame.clone();
+    for i in 0..thinner.num_segments() {
+        let segment = thinner.segment(i);
+        let half = isinglass_core::layer::Segment { tau: segment.tau * 0.9, ..segment };
+        thinner.c_b_tau[i] = half.pack()[2];
+    }
+    let new = camera(Pose::orbit(Vec3::ZERO, 0.475, 0.2, 4.0), 15, &bounds);
+    assert!(max_difference(&raycast(&frame, &bounds, &new), &raycast(&thinner, &bounds, &new)) > 1);
+}
+
+#[test]
+fn k_segments_mean_k_segments() {
+    let scene = scene(Builtin::Cloud);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
+    for layering in Layering::ALL {
+        for k in [1u8, 3, 16] {
+            let frame = frame_of(&scene, old, k, layering);
+            let longest = (0..frame.offsets.len() - 1).map(|i| frame.list(i).len()).max();
+            assert_eq!(longest, Some(usize::from(k)), "{layering}");
+        }
+    }
+}
+
+#[test]
+fn equal_transmittance_adds_equal_shares_without_gaps() {
+    let scene = scene(Builtin::Cloud);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
+    let k = 5;
+    let frame = frame_of(&scene, old, k, Layering::EqualTransmittance);
+    let mut checked = 0;
+    for i in 0..frame.offsets.len() - 1 {
+        let segments: Vec<_> = frame.list(i).map(|j| frame.segment(j)).collect();
+        let total = 1.0 - (-segments.iter().map(|s| s.tau).sum::<f32>()).exp();
+        if segments.len() < usize::from(k) || total < 0.01 {
+            continue;
+        }
+        assert!(segments.windows(2).all(|w| w[0].back == w[1].front), "list {i} has a gap");
+        let mut transmittance = 1.0;
+        for s in &segments {
+            let share = transmittance * s.alpha() / total;
+            // Half floats carry τ to 2^−11; the shares are differences of sums of five of them.
+            assert!((share - 1.0 / f32::from(k)).abs() < 5e-3, "list {i}: {share}");
+            transmittance *= 1.0 - s.alpha();
+        }
+        checked += 1;
+    }
+    assert!(checked > 50);
+    // Negative control: the other rule shares unequally.
+    let other = frame_of(&scene, old, k, Layering::VisibilityMerge);
+    let unequal = (0..other.offsets.len() - 1).any(|i| {
+        other.list(i).len() == usize::from(k) && other.list(i).any(|j| other.segment(j).alpha() > 2.0 / f32::from(k))
+    });
+    assert!(unequal);
+}
+
+#[test]
+fn matter_behind_opaque_matter_is_kept() {
+    let scene = scene(Builtin::Cubus);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 4.0), 28, &bounds);
+    let last_visible = |layering| {
+        let frame = frame_of(&scene, old, 8, layering);
+        // The list in the middle looks through three cubes.
+        frame.list(12 * 28 + 14).map(|j| frame.segment(j).back).max().unwrap()
+    };
+    assert!(last_visible(Layering::VisibilityMerge) > last_visible(Layering::EqualTransmittance) + 5000);
+}
