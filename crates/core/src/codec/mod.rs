@@ -1,1 +1,253 @@
-//! Codec of layered frames.
+//! Layered frames to bytes and back: quantised planes, predicted, compressed with zstd.
+//!
+//! A frame becomes up to [`MAX_CHUNKS`] chunks, each decodable without any other: bands of whole tile rows, times two
+//! groups of segments. The *base* group of a list holds its most visible segments, the *refinement* the rest; a frame
+//! can be shown as soon as its base is complete. Base chunks come first, and within a group the band that
+//! contributes most to the picture comes first. Chunk bytes are documented in `docs/PROTOCOL.md`, "Layered-frame
+//! payload"; nothing outside of this module reads or writes them.
+//!
+//! Depths are kept as they are. Colour and optical depth are quantised ([`scale`]) front to back with the error of
+//! the composite carried on ([`quantize`]), so that the picture from the frame's own pose does not drift. Encoding a
+//! decoded frame again gives the same bytes.
+//!
+//! Decoding is total: any bytes give a value or an error, in time and memory bounded by the constants here.
+
+mod assembly;
+mod header;
+mod planes;
+mod predict;
+mod quantize;
+mod scale;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+use crate::ids::ChunkIndex;
+use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+
+pub use assembly::Assembly;
+pub use header::{ChunkHeader, HEADER_BYTES, peek};
+pub use planes::{DecodedChunk, decode_chunk};
+
+/// How to encode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Bits of a colour channel: 8 or 10.
+    pub color_bits: u8,
+    /// Compression level of zstd, [`MIN_ZSTD_LEVEL`] to [`MAX_ZSTD_LEVEL`].
+    pub zstd_level: i32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { color_bits: 10, zstd_level: 1 }
+    }
+}
+
+/// One encoded frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedFrame {
+    /// The header of the frame, as in every chunk.
+    pub header: FrameHeader,
+    /// In the order of sending.
+    pub chunks: Vec<Chunk>,
+}
+
+impl EncodedFrame {
+    /// Bytes of all chunks.
+    pub fn num_bytes(&self) -> usize {
+        self.chunks.iter().map(|c| c.bytes.len()).sum()
+    }
+}
+
+/// One part of an encoded frame: what a stream carries.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Chunk {
+    /// Place in the order of sending.
+    pub index: ChunkIndex,
+    /// Whether the frame cannot be shown without it.
+    pub is_base: bool,
+    /// Header and payload.
+    pub bytes: Vec<u8>,
+}
+
+/// Why bytes are not a chunk, a chunk does not belong to a frame, or a frame cannot be encoded.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// Bytes are missing or left over.
+    #[error("chunk has {found} bytes, expected {expected}")]
+    Length {
+        /// Bytes given.
+        found: usize,
+        /// Bytes that the header asks for, or those of a header.
+        expected: usize,
+    },
+    /// The first bytes are not those of a chunk.
+    #[error("not a layered-frame chunk: it begins with {0:02x?}, expected {expected:02x?}", expected = header::MAGIC)]
+    Magic([u8; 4]),
+    /// Made by another version of the format.
+    #[error("chunk format version {0}, expected {expected}", expected = header::VERSION)]
+    Version(u8),
+    /// A number in the header is out of its range.
+    #[error("chunk header: {what} is {found}, expected {expected}")]
+    Header {
+        /// The field.
+        what: &'static str,
+        /// Its value.
+        found: String,
+        /// Its range.
+        expected: String,
+    },
+    /// A plane of the payload is damaged.
+    #[error("chunk payload: {plane}: {problem}")]
+    Payload {
+        /// The plane.
+        plane: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// More than any receiver accepts.
+    #[error("{found} {what}, at most {limit} are accepted")]
+    TooLarge {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much there is.
+        found: usize,
+        /// The limit.
+        limit: usize,
+    },
+    /// The chunk says other than the first chunk of its frame.
+    #[error("chunk {index} of frame {frame} contradicts the chunks before it: {what}")]
+    Contradiction {
+        /// The chunk.
+        index: ChunkIndex,
+        /// The frame it names.
+        frame: crate::ids::FrameId,
+        /// Where they differ.
+        what: &'static str,
+    },
+    /// The chunk is there already.
+    #[error("chunk {0} came twice")]
+    Duplicate(ChunkIndex),
+    /// Chunks are missing.
+    #[error("{found} chunks of a frame, expected {expected}")]
+    Incomplete {
+        /// Chunks given.
+        found: usize,
+        /// Chunks the frame has.
+        expected: usize,
+    },
+}
+
+/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]). Bands are encoded in parallel.
+///
+/// Fails only on settings out of range and on frames above [`MAX_FRAME_LISTS`], [`MAX_FRAME_SEGMENTS`],
+/// [`MAX_CHUNK_SEGMENTS`] or [`MAX_CHUNK_BYTES`].
+pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame, CodecError> {
+    let scale = scale::of(settings.color_bits)?;
+    if !(MIN_ZSTD_LEVEL..=MAX_ZSTD_LEVEL).contains(&settings.zstd_level) {
+        return Err(CodecError::Header {
+            what: "compression level",
+            found: settings.zstd_level.to_string(),
+            expected: format!("{MIN_ZSTD_LEVEL} to {MAX_ZSTD_LEVEL}"),
+        });
+    }
+    at_most("lists", frame.header.camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+    at_most("segments in a frame", frame.num_segments(), MAX_FRAME_SEGMENTS)?;
+
+    let intrinsics = frame.header.camera.intrinsics;
+    let width = intrinsics.width as usize;
+    let num_bands = header::num_bands(intrinsics.height);
+    let bands: Vec<_> = (0..num_bands)
+        .into_par_iter()
+        .map(|band| {
+            let rows = header::band_rows(intrinsics.height, num_bands, band);
+            let lists = rows.start as usize * width..rows.end as usize * width;
+            quantize::band(frame, lists, scale).map(|group| {
+                let payload = planes::encode(&group.lists, width, scale, settings.zstd_level)?;
+                Ok((group, payload))
+            })
+        })
+        .collect();
+
+    // (group, contribution, band, payload); a refinement without segments is not sent.
+    let mut parts = Vec::with_capacity(MAX_CHUNKS);
+    for (band, groups) in bands.into_iter().enumerate() {
+        for (number, group) in groups.into_iter().enumerate() {
+            let (group, payload) = group?;
+            if number == 0 || !group.lists.codes.is_empty() {
+                parts.push((number, group.contribution, band as u8, payload));
+            }
+        }
+    }
+    parts.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+    let num_chunks = parts.len() as u8;
+    let chunks = parts
+        .into_iter()
+        .enumerate()
+        .map(|(index, (group, _, band, payload))| {
+            let index = ChunkIndex(index as u16);
+            let header = ChunkHeader {
+                frame: frame.header,
+                color_bits: settings.color_bits,
+                index,
+                num_chunks,
+                num_base: num_bands,
+                band,
+                payload_bytes: payload.len() as u32,
+            };
+            let mut bytes = header.to_bytes().to_vec();
+            bytes.extend_from_slice(&payload);
+            at_most("bytes in a chunk", bytes.len(), MAX_CHUNK_BYTES)?;
+            Ok(Chunk { index, is_base: group == 0, bytes })
+        })
+        .collect::<Result<_, CodecError>>()?;
+    Ok(EncodedFrame { header: frame.header, chunks })
+}
+
+/// Decodes all chunks of one frame, in any order.
+pub fn decode<B: AsRef<[u8]> + Sync>(chunks: &[B]) -> Result<LayeredFrame, CodecError> {
+    let first = chunks.first().ok_or(CodecError::Incomplete { found: 0, expected: 1 })?;
+    let mut assembly = Assembly::new(&peek(first.as_ref())?);
+    at_most("chunks", chunks.len(), MAX_CHUNKS)?;
+    let decoded: Vec<_> = chunks.par_iter().map(|bytes| decode_chunk(bytes.as_ref())).collect();
+    for chunk in decoded {
+        assembly.insert(chunk?)?;
+    }
+    if !assembly.complete() {
+        return Err(CodecError::Incomplete { found: chunks.len(), expected: assembly.num_chunks() });
+    }
+    Ok(assembly.to_frame())
+}
+
+fn at_most(what: &'static str, found: usize, limit: usize) -> Result<(), CodecError> {
+    if found > limit { Err(CodecError::TooLarge { what, found, limit }) } else { Ok(()) }
+}
+
+/// Side of a tile in lists: what is skipped when empty, and the unit of bands.
+pub const TILE: usize = 16;
+/// Most bands of a frame.
+pub const MAX_BANDS: usize = 8;
+/// Most chunks of a frame: every band's base and refinement.
+pub const MAX_CHUNKS: usize = 2 * MAX_BANDS;
+/// Most lists of a frame: its offsets fit a storage binding of 128 MiB.
+pub const MAX_FRAME_LISTS: usize = (1 << 25) - 1;
+/// Most segments of a frame: each of its planes fits a storage binding of 128 MiB.
+pub const MAX_FRAME_SEGMENTS: usize = 1 << 25;
+/// Most segments of a chunk. A band of a 3840×2160 frame with K = 16 has 8 in the base of each of its 1 044 480 lists,
+/// just less than this; a forged chunk cannot ask for more than 100 MB of them.
+pub const MAX_CHUNK_SEGMENTS: usize = 1 << 23;
+/// Most bytes of a chunk, header included; a receiver need not read further.
+pub const MAX_CHUNK_BYTES: usize = 32 << 20;
+/// Fastest compression.
+pub const MIN_ZSTD_LEVEL: i32 = 1;
+/// Smallest compression.
+pub const MAX_ZSTD_LEVEL: i32 = 19;
+
+/// Longest list of the base group: half of K, rounded up.
+const fn base_k(k: u8) -> usize {
+    (k as usize).div_ceil(2)
+}
+
+const _: () = assert!(MAX_K == 16, "a list's base is marked in 16 bits");

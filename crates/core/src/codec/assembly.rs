@@ -1,0 +1,187 @@
+//! The chunks of one frame put together again, in whatever order they come.
+
+use rayon::prelude::*;
+
+use super::header::ChunkHeader;
+use super::planes::DecodedChunk;
+use super::{CodecError, MAX_FRAME_SEGMENTS, at_most};
+use crate::ids::ChunkIndex;
+use crate::layer::{FrameHeader, LayeredFrame};
+
+/// Collects the chunks of one frame.
+#[derive(Clone, Debug)]
+pub struct Assembly {
+    first: ChunkHeader,
+    bands: Vec<Band>,
+    seen: u32,
+    num_segments: usize,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Band {
+    base: Option<DecodedChunk>,
+    refinement: Option<DecodedChunk>,
+}
+
+impl Assembly {
+    /// An assembly without chunks for the frame that `header` belongs to.
+    pub fn new(header: &ChunkHeader) -> Self {
+        let bands = vec![Band::default(); usize::from(header.num_base)];
+        Self { first: *header, bands, seen: 0, num_segments: 0 }
+    }
+
+    /// The frame.
+    pub fn header(&self) -> &FrameHeader {
+        &self.first.frame
+    }
+
+    /// Chunks the frame has.
+    pub fn num_chunks(&self) -> usize {
+        self.first.num_chunks.into()
+    }
+
+    /// Chunks that are there.
+    pub fn num_inserted(&self) -> usize {
+        self.seen.count_ones() as usize
+    }
+
+    /// Whether the frame can be shown: the base of every band is there.
+    pub fn base_complete(&self) -> bool {
+        self.bands.iter().all(|b| b.base.is_some())
+    }
+
+    /// Whether every chunk is there.
+    pub fn complete(&self) -> bool {
+        self.num_inserted() == self.num_chunks()
+    }
+
+    /// Whether the chunk is there.
+    pub fn contains(&self, index: ChunkIndex) -> bool {
+        self.seen.checked_shr(index.0.into()).unwrap_or(0) & 1 == 1
+    }
+
+    /// Adds a chunk. An error leaves the assembly as it was.
+    pub fn insert(&mut self, chunk: DecodedChunk) -> Result<(), CodecError> {
+        let header = &chunk.header;
+        let contradiction =
+            |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
+        if header.frame != self.first.frame {
+            return Err(contradiction("another frame header"));
+        }
+        if (header.color_bits, header.num_chunks, header.num_base)
+            != (self.first.color_bits, self.first.num_chunks, self.first.num_base)
+        {
+            return Err(contradiction("other numbers of chunks or bits"));
+        }
+        if self.contains(header.index) {
+            return Err(CodecError::Duplicate(header.index));
+        }
+        at_most("segments in a frame", self.num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
+        let Band { base, refinement } = &mut self.bands[usize::from(header.band)];
+        let (slot, other) = if header.is_base() { (base, refinement) } else { (refinement, base) };
+        if slot.is_some() {
+            return Err(contradiction("its band and group are there under another index"));
+        }
+        if other.as_ref().is_some_and(|other| !is_disjoint(&chunk, other)) {
+            return Err(contradiction("its segments overlap those of the other group"));
+        }
+        self.seen |= 1 << header.index.0;
+        self.num_segments += chunk.num_segments();
+        *slot = Some(chunk);
+        Ok(())
+    }
+
+    /// The frame as far as it is there; lists of missing bands are empty. Always valid. Bands are merged in parallel.
+    pub fn to_frame(&self) -> LayeredFrame {
+        let mut frame = LayeredFrame::empty(self.first.frame);
+        frame.depth = vec![0; self.num_segments];
+        frame.c_rg = vec![0; self.num_segments];
+        frame.c_b_tau = vec![0; self.num_segments];
+
+        let width = self.first.frame.camera.intrinsics.width as usize;
+        let mut lists = &mut frame.offsets[1..];
+        let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
+        let mut work = Vec::with_capacity(self.bands.len());
+        let mut offset = 0;
+        for (number, band) in self.bands.iter().enumerate() {
+            let rows = ChunkHeader { band: number as u8, ..self.first }.rows();
+            let count = band.num_segments();
+            work.push((
+                band,
+                offset,
+                split_off(&mut lists, rows.len() * width),
+                planes.each_mut().map(|plane| split_off(plane, count)),
+            ));
+            offset += count as u32;
+        }
+        work.into_par_iter().for_each(|(band, offset, ends, planes)| band.merge(offset, ends, planes));
+        frame
+    }
+}
+
+impl Band {
+    fn num_segments(&self) -> usize {
+        [&self.base, &self.refinement].into_iter().flatten().map(DecodedChunk::num_segments).sum()
+    }
+
+    /// Writes the ends of the band's lists, counted from `offset`, and their segments.
+    fn merge(&self, offset: u32, ends: &mut [u32], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
+        let (one, other) = match (&self.base, &self.refinement) {
+            (Some(base), refinement) => (base, refinement.as_ref()),
+            (None, Some(refinement)) => (refinement, None),
+            (None, None) => return ends.fill(offset),
+        };
+        let mut to = 0;
+        let mut from = [0, 0];
+        for (list, end) in ends.iter_mut().enumerate() {
+            let mut left = [one.counts[list], other.map_or(0, |o| o.counts[list])];
+            while let Some((chunk, side)) = match (left, other) {
+                ([0, 0], _) | ([0, _], None) => None,
+                ([_, 0], _) | (_, None) => Some((one, 0)),
+                ([0, _], Some(other)) => Some((other, 1)),
+                ([_, _], Some(other)) => {
+                    // Fronts are in the low bits; segments are disjoint, so their fronts give the order.
+                    let is_nearer = one.depth[from[0]] as u16 > other.depth[from[1]] as u16;
+                    Some(if is_nearer { (other, 1) } else { (one, 0) })
+                }
+            } {
+                depth[to] = chunk.depth[from[side]];
+                c_rg[to] = chunk.c_rg[from[side]];
+                c_b_tau[to] = chunk.c_b_tau[from[side]];
+                from[side] += 1;
+                left[side] -= 1;
+                to += 1;
+            }
+            *end = offset + to as u32;
+        }
+    }
+}
+
+/// Whether no segment of one chunk overlaps one of the other in the same list.
+fn is_disjoint(a: &DecodedChunk, b: &DecodedChunk) -> bool {
+    let ends = |depth: u32| (depth as u16, (depth >> 16) as u16);
+    let (mut i, mut j) = (0, 0);
+    a.counts.iter().zip(&b.counts).all(|(&m, &n)| {
+        let (end_i, end_j) = (i + usize::from(m), j + usize::from(n));
+        let mut disjoint = true;
+        while disjoint && i < end_i && j < end_j {
+            let ((front_a, back_a), (front_b, back_b)) = (ends(a.depth[i]), ends(b.depth[j]));
+            if back_a <= front_b {
+                i += 1;
+            } else if back_b <= front_a {
+                j += 1;
+            } else {
+                disjoint = false;
+            }
+        }
+        (i, j) = (end_i, end_j);
+        disjoint
+    })
+}
+
+/// Cuts the first `n` elements off a slice.
+fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
+    let (head, tail) = std::mem::take(slice).split_at_mut(n);
+    *slice = tail;
+    head
+}

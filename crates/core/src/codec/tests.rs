@@ -1,0 +1,426 @@
+use glam::Vec3;
+
+use super::*;
+use crate::camera::{Camera, Intrinsics, Pose};
+use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::image_error;
+use crate::kernels::layering::{Layering, generate};
+use crate::kernels::march::{MarchSettings, Scene};
+use crate::layer::{Over, Segment, TAU_MAX};
+use crate::space::Aabb;
+use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use crate::volume::procedural::Builtin;
+
+/// SplitMix64.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+
+    fn unit(&mut self) -> f32 {
+        (self.next() >> 40) as f32 / (1u64 << 24) as f32
+    }
+}
+
+fn header(width: u32, height: u32, k: u8) -> FrameHeader {
+    let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+    let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+    let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, bounds.radius() * intrinsics.fit_distance());
+    let camera = Camera::new(pose, intrinsics, &bounds);
+    FrameHeader { frame: FrameId(7), pose: PoseId(8), look: LookVersion(9), camera, k }
+}
+
+/// Lists of every length, contiguous and with gaps, thin and thick, τ from 1e-4 to 1000 and colours up to one. A
+/// quarter of the tiles stays empty.
+fn random_frame(width: u32, height: u32, k: u8, seed: u64) -> LayeredFrame {
+    let mut random = Random(seed);
+    let mut frame = LayeredFrame::empty(header(width, height, k));
+    for list in 0..(width * height) as usize {
+        let tile = list / width as usize / TILE + list % width as usize / TILE;
+        let len = if tile % 4 == 3 { 0 } else { random.below(usize::from(k) + 1) };
+        let mut depth = random.below(2000);
+        for _ in 0..len {
+            let front = depth + [0, random.below(1500)][random.below(2)];
+            let back = front + 1 + [0, random.below(2000)][random.below(2)];
+            let tau = 10f32.powf(random.unit() * 7.0 - 4.0);
+            let alpha = 1.0 - (-tau).exp();
+            let c = Vec3::new(random.unit(), random.unit(), random.unit()) * alpha;
+            frame.push(&Segment { front: front as u16, back: back as u16, c, tau });
+            depth = back;
+        }
+        frame.offsets[list + 1] = frame.num_segments() as u32;
+    }
+    frame.validate().unwrap();
+    frame
+}
+
+fn full_frame(width: u32, height: u32, k: u8) -> LayeredFrame {
+    let mut frame = LayeredFrame::empty(header(width, height, k));
+    for list in 0..(width * height) as usize {
+        for i in 0..u16::from(k) {
+            frame.push(&Segment { front: i, back: i + 1, c: Vec3::ONE, tau: TAU_MAX });
+        }
+        frame.offsets[list + 1] = frame.num_segments() as u32;
+    }
+    frame
+}
+
+fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {
+    let p = |x, color, opacity| ControlPoint { x, color, opacity };
+    let transfer = TransferFunction {
+        name: "soft".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Radius(1.0),
+        points: vec![
+            p(0.1, [0.2, 0.3, 0.8], 0.0),
+            p(0.5, [0.9, 0.6, 0.3], 0.9),
+            p(1.0, [1.0, 0.9, 0.7], 0.999),
+        ],
+    };
+    let scene = Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default());
+    generate(&scene, header(size, size, 8), Layering::VisibilityMerge)
+}
+
+fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {
+    encoded.chunks.iter().map(|c| &c.bytes[..]).collect()
+}
+
+fn round_trip(frame: &LayeredFrame, settings: &Settings) -> LayeredFrame {
+    let decoded = decode(&bytes(&encode(frame, settings).unwrap())).unwrap();
+    decoded.validate().unwrap();
+    decoded
+}
+
+const ALL_BITS: [Settings; 2] =
+    [Settings { color_bits: 8, zstd_level: 1 }, Settings { color_bits: 10, zstd_level: 3 }];
+
+#[test]
+fn depths_are_kept_and_values_stay_within_the_stated_bounds() {
+    let frame = random_frame(70, 150, 8, 1);
+    for settings in ALL_BITS {
+        let scale = scale::of(settings.color_bits).unwrap();
+        let decoded = round_trip(&frame, &settings);
+        assert_eq!(
+            (&decoded.header, &decoded.offsets, &decoded.depth),
+            (&frame.header, &frame.offsets, &frame.depth)
+        );
+        let mut changed = 0;
+        for i in 0..frame.num_segments() {
+            let (a, b) = (frame.segment(i), decoded.segment(i));
+            // Exact: the bound is the stated greatest correction, then the nearest code, which is monotone.
+            let give = quantize::GIVE;
+            let tau_give = a.tau * give + scale.tau[1];
+            let codes = scale.tau_code((a.tau - tau_give).max(0.0))..=scale.tau_code(a.tau + tau_give);
+            assert!(codes.contains(&scale.tau_code(b.tau)), "{a:?} {b:?}");
+            assert!(b.tau > 0.0, "an extinction vanished: {a:?}");
+            for (c, d) in a.c.to_array().into_iter().zip(b.c.to_array()) {
+                let codes = scale.color_code(c * (1.0 - give))..=scale.color_code(c * (1.0 + give));
+                assert!(codes.contains(&scale.color_code(d)), "{a:?} {b:?}");
+            }
+            changed += usize::from(a != b);
+        }
+        assert!(changed * 2 > frame.num_segments(), "quantisation that changes nothing bounds nothing");
+    }
+}
+
+#[test]
+fn encoding_a_decoded_frame_gives_the_same_bytes() {
+    for (k, seed) in [(8, 2), (16, 3), (1, 4)] {
+        for settings in ALL_BITS {
+            let encoded = encode(&random_frame(50, 140, k, seed), &settings).unwrap();
+            let decoded = decode(&bytes(&encoded)).unwrap();
+            assert_eq!(encode(&decoded, &settings).unwrap(), encoded);
+        }
+    }
+}
+
+#[test]
+fn the_picture_survives() {
+    for builtin in Builtin::ALL {
+        let frame = marched_frame(builtin, 96);
+        let picture = |f: &LayeredFrame| f.flatten().to_srgb8([0.0; 3]);
+        let dssim = |f: &LayeredFrame| {
+            image_error::compare(&picture(&frame), &picture(f), 96, 96, [0; 3]).unwrap().dssim_object
+        };
+        for settings in ALL_BITS {
+            // The limit of the payload as a whole is 0.001; it is met here over the object's rectangle.
+            let found = dssim(&round_trip(&frame, &settings));
+            assert!(found <= 0.001, "{} {found}", builtin.name());
+        }
+        let mut dimmed = frame.clone();
+        for word in &mut dimmed.c_rg {
+            *word = word.saturating_sub(0x0080_0080) & 0x7fff_7fff;
+        }
+        assert!(dssim(&dimmed) > 0.001, "an eighth of an octave of red and green must show");
+    }
+}
+
+#[test]
+fn the_closed_loop_keeps_the_composite() {
+    let mut random = Random(5);
+    let mut frame = LayeredFrame::empty(header(64, 64, 16));
+    for list in 0..64 * 64 {
+        for i in 0..16 {
+            let tau = 0.05 + 0.1 * random.unit();
+            let c = Vec3::new(0.9, 0.5, random.unit()) * (1.0 - (-tau).exp());
+            frame.push(&Segment { front: i * 10, back: i * 10 + 10, c, tau });
+        }
+        frame.offsets[list + 1] = frame.num_segments() as u32;
+    }
+    let settings = ALL_BITS[0];
+    let scale = scale::of(settings.color_bits).unwrap();
+    let exact = frame.flatten();
+    let error = |pixels: &[[f32; 4]]| {
+        let channels =
+            exact.pixels.iter().zip(pixels).flat_map(|(a, b)| (0..4).map(move |i| (a[i] - b[i]).abs()));
+        channels.fold(0.0, f32::max)
+    };
+    let open_loop: Vec<[f32; 4]> = (0..64 * 64)
+        .map(|list| {
+            let mut over = Over::default();
+            for i in frame.list(list) {
+                let s = frame.segment(i);
+                let c = s.c.to_array().map(|c| scale.color[usize::from(scale.color_code(c))]);
+                over.add(Vec3::from(c), scale.tau[usize::from(scale.tau_code(s.tau))]);
+            }
+            over.rgba()
+        })
+        .collect();
+    let closed = error(&round_trip(&frame, &settings).flatten().pixels);
+    // What is left is the last segment's: half a step of τ near 0.1 (0.0033) times its transmittance (0.2), and half
+    // a step of colour near 0.14 (0.0016) times the same, up to the limit on corrections.
+    assert!(closed < 2e-3, "{closed}");
+    assert!(error(&open_loop) > 2.0 * closed, "{} {closed}", error(&open_loop));
+}
+
+#[test]
+fn order_does_not_matter_and_the_base_is_enough() {
+    let encoded = encode(&random_frame(40, 300, 8, 6), &Settings::default()).unwrap();
+    assert!(encoded.chunks.len() > 4 && encoded.chunks.iter().any(|c| !c.is_base));
+    assert!(encoded.chunks.is_sorted_by_key(|c| !c.is_base));
+    let all = decode(&bytes(&encoded)).unwrap();
+    let mut random = Random(7);
+    for _ in 0..20 {
+        let mut order: Vec<_> = encoded.chunks.iter().collect();
+        for i in (1..order.len()).rev() {
+            order.swap(i, random.below(i + 1));
+        }
+        let mut assembly = Assembly::new(&peek(&order[0].bytes).unwrap());
+        let num_base = order.iter().filter(|c| c.is_base).count();
+        let mut seen_base = 0;
+        for (n, chunk) in order.iter().enumerate() {
+            assembly.insert(decode_chunk(&chunk.bytes).unwrap()).unwrap();
+            seen_base += usize::from(chunk.is_base);
+            assert_eq!(assembly.base_complete(), seen_base == num_base);
+            assert_eq!((assembly.num_inserted(), assembly.complete()), (n + 1, n + 1 == order.len()));
+            let frame = assembly.to_frame();
+            frame.validate().unwrap();
+            assert!(frame == all || n + 1 < order.len());
+        }
+        assert_eq!(assembly.to_frame(), all);
+    }
+}
+
+#[test]
+fn the_base_holds_what_is_seen() {
+    let frame = marched_frame(Builtin::Cloud, 64);
+    let encoded = encode(&frame, &Settings::default()).unwrap();
+    let only = |base: bool| {
+        let mut assembly = Assembly::new(&peek(&encoded.chunks[0].bytes).unwrap());
+        for chunk in encoded.chunks.iter().filter(|c| c.is_base == base) {
+            assembly.insert(decode_chunk(&chunk.bytes).unwrap()).unwrap();
+        }
+        let light: f32 = assembly.to_frame().flatten().pixels.iter().map(|p| p[3]).sum();
+        light
+    };
+    assert!(only(true) > 1.5 * only(false), "{} {}", only(true), only(false));
+}
+
+#[test]
+fn small_and_odd_frames() {
+    for (width, height) in [(1, 1), (1, 100), (100, 1), (16, 16), (17, 65), (33, 129)] {
+        for k in [1, 2, 7, 16] {
+            for frame in [
+                LayeredFrame::empty(header(width, height, k)),
+                random_frame(width, height, k, 8),
+                full_frame(width, height, k),
+            ] {
+                let encoded = encode(&frame, &Settings::default()).unwrap();
+                assert!(encoded.chunks.len() <= MAX_CHUNKS);
+                let decoded = round_trip(&frame, &Settings::default());
+                assert_eq!((decoded.offsets, decoded.depth), (frame.offsets, frame.depth));
+            }
+        }
+    }
+    let empty = encode(&LayeredFrame::empty(header(512, 512, 8)), &Settings::default()).unwrap();
+    // Eight bands of a header, eleven lengths and the 16 bytes of a bitmap, in a frame of zstd.
+    assert!(empty.num_bytes() <= 8 * (HEADER_BYTES + 44 + 32), "{}", empty.num_bytes());
+}
+
+#[test]
+fn headers_say_what_they_were_given() {
+    let frame = random_frame(48, 200, 5, 9);
+    let encoded = encode(&frame, &ALL_BITS[0]).unwrap();
+    let mut rows: Vec<_> = vec![];
+    for (i, chunk) in encoded.chunks.iter().enumerate() {
+        let header = peek(&chunk.bytes[..HEADER_BYTES]).unwrap();
+        assert_eq!((header.frame, header.color_bits), (frame.header, 8));
+        assert_eq!((header.index, header.is_base()), (ChunkIndex(i as u16), chunk.is_base));
+        assert_eq!((chunk.index, header.chunk_bytes()), (header.index, chunk.bytes.len()));
+        if chunk.is_base {
+            rows.extend(header.rows());
+        }
+        assert_eq!(header.to_bytes(), chunk.bytes[..HEADER_BYTES]);
+    }
+    rows.sort_unstable();
+    assert_eq!(rows, (0..200).collect::<Vec<_>>());
+}
+
+#[test]
+fn bad_settings_and_bad_headers_are_named() {
+    let frame = random_frame(16, 16, 4, 10);
+    for settings in [Settings { color_bits: 9, zstd_level: 1 }, Settings { color_bits: 8, zstd_level: 99 }] {
+        assert!(matches!(encode(&frame, &settings), Err(CodecError::Header { .. })));
+    }
+    let good = encode(&frame, &Settings::default()).unwrap().chunks[0].bytes.clone();
+    let with = |at: usize, byte: u8| {
+        let mut bytes = good.clone();
+        bytes[at] = byte;
+        decode_chunk(&bytes).unwrap_err()
+    };
+    assert!(matches!(with(0, b'X'), CodecError::Magic(_)));
+    assert_eq!(with(4, 2), CodecError::Version(2));
+    for (at, byte, name) in
+        [(5, 0, "k"), (5, 17, "k"), (6, 9, "bits of colour"), (7, 1, "band"), (8, 9, "chunk index")]
+    {
+        assert!(
+            matches!(with(at, byte), CodecError::Header { what, .. } if what == name),
+            "{at} {:?}",
+            with(at, byte)
+        );
+    }
+    assert!(matches!(with(27, 0xff), CodecError::Header { what: "camera", .. }));
+    assert_eq!(
+        decode_chunk(&good[..good.len() - 1]),
+        Err(CodecError::Length { found: good.len() - 1, expected: good.len() })
+    );
+    assert!(matches!(peek(&good[..10]), Err(CodecError::Length { found: 10, expected: HEADER_BYTES })));
+    assert!(matches!(decode::<Vec<u8>>(&[]), Err(CodecError::Incomplete { found: 0, .. })));
+    assert_eq!(with(4, 2).to_string(), "chunk format version 2, expected 1");
+}
+
+#[test]
+fn contradicting_chunks_are_refused_and_change_nothing() {
+    let frame = random_frame(40, 130, 8, 11);
+    let chunks = |frame: &LayeredFrame, settings: Settings| -> Vec<DecodedChunk> {
+        encode(frame, &settings).unwrap().chunks.iter().map(|c| decode_chunk(&c.bytes).unwrap()).collect()
+    };
+    let ours = chunks(&frame, Settings::default());
+    let mut assembly = Assembly::new(&ours[0].header);
+    assembly.insert(ours[0].clone()).unwrap();
+    let before = assembly.to_frame();
+    let mut later = frame.clone();
+    later.header.frame = FrameId(8);
+    let mut moved = frame.clone();
+    moved.header.camera.far *= 1.5;
+    for other in [
+        chunks(&later, Settings::default()),
+        chunks(&moved, Settings::default()),
+        chunks(&frame, ALL_BITS[0]),
+    ] {
+        assert!(matches!(assembly.insert(other[1].clone()), Err(CodecError::Contradiction { .. })));
+    }
+    assert_eq!(assembly.insert(ours[0].clone()), Err(CodecError::Duplicate(ChunkIndex(0))));
+    let mut same_band = ours[1].clone();
+    same_band.header.band = ours[0].header.band;
+    assert!(matches!(assembly.insert(same_band), Err(CodecError::Contradiction { .. })));
+    // The refinement of another frame under this frame's name: its segments collide with the base.
+    let mut other = random_frame(40, 130, 8, 12);
+    other.header = frame.header;
+    let band = ours[0].header.band;
+    let other = chunks(&other, Settings::default());
+    let foreign = other.into_iter().find(|c| !c.header.is_base() && c.header.band == band).unwrap();
+    assert!(matches!(assembly.insert(foreign), Err(CodecError::Contradiction { .. })));
+    assert_eq!((assembly.num_inserted(), assembly.to_frame()), (1, before));
+    for chunk in ours.into_iter().skip(1) {
+        assembly.insert(chunk).unwrap();
+    }
+    assert!(assembly.complete());
+}
+
+#[test]
+fn damaged_bytes_never_do_more_than_fail() {
+    let mut random = Random(13);
+    let (mut refused, mut accepted) = (0, 0);
+    for (k, bits) in [(8, 10), (3, 8)] {
+        let settings = Settings { color_bits: bits, zstd_level: 1 };
+        let encoded = encode(&random_frame(20, 70, k, 14), &settings).unwrap();
+        for chunk in &encoded.chunks {
+            for _ in 0..1500 {
+                let mut bytes = chunk.bytes.clone();
+                for _ in 0..1 + random.below(3) {
+                    // Half of the damage hits the header and the lengths, which are a small part of the bytes.
+                    let reach = [bytes.len(), HEADER_BYTES + 60][random.below(2)].min(bytes.len());
+                    let at = random.below(reach);
+                    bytes[at] ^= 1 << random.below(8);
+                }
+                if random.below(4) == 0 {
+                    bytes.truncate(random.below(bytes.len() + 1));
+                }
+                let Ok(decoded) = decode_chunk(&bytes) else {
+                    refused += 1;
+                    continue;
+                };
+                accepted += 1;
+                let mut assembly = Assembly::new(&peek(&encoded.chunks[0].bytes).unwrap());
+                // In the place of the chunk it was, among its fellows.
+                let _ = assembly.insert(decoded);
+                for other in &encoded.chunks {
+                    let _ = assembly.insert(decode_chunk(&other.bytes).unwrap());
+                }
+                assembly.to_frame().validate().unwrap();
+            }
+            for len in 0..chunk.bytes.len() {
+                assert!(decode_chunk(&chunk.bytes[..len]).is_err());
+            }
+        }
+    }
+    assert!(refused > 1000 && accepted > 100, "{refused} refused, {accepted} accepted");
+}
+
+#[test]
+fn a_small_chunk_cannot_ask_for_much() {
+    let (width, height) = (8192u32, 4080u32);
+    let plane = |plane: Vec<u8>| zstd::bulk::compress(&plane, 1).unwrap();
+    let tiles = plane(vec![0xff; (width as usize / TILE * (height as usize / TILE)).div_ceil(8)]);
+    let counts = plane(vec![8; (width * height) as usize]);
+    let mut payload = vec![0; 44];
+    payload[..4].copy_from_slice(&(tiles.len() as u32).to_le_bytes());
+    payload[4..8].copy_from_slice(&(counts.len() as u32).to_le_bytes());
+    payload.extend(tiles.iter().chain(&counts));
+    let chunk = ChunkHeader {
+        frame: header(width, height, 16),
+        color_bits: 10,
+        index: ChunkIndex(0),
+        num_chunks: 1,
+        num_base: 1,
+        band: 0,
+        payload_bytes: payload.len() as u32,
+    };
+    let mut bytes = chunk.to_bytes().to_vec();
+    bytes.extend(payload);
+    assert!(bytes.len() < 10_000);
+    assert!(matches!(decode_chunk(&bytes), Err(CodecError::TooLarge { limit: MAX_CHUNK_SEGMENTS, .. })));
+    let wide = ChunkHeader { frame: header(8192, 8192, 16), ..chunk };
+    assert!(matches!(peek(&wide.to_bytes()), Err(CodecError::TooLarge { limit: MAX_FRAME_LISTS, .. })));
+}

@@ -1,0 +1,239 @@
+//! Layered frames as files, `.iglf`: the chunks of the wire payload one after the other (`docs/PROTOCOL.md`,
+//! "Layered-frame payload").
+//!
+//! Little-endian: `IGLF`, version (`u16`), number of chunks (`u16`), then for each chunk its length (`u32`) and its
+//! bytes. Nothing follows.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+
+use isinglass_core::codec::{CodecError, EncodedFrame, HEADER_BYTES, MAX_CHUNK_BYTES, MAX_CHUNKS, decode};
+use isinglass_core::layer::LayeredFrame;
+
+/// Why a layered frame could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum IglfError {
+    /// The system refused.
+    #[error("{path}: {cause}")]
+    Io {
+        /// The file.
+        path: String,
+        /// What the system said.
+        cause: io::Error,
+    },
+    /// The bytes are not those of a stored frame.
+    #[error("{path}: {what} is {found}, expected {expected}")]
+    Malformed {
+        /// The file.
+        path: String,
+        /// Which part of it.
+        what: String,
+        /// What is there.
+        found: String,
+        /// What should be.
+        expected: String,
+    },
+    /// The chunks are damaged or do not belong together.
+    #[error("{path}: {cause}")]
+    Codec {
+        /// The file.
+        path: String,
+        /// What is wrong with them.
+        cause: CodecError,
+    },
+}
+
+/// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
+pub fn write(path: &Path, encoded: &EncodedFrame) -> Result<(), IglfError> {
+    let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
+    let mut temporary = OsString::from(path);
+    temporary.push(format!(".{}.part", std::process::id()));
+    let result = File::create(&temporary)
+        .and_then(|mut file| {
+            file.write_all(&to_bytes(encoded))?;
+            file.sync_all()
+        })
+        .and_then(|()| fs::rename(&temporary, path));
+    result.map_err(|cause| {
+        // The first error is the one to tell; what is left of the file may not even exist.
+        let _ = fs::remove_file(&temporary);
+        io(cause)
+    })
+}
+
+/// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
+pub fn read(path: &Path) -> Result<LayeredFrame, IglfError> {
+    let name = || path.display().to_string();
+    let file = File::open(path).map_err(|cause| IglfError::Io { path: name(), cause })?;
+    let chunks = chunks_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
+        Problem::Io(cause) => IglfError::Io { path: name(), cause },
+        Problem::Malformed(what, found, expected) => {
+            IglfError::Malformed { path: name(), what, found, expected }
+        }
+    })?;
+    decode(&chunks).map_err(|cause| IglfError::Codec { path: name(), cause })
+}
+
+fn to_bytes(encoded: &EncodedFrame) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(encoded.num_bytes() + 4 * encoded.chunks.len() + 8);
+    bytes.extend_from_slice(&MAGIC);
+    bytes.extend_from_slice(&VERSION.to_le_bytes());
+    bytes.extend_from_slice(&(encoded.chunks.len() as u16).to_le_bytes());
+    for chunk in &encoded.chunks {
+        bytes.extend_from_slice(&(chunk.bytes.len() as u32).to_le_bytes());
+        bytes.extend_from_slice(&chunk.bytes);
+    }
+    bytes
+}
+
+enum Problem {
+    Io(io::Error),
+    /// What is wrong, what was found, what was expected.
+    Malformed(String, String, String),
+}
+
+fn chunks_from_reader(reader: &mut impl Read) -> Result<Vec<Vec<u8>>, Problem> {
+    let magic: [u8; 4] = take(reader, "start of the file")?;
+    if magic != MAGIC {
+        return Err(malformed("start of the file", format!("{magic:02x?}"), format!("{MAGIC:02x?}")));
+    }
+    let version = u16::from_le_bytes(take(reader, "version")?);
+    if version != VERSION {
+        return Err(malformed("version", version, VERSION));
+    }
+    let count = usize::from(u16::from_le_bytes(take(reader, "number of chunks")?));
+    if !(1..=MAX_CHUNKS).contains(&count) {
+        return Err(malformed("number of chunks", count, format!("1 to {MAX_CHUNKS}")));
+    }
+    let mut chunks = Vec::with_capacity(count);
+    for number in 0..count {
+        let what = format!("length of chunk {number}");
+        let length = u32::from_le_bytes(take(reader, &what)?) as usize;
+        if !(HEADER_BYTES..=MAX_CHUNK_BYTES).contains(&length) {
+            return Err(malformed(what, length, format!("{HEADER_BYTES} to {MAX_CHUNK_BYTES}")));
+        }
+        // Grows with what is read, not with what the length promises.
+        let mut bytes = Vec::new();
+        reader.by_ref().take(length as u64).read_to_end(&mut bytes).map_err(Problem::Io)?;
+        if bytes.len() != length {
+            let found = format!("cut off after {} bytes", bytes.len());
+            return Err(malformed(format!("chunk {number}"), found, format!("{length} bytes")));
+        }
+        chunks.push(bytes);
+    }
+    match reader.read(&mut [0]).map_err(Problem::Io)? {
+        0 => Ok(chunks),
+        _ => Err(malformed("what follows the last chunk", "more bytes", "the end of the file")),
+    }
+}
+
+fn take<const N: usize>(reader: &mut impl Read, what: &str) -> Result<[u8; N], Problem> {
+    let mut bytes = [0; N];
+    reader.read_exact(&mut bytes).map_err(|e| match e.kind() {
+        io::ErrorKind::UnexpectedEof => malformed(what, "cut off", format!("{N} bytes")),
+        _ => Problem::Io(e),
+    })?;
+    Ok(bytes)
+}
+
+fn malformed(what: impl Into<String>, found: impl ToString, expected: impl ToString) -> Problem {
+    Problem::Malformed(what.into(), found.to_string(), expected.to_string())
+}
+
+const MAGIC: [u8; 4] = *b"IGLF";
+const VERSION: u16 = 1;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use isinglass_core::camera::{Camera, Intrinsics, Pose};
+    use isinglass_core::codec::{Settings, encode};
+    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+    use isinglass_core::layer::{FrameHeader, Segment};
+    use isinglass_core::space::Aabb;
+
+    use super::*;
+
+    fn frame() -> LayeredFrame {
+        let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+        let intrinsics = Intrinsics { width: 20, height: 130, fov_y: 0.6 };
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.1, 0.2, 6.0), intrinsics, &bounds);
+        let header = FrameHeader { frame: FrameId(1), pose: PoseId(2), look: LookVersion(3), camera, k: 4 };
+        let mut frame = LayeredFrame::empty(header);
+        for list in 0..20 * 130u16 {
+            for i in 0..list % 5 {
+                let front = 100 * i + list % 90;
+                let c = Vec3::new(0.1, 0.2, 0.3) * f32::from(i);
+                frame.push(&Segment { front, back: front + 10, c, tau: 0.5 });
+            }
+            frame.offsets[usize::from(list) + 1] = frame.num_segments() as u32;
+        }
+        frame
+    }
+
+    fn error(path: &Path, bytes: &[u8]) -> IglfError {
+        fs::write(path, bytes).unwrap();
+        let error = read(path).unwrap_err();
+        let message = error.to_string();
+        assert!(message.contains("a.iglf") && !message.contains('\n'), "{message}");
+        error
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_replaces_what_was_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.iglf");
+        let encoded = encode(&frame(), &Settings::default()).unwrap();
+        write(&path, &encoded).unwrap();
+        write(&path, &encoded).unwrap();
+        let decoded = read(&path).unwrap();
+        assert_eq!(decoded.depth, frame().depth);
+        assert_eq!(encode(&decoded, &Settings::default()).unwrap(), encoded);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_failed_write_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let encoded = encode(&frame(), &Settings::default()).unwrap();
+        let missing = dir.path().join("no-such-directory").join("a.iglf");
+        assert!(matches!(write(&missing, &encoded), Err(IglfError::Io { .. })));
+        // A directory in the place of the file cannot be replaced.
+        let taken = dir.path().join("b.iglf");
+        fs::create_dir(&taken).unwrap();
+        assert!(matches!(write(&taken, &encoded), Err(IglfError::Io { .. })));
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn damaged_files_are_named_in_one_line() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.iglf");
+        assert!(matches!(read(&path), Err(IglfError::Io { .. })));
+        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap());
+        for len in (0..good.len()).step_by(97).chain(0..12) {
+            assert!(matches!(error(&path, &good[..len]), IglfError::Malformed { .. }), "{len}");
+        }
+        let mut longer = good.clone();
+        longer.push(0);
+        assert!(matches!(error(&path, &longer), IglfError::Malformed { .. }));
+        for (at, byte) in [(0, b'X'), (4, 9), (6, 0), (6, 200), (11, 0xff)] {
+            let mut bytes = good.clone();
+            bytes[at] = byte;
+            assert!(matches!(error(&path, &bytes), IglfError::Malformed { .. }), "{at}");
+        }
+        let mut bytes = good.clone();
+        bytes[12] = b'X';
+        assert!(matches!(error(&path, &bytes), IglfError::Codec { .. }));
+        // One chunk fewer than the frame has.
+        let mut encoded = encode(&frame(), &Settings::default()).unwrap();
+        encoded.chunks.pop();
+        assert!(matches!(
+            error(&path, &to_bytes(&encoded)),
+            IglfError::Codec { cause: CodecError::Incomplete { .. }, .. }
+        ));
+    }
+}
