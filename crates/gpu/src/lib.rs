@@ -1,1 +1,28 @@
-//! placeholder
+//! The kernels of isinglass-core on wgpu: device, layouts, passes, readback. What each kernel means is said by its Rust
+//! twin in core; here is only how a GPU is made to do the same.
+//!
+//! Nothing here panics for want of a GPU, of memory or of a driver that answers: all of that is a [`GpuError`].
+
+pub mod backend;
+mod device;
+mod error;
+mod gpu_types;
+mod layering;
+mod march;
+mod picture_target;
+mod raycast;
+mod readback;
+mod scene;
+#[cfg(test)]
+mod shader_tests;
+mod shaders;
+pub mod view_pass;
+
+pub use backend::{Backend, BackendChoice, Renderer, Reprojector};
+pub use device::{Gpu, GpuInfo};
+pub use error::GpuError;
+pub use march::GpuRenderer;
+pub use raycast::GpuReprojector;
+pub use view_pass::ViewPass;
+/// The version of wgpu that [`ViewPass`] speaks.
+pub use wgpu;

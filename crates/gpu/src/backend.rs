@@ -1,0 +1,209 @@
+//! The kernels by one interface, wherever they run.
+
+use std::str::FromStr;
+use std::sync::Arc;
+
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::march::{self, MarchSettings, Scene};
+use isinglass_core::kernels::raycast;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
+use isinglass_core::transfer::TransferFunction;
+
+use crate::device::Gpu;
+use crate::error::GpuError;
+use crate::march::GpuRenderer;
+use crate::raycast::GpuReprojector;
+
+/// What a person asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BackendChoice {
+    /// A hardware GPU if there is one, else the CPU.
+    #[default]
+    Auto,
+    /// A GPU, also one in software; an error without any.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+impl BackendChoice {
+    /// Every choice.
+    pub const ALL: [Self; 3] = [Self::Auto, Self::Gpu, Self::Cpu];
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Gpu => "gpu",
+            Self::Cpu => "cpu",
+        }
+    }
+}
+
+impl std::fmt::Display for BackendChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for BackendChoice {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|choice| choice.name() == s).ok_or_else(|| {
+            format!("unknown backend '{s}', expected one of {}", Self::ALL.map(Self::name).join(", "))
+        })
+    }
+}
+
+/// Where kernels run. Clones share the device.
+#[derive(Clone)]
+pub enum Backend {
+    /// On a GPU.
+    Gpu(Gpu),
+    /// On the CPU: the twins of core.
+    Cpu,
+}
+
+impl Backend {
+    /// Opens what was chosen. `Auto` and `Cpu` cannot fail.
+    pub fn open(choice: BackendChoice) -> Result<Self, GpuError> {
+        match choice {
+            BackendChoice::Cpu => Ok(Self::Cpu),
+            BackendChoice::Gpu => Gpu::open().map(Self::Gpu),
+            BackendChoice::Auto => match Gpu::open() {
+                Ok(gpu) if !gpu.info().is_software => Ok(Self::Gpu(gpu)),
+                Ok(gpu) => {
+                    tracing::info!(
+                        "only a software device ({}): the CPU's own kernels are faster",
+                        gpu.info()
+                    );
+                    Ok(Self::Cpu)
+                }
+                Err(e) => {
+                    tracing::info!("{e}");
+                    Ok(Self::Cpu)
+                }
+            },
+        }
+    }
+
+    /// `cpu`, or `gpu` with the device's name and driver.
+    pub fn description(&self) -> String {
+        match self {
+            Self::Gpu(gpu) => format!("gpu: {}", gpu.info()),
+            Self::Cpu => "cpu".into(),
+        }
+    }
+
+    /// A renderer of one scene.
+    pub fn renderer(&self, scene: Scene) -> Result<Renderer, GpuError> {
+        Ok(match self {
+            Self::Gpu(gpu) => Renderer::Gpu(Box::new(GpuRenderer::new(gpu, scene)?)),
+            Self::Cpu => Renderer::Cpu(Box::new(scene)),
+        })
+    }
+
+    /// The picture of a layered frame from a camera. `bounds` is the box of the volume. For several views of one frame
+    /// take [`Backend::reprojector`].
+    pub fn raycast(&self, frame: &LayeredFrame, bounds: &Aabb, camera: &Camera) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(gpu) => GpuReprojector::new(gpu, frame, bounds)?.raycast(camera),
+            Self::Cpu if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu => Ok(raycast::raycast(frame, bounds, camera)),
+        }
+    }
+
+    /// Keeps a frame for any number of views. `bounds` is the box of the volume.
+    pub fn reprojector(&self, frame: Arc<LayeredFrame>, bounds: &Aabb) -> Result<Reprojector, GpuError> {
+        Ok(match self {
+            Self::Gpu(gpu) => Reprojector::Gpu(Box::new(GpuReprojector::new(gpu, &frame, bounds)?)),
+            Self::Cpu => Reprojector::Cpu(frame, *bounds),
+        })
+    }
+}
+
+/// Full volume rendering and layered frames of one scene.
+pub enum Renderer {
+    /// On a GPU.
+    Gpu(Box<GpuRenderer>),
+    /// On the CPU.
+    Cpu(Box<Scene>),
+}
+
+impl Renderer {
+    /// What is drawn.
+    pub fn scene(&self) -> &Scene {
+        match self {
+            Self::Gpu(renderer) => renderer.scene(),
+            Self::Cpu(scene) => scene,
+        }
+    }
+
+    /// Draws something else from now on.
+    pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.set_scene(scene),
+            Self::Cpu(old) => {
+                **old = scene;
+                Ok(())
+            }
+        }
+    }
+
+    /// Draws the same volume with another look from now on. `transfer` must be valid.
+    pub fn set_look(&mut self, transfer: &TransferFunction, settings: MarchSettings) -> Result<(), GpuError> {
+        self.set_scene(self.scene().with_look(transfer, settings))
+    }
+
+    /// The picture from a camera: full volume rendering. Premultiplied linear.
+    pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.render(camera),
+            Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(scene) => Ok(march::render(scene, camera)),
+        }
+    }
+
+    /// A layered frame by a rule, with at most `header.k` segments a list.
+    pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.generate(header, layering),
+            Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(scene) => Ok(layering::generate(scene, header, layering)),
+        }
+    }
+}
+
+/// One layered frame, kept for any number of novel views.
+pub enum Reprojector {
+    /// On a GPU.
+    Gpu(Box<GpuReprojector>),
+    /// On the CPU, with the box of the volume.
+    Cpu(Arc<LayeredFrame>, Aabb),
+}
+
+impl Reprojector {
+    /// Replaces the frame. `bounds` is the box of the volume.
+    pub fn set_frame(&mut self, frame: Arc<LayeredFrame>, bounds: &Aabb) -> Result<(), GpuError> {
+        match self {
+            Self::Gpu(reprojector) => reprojector.set_frame(&frame, bounds),
+            Self::Cpu(old, old_bounds) => {
+                (*old, *old_bounds) = (frame, *bounds);
+                Ok(())
+            }
+        }
+    }
+
+    /// The novel view from a camera. Premultiplied linear.
+    pub fn raycast(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(reprojector) => reprojector.raycast(camera),
+            Self::Cpu(..) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(frame, bounds) => Ok(raycast::raycast(frame, bounds, camera)),
+        }
+    }
+}

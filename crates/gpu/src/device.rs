@@ -1,0 +1,334 @@
+//! The device: opened once, shared by everything that computes on it.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use wgpu::{BindingType, BufferBindingType, ShaderStages, TextureSampleType, TextureViewDimension};
+
+use crate::error::{GpuError, one_line, scoped};
+use crate::gpu_types::Band;
+use crate::shaders::{Kernel, TexelKind};
+
+/// What is known of a device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GpuInfo {
+    /// Name of the device.
+    pub name: String,
+    /// Vulkan, Metal or DirectX 12.
+    pub backend: String,
+    /// Driver, with its version.
+    pub driver: String,
+    /// Whether the "GPU" is a program on the CPU, such as lavapipe.
+    pub is_software: bool,
+}
+
+impl std::fmt::Display for GpuInfo {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let kind = if self.is_software { "software" } else { "hardware" };
+        write!(f, "{} ({}, {kind}, {})", self.name, self.backend, self.driver)
+    }
+}
+
+/// An open device with its queue and the kernels compiled so far. Clones share all of it.
+#[derive(Clone)]
+pub struct Gpu {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    info: GpuInfo,
+    layouts: Layouts,
+    /// A handful; found by looking at each.
+    pipelines: Mutex<Vec<(Kernel, &'static str, wgpu::ComputePipeline)>>,
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+/// The bind group layouts of the compute kernels.
+pub(crate) struct Layouts {
+    /// Group 0 of the marching kernels over integer and over float voxels.
+    pub(crate) scene_uint: wgpu::BindGroupLayout,
+    pub(crate) scene_float: wgpu::BindGroupLayout,
+    /// Group 1 of `render` and `raycast`.
+    pub(crate) picture: wgpu::BindGroupLayout,
+    /// Group 1 of `generate`.
+    pub(crate) generate: wgpu::BindGroupLayout,
+    /// Group 0 of `compact`.
+    pub(crate) compact: wgpu::BindGroupLayout,
+    /// Group 0 of `raycast`.
+    pub(crate) caster: wgpu::BindGroupLayout,
+}
+
+impl Gpu {
+    /// Opens the best device: discrete before integrated before software. Without any driver this is an error.
+    pub fn open() -> Result<Self, GpuError> {
+        let adapter = best_adapter()?;
+        let adapter_info = adapter.get_info();
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("isinglass"),
+            required_limits: wgpu::Limits::default(),
+            ..Default::default()
+        }))
+        .map_err(|e| GpuError::Open {
+            adapter: adapter_info.name.clone(),
+            reason: one_line(&e.to_string()),
+        })?;
+        device.on_uncaptured_error(Arc::new(|error: wgpu::Error| {
+            tracing::error!("uncaptured GPU error: {}", one_line(&error.to_string()));
+        }));
+        let lost = Arc::new(Mutex::new(None));
+        let on_lost = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            let text = one_line(&format!("{reason:?} {message}"));
+            *on_lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
+        });
+        let info = GpuInfo {
+            name: adapter_info.name,
+            backend: adapter_info.backend.to_string(),
+            driver: format!("{} {}", adapter_info.driver, adapter_info.driver_info).trim().to_owned(),
+            is_software: adapter_info.device_type == wgpu::DeviceType::Cpu,
+        };
+        let layouts = scoped(&device, "making layouts", || Ok(Layouts::new(&device)))?;
+        let shared = Shared { device, queue, info, layouts, pipelines: Mutex::default(), lost };
+        Ok(Self { shared: Arc::new(shared) })
+    }
+
+    /// What is known of the device.
+    pub fn info(&self) -> &GpuInfo {
+        &self.shared.info
+    }
+
+    pub(crate) fn device(&self) -> &wgpu::Device {
+        &self.shared.device
+    }
+
+    pub(crate) fn queue(&self) -> &wgpu::Queue {
+        &self.shared.queue
+    }
+
+    pub(crate) fn layouts(&self) -> &Layouts {
+        &self.shared.layouts
+    }
+
+    /// Runs `body`; what the device reports meanwhile becomes its error.
+    pub(crate) fn attempt<T>(
+        &self,
+        what: &'static str,
+        body: impl FnOnce() -> Result<T, GpuError>,
+    ) -> Result<T, GpuError> {
+        let result = scoped(self.device(), what, body);
+        match self.shared.lost.lock().unwrap_or_else(PoisonError::into_inner).clone() {
+            Some(reason) => Err(GpuError::Lost { what, reason }),
+            None => result,
+        }
+    }
+
+    /// Waits until everything submitted is done.
+    pub(crate) fn wait(&self, what: &'static str) -> Result<(), GpuError> {
+        // A device that is lost while it is waited for makes wgpu panic.
+        match catch_unwind(AssertUnwindSafe(|| self.device().poll(wgpu::PollType::wait_indefinitely()))) {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(e)) => Err(GpuError::Failed { what, reason: e.to_string() }),
+            Err(_) => Err(GpuError::Lost { what, reason: "the device stopped answering".into() }),
+        }
+    }
+
+    /// The pipeline of one entry point of a kernel, compiled on first use.
+    pub(crate) fn pipeline(&self, kernel: Kernel, entry: &'static str) -> wgpu::ComputePipeline {
+        let mut pipelines = self.shared.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((.., pipeline)) = pipelines.iter().find(|(k, e, _)| (*k, *e) == (kernel, entry)) {
+            return pipeline.clone();
+        }
+        let pipeline = self.compile(kernel, entry);
+        pipelines.push((kernel, entry, pipeline.clone()));
+        pipeline
+    }
+
+    fn compile(&self, kernel: Kernel, entry: &'static str) -> wgpu::ComputePipeline {
+        let layouts = self.layouts();
+        let groups: &[Option<&wgpu::BindGroupLayout>] = match kernel {
+            Kernel::Render(kind) => &[Some(layouts.scene(kind)), Some(&layouts.picture)],
+            Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
+            Kernel::Compact => &[Some(&layouts.compact)],
+            Kernel::RaycastCompute | Kernel::RaycastView => &[Some(&layouts.caster), Some(&layouts.picture)],
+        };
+        let layout = self.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(entry),
+            bind_group_layouts: groups,
+            immediate_size: 0,
+        });
+        self.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(entry),
+            layout: Some(&layout),
+            module: &shader_module(self.device(), kernel),
+            entry_point: Some(entry),
+            compilation_options: Default::default(),
+            cache: None,
+        })
+    }
+
+    /// Pixels that one dispatch may work on: short enough for the watchdogs of window systems, long enough to fill a
+    /// device.
+    pub(crate) fn max_dispatch_pixels(&self) -> u32 {
+        if self.info().is_software { 1 << 16 } else { 1 << 20 }
+    }
+
+    /// An error if a storage buffer of `bytes` cannot be bound.
+    pub(crate) fn check_binding(&self, what: &'static str, bytes: u64) -> Result<(), GpuError> {
+        check_binding(self.device(), what, bytes)
+    }
+
+    /// A buffer that kernels read and write, and copies can leave and reach.
+    pub(crate) fn storage(&self, label: &'static str, bytes: u64) -> wgpu::Buffer {
+        buffer(self.device(), label, bytes, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC)
+    }
+
+    /// A buffer of uniforms.
+    pub(crate) fn uniform<T>(&self, label: &'static str) -> wgpu::Buffer {
+        buffer(self.device(), label, size_of::<T>() as u64, wgpu::BufferUsages::UNIFORM)
+    }
+}
+
+impl Layouts {
+    fn new(device: &wgpu::Device) -> Self {
+        let compute = ShaderStages::COMPUTE;
+        let scene = |sample_type| {
+            let voxels = BindingType::Texture {
+                sample_type,
+                view_dimension: TextureViewDimension::D3,
+                multisampled: false,
+            };
+            layout(device, "scene", compute, &[UNIFORM, READ, READ, voxels])
+        };
+        Self {
+            scene_uint: scene(TextureSampleType::Uint),
+            scene_float: scene(TextureSampleType::Float { filterable: false }),
+            picture: layout(device, "picture", compute, &[UNIFORM, UNIFORM, WRITE]),
+            generate: layout(device, "generate", compute, &[UNIFORM, UNIFORM, WRITE, WRITE]),
+            compact: layout(
+                device,
+                "compact",
+                compute,
+                &[UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE],
+            ),
+            caster: layout(device, "caster", compute, &CASTER),
+        }
+    }
+
+    pub(crate) fn scene(&self, kind: TexelKind) -> &wgpu::BindGroupLayout {
+        match kind {
+            TexelKind::Uint => &self.scene_uint,
+            TexelKind::Float => &self.scene_float,
+        }
+    }
+}
+
+/// Discrete before integrated before anything else before software.
+fn best_adapter() -> Result<wgpu::Adapter, GpuError> {
+    let backends = wgpu::Backends::PRIMARY;
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    pollster::block_on(instance.enumerate_adapters(backends))
+        .into_iter()
+        .filter(|adapter| wgpu::Limits::default().check_limits(&adapter.limits()))
+        .min_by_key(rank)
+        .ok_or_else(|| GpuError::NoAdapter("no driver offers a device".into()))
+}
+
+/// A bind group layout with the given types at bindings 0, 1, 2 …
+pub(crate) fn layout(
+    device: &wgpu::Device,
+    label: &str,
+    visibility: ShaderStages,
+    types: &[BindingType],
+) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (0..)
+        .zip(types)
+        .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None })
+        .collect();
+    device
+        .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+}
+
+/// A bind group with the given resources at bindings 0, 1, 2 …
+pub(crate) fn bind(
+    device: &wgpu::Device,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    resources: &[wgpu::BindingResource<'_>],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = (0..)
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}
+
+/// A buffer that can be written by copies, of at least four bytes.
+pub(crate) fn buffer(
+    device: &wgpu::Device,
+    label: &str,
+    bytes: u64,
+    usage: wgpu::BufferUsages,
+) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: bytes.max(4).next_multiple_of(4),
+        usage: usage | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+/// An error if a storage buffer of `bytes` cannot be bound on `device`.
+pub(crate) fn check_binding(device: &wgpu::Device, what: &'static str, bytes: u64) -> Result<(), GpuError> {
+    let limits = device.limits();
+    let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    if bytes > limit { Err(GpuError::TooLarge { what, needed: bytes, limit }) } else { Ok(()) }
+}
+
+/// The compiled text of a kernel.
+pub(crate) fn shader_module(device: &wgpu::Device, kernel: Kernel) -> wgpu::ShaderModule {
+    device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("kernel"),
+        source: wgpu::ShaderSource::Wgsl(kernel.source().into()),
+    })
+}
+
+/// Divides a picture into bands of whole rows with at most `max_pixels` pixels, or one row if that is more.
+pub(crate) fn bands(width: u32, height: u32, max_pixels: u32) -> impl Iterator<Item = Band> {
+    let rows = rows_per_band(width, height, max_pixels);
+    (0..height).step_by(rows as usize).map(move |first_row| {
+        let num_rows = rows.min(height - first_row);
+        Band { first_row, num_rows, first_pixel: first_row * width, num_pixels: num_rows * width }
+    })
+}
+
+/// Rows of the largest band of [`bands`].
+pub(crate) fn rows_per_band(width: u32, height: u32, max_pixels: u32) -> u32 {
+    (max_pixels / width).clamp(1, height)
+}
+
+pub(crate) const UNIFORM: BindingType =
+    BindingType::Buffer { ty: BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+pub(crate) const READ: BindingType = BindingType::Buffer {
+    ty: BufferBindingType::Storage { read_only: true },
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+pub(crate) const WRITE: BindingType = BindingType::Buffer {
+    ty: BufferBindingType::Storage { read_only: false },
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+/// Group 0 of `raycast.wgsl`.
+pub(crate) const CASTER: [BindingType; 5] = [UNIFORM, READ, READ, READ, READ];

@@ -1,0 +1,134 @@
+//! The uniforms of `shaders/shared/types.wgsl`, field by field: the same names, order and offsets. A `vec3` is followed
+//! by a scalar that fills its fourth word, so there is no hidden padding.
+
+use bytemuck::{Pod, Zeroable};
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::march;
+use isinglass_core::layer::DEPTH_UNITS;
+use isinglass_core::space::Aabb;
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Basis {
+    pub(crate) eye: [f32; 3],
+    pub(crate) near: f32,
+    pub(crate) forward: [f32; 3],
+    pub(crate) far: f32,
+    pub(crate) right: [f32; 3],
+    pub(crate) width: f32,
+    pub(crate) up: [f32; 3],
+    pub(crate) height: f32,
+}
+
+impl Basis {
+    /// The camera as every kernel uses it.
+    pub(crate) fn of(camera: &Camera) -> Self {
+        let basis = camera.basis();
+        Self {
+            eye: basis.eye.into(),
+            near: camera.near,
+            forward: basis.forward.into(),
+            far: camera.far,
+            right: basis.right.into(),
+            width: basis.width,
+            up: basis.up.into(),
+            height: basis.height,
+        }
+    }
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Scene {
+    pub(crate) bounds_min: [f32; 3],
+    pub(crate) x_scale: f32,
+    pub(crate) bounds_max: [f32; 3],
+    pub(crate) x_offset: f32,
+    pub(crate) voxel_from_world: [f32; 3],
+    pub(crate) step_length: f32,
+    pub(crate) half_dims: [f32; 3],
+    pub(crate) shaded: u32,
+    pub(crate) light: [f32; 3],
+    pub(crate) half_gradient: f32,
+    pub(crate) dims: [i32; 3],
+    pub(crate) ambient: f32,
+    pub(crate) brick_dims: [u32; 3],
+    pub(crate) diffuse: f32,
+}
+
+impl Scene {
+    /// What is constant over all rays of a scene.
+    pub(crate) fn of(scene: &march::Scene) -> Self {
+        let volume = &scene.volume;
+        let bounds = volume.bounds();
+        let shading = scene.settings.shading.unwrap_or_default();
+        Self {
+            bounds_min: bounds.min.into(),
+            x_scale: scene.table.x_scale,
+            bounds_max: bounds.max.into(),
+            x_offset: scene.table.x_offset,
+            voxel_from_world: volume.spacing().recip().into(),
+            step_length: scene.settings.step_in_voxels * volume.spacing().min_element(),
+            half_dims: (volume.dims_f32() * 0.5).into(),
+            shaded: scene.settings.shading.is_some().into(),
+            light: shading.light.into(),
+            half_gradient: shading.half_gradient,
+            dims: volume.dims().map(|d| d as i32),
+            ambient: shading.ambient,
+            brick_dims: scene.occupancy.dims,
+            diffuse: shading.diffuse,
+        }
+    }
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(crate) struct Band {
+    pub(crate) first_row: u32,
+    pub(crate) num_rows: u32,
+    pub(crate) first_pixel: u32,
+    pub(crate) num_pixels: u32,
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Raycaster {
+    pub(crate) basis: Basis,
+    pub(crate) bounds_min: [f32; 3],
+    pub(crate) units_per_depth: f32,
+    pub(crate) bounds_max: [f32; 3],
+    pub(crate) has_frame: u32,
+}
+
+impl Raycaster {
+    /// The generating camera of a frame and the box of its volume; the margin is that of
+    /// [`isinglass_core::kernels::raycast::Raycaster::new`].
+    pub(crate) fn of(camera: &Camera, bounds: &Aabb) -> Self {
+        let depth_per_unit = (camera.far - camera.near) / DEPTH_UNITS;
+        let margin = 2.0 * depth_per_unit;
+        Self {
+            basis: Basis::of(camera),
+            bounds_min: (bounds.min - margin).into(),
+            units_per_depth: depth_per_unit.recip(),
+            bounds_max: (bounds.max + margin).into(),
+            has_frame: 1,
+        }
+    }
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Display {
+    pub(crate) background: [f32; 3],
+    pub(crate) encode_srgb: u32,
+}
+
+/// Lists that a workgroup of `shaders/layering/compact.wgsl` sums.
+pub(crate) const BLOCK: u32 = 256;
+/// Side of the square workgroups of all kernels that work on pixels.
+pub(crate) const WORKGROUP_SIDE: u32 = 8;

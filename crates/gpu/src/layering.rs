@@ -1,0 +1,146 @@
+//! Layered frames on the GPU: `generate` writes the lists of a band of rows to slots, three passes of `compact` pack
+//! them into the planes behind those of the band before, and the planes are read back.
+
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
+
+use crate::device::{Gpu, bands, bind, rows_per_band};
+use crate::error::GpuError;
+use crate::gpu_types::{BLOCK, Band, Basis, WORKGROUP_SIDE};
+use crate::readback::Readback;
+use crate::scene::SceneOnGpu;
+use crate::shaders::Kernel;
+
+/// Buffers for the frames of one size and greatest list length.
+pub(crate) struct FrameTarget {
+    width: u32,
+    height: u32,
+    k: u8,
+    max_pixels: u32,
+    camera: wgpu::Buffer,
+    band: wgpu::Buffer,
+    offsets: wgpu::Buffer,
+    /// Depth, c_rg, c_b_tau.
+    planes: [wgpu::Buffer; 3],
+    generate: wgpu::BindGroup,
+    compact: wgpu::BindGroup,
+    readback: Readback,
+}
+
+impl FrameTarget {
+    pub(crate) fn new(gpu: &Gpu, header: &FrameHeader) -> Result<Self, GpuError> {
+        if !header.camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        let (width, height) = (header.camera.intrinsics.width, header.camera.intrinsics.height);
+        let k = clamp_k(header.k);
+        let num_pixels = u64::from(width) * u64::from(height);
+        let plane_bytes = num_pixels * u64::from(k) * 4;
+        gpu.check_binding("plane of segments in bytes", plane_bytes)?;
+        let slot_bytes_per_pixel = u32::from(k) * 12;
+        let max_pixels = gpu.max_dispatch_pixels().min(SLOT_BYTES / slot_bytes_per_pixel);
+        let band_pixels = rows_per_band(width, height, max_pixels) * width;
+        let slot_bytes = u64::from(band_pixels) * u64::from(slot_bytes_per_pixel);
+        gpu.check_binding("slots of a row in bytes", slot_bytes)?;
+        let (camera, band) = (gpu.uniform::<Basis>("camera"), gpu.uniform::<Band>("band"));
+        let counts = gpu.storage("counts", u64::from(band_pixels) * 4);
+        let slots = gpu.storage("slots", slot_bytes);
+        let block_sums = gpu.storage("block_sums", u64::from(band_pixels.div_ceil(BLOCK)) * 4);
+        // Entry 0 stays 0, as new buffers are.
+        let offsets = gpu.storage("offsets", (num_pixels + 1) * 4);
+        let planes = ["depth", "c_rg", "c_b_tau"].map(|label| gpu.storage(label, plane_bytes));
+        let generate = bind(
+            gpu.device(),
+            "generate",
+            &gpu.layouts().generate,
+            &[
+                camera.as_entire_binding(),
+                band.as_entire_binding(),
+                counts.as_entire_binding(),
+                slots.as_entire_binding(),
+            ],
+        );
+        let compact = bind(
+            gpu.device(),
+            "compact",
+            &gpu.layouts().compact,
+            &[
+                band.as_entire_binding(),
+                counts.as_entire_binding(),
+                slots.as_entire_binding(),
+                block_sums.as_entire_binding(),
+                offsets.as_entire_binding(),
+                planes[0].as_entire_binding(),
+                planes[1].as_entire_binding(),
+                planes[2].as_entire_binding(),
+            ],
+        );
+        let readback = Readback::default();
+        Ok(Self { width, height, k, max_pixels, camera, band, offsets, planes, generate, compact, readback })
+    }
+
+    /// Whether a frame with this header has just this size and list length.
+    pub(crate) fn fits(&self, header: &FrameHeader) -> bool {
+        let i = header.camera.intrinsics;
+        (self.width, self.height, self.k) == (i.width, i.height, clamp_k(header.k))
+    }
+
+    pub(crate) fn generate(
+        &mut self,
+        gpu: &Gpu,
+        scene: &SceneOnGpu,
+        header: FrameHeader,
+        layering: Layering,
+    ) -> Result<LayeredFrame, GpuError> {
+        if !header.camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        let march = gpu.pipeline(Kernel::Generate(scene.kind, layering, self.k), "generate");
+        let [sum_blocks, scan_blocks, compact] =
+            ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
+        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
+        let encoder = || gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for band in bands(self.width, self.height, self.max_pixels) {
+            gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
+            let mut encoder = encoder();
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(&march);
+                pass.set_bind_group(0, &scene.bind_group, &[]);
+                pass.set_bind_group(1, &self.generate, &[]);
+                let (x, y) = (self.width.div_ceil(WORKGROUP_SIDE), band.num_rows.div_ceil(WORKGROUP_SIDE));
+                pass.dispatch_workgroups(x, y, 1);
+                let num_blocks = band.num_pixels.div_ceil(BLOCK);
+                pass.set_bind_group(0, &self.compact, &[]);
+                for (pipeline, workgroups) in
+                    [(&sum_blocks, num_blocks), (&scan_blocks, 1), (&compact, num_blocks)]
+                {
+                    pass.set_pipeline(pipeline);
+                    pass.dispatch_workgroups(workgroups, 1, 1);
+                }
+            }
+            gpu.queue().submit([encoder.finish()]);
+        }
+        let mut frame = LayeredFrame::empty(header);
+        frame.offsets.clear();
+        let num_offsets = header.camera.intrinsics.num_pixels() + 1;
+        self.readback.read(gpu, encoder(), [(&self.offsets, num_offsets)], [&mut frame.offsets])?;
+        let total = frame.offsets.last().map_or(0, |&total| total as usize);
+        let LayeredFrame { depth, c_rg, c_b_tau, .. } = &mut frame;
+        self.readback.read(
+            gpu,
+            encoder(),
+            self.planes.each_ref().map(|plane| (plane, total)),
+            [depth, c_rg, c_b_tau],
+        )?;
+        Ok(frame)
+    }
+}
+
+/// As the twin reads it.
+fn clamp_k(k: u8) -> u8 {
+    k.clamp(1, MAX_K as u8)
+}
+
+/// Bytes of slots that a band may take: half of a storage binding, so that bands are long and memory is not.
+const SLOT_BYTES: u32 = 64 << 20;

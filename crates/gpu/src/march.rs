@@ -1,0 +1,66 @@
+//! Full volume rendering and layered frames of one scene on the GPU. Kernels: `shaders/march.wgsl`,
+//! `shaders/render.wgsl`, `shaders/layering/`.
+
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::picture::Picture;
+
+use crate::device::Gpu;
+use crate::error::GpuError;
+use crate::layering::FrameTarget;
+use crate::picture_target::PictureTarget;
+use crate::scene::SceneOnGpu;
+use crate::shaders::Kernel;
+
+/// A scene on the GPU with the buffers to draw it; they are kept from one picture to the next.
+pub struct GpuRenderer {
+    gpu: Gpu,
+    scene: Scene,
+    on_gpu: SceneOnGpu,
+    picture: PictureTarget,
+    frame: Option<FrameTarget>,
+}
+
+impl GpuRenderer {
+    /// Uploads a scene.
+    pub fn new(gpu: &Gpu, scene: Scene) -> Result<Self, GpuError> {
+        let on_gpu = SceneOnGpu::new(gpu, &scene)?;
+        let picture = gpu.attempt("making buffers", || Ok(PictureTarget::new(gpu)))?;
+        Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None })
+    }
+
+    /// What is drawn.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Draws something else from now on. The voxels are uploaded again only if `scene.volume` is another.
+    pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
+        self.on_gpu.set(&self.gpu, &scene)?;
+        self.scene = scene;
+        Ok(())
+    }
+
+    /// See [`isinglass_core::kernels::march::render`].
+    pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        let Self { gpu, on_gpu, picture, .. } = self;
+        gpu.attempt("rendering", || {
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind), "render");
+            picture.draw(gpu, &pipeline, &on_gpu.bind_group, camera)
+        })
+    }
+
+    /// See [`isinglass_core::kernels::layering::generate`].
+    pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+        let Self { gpu, on_gpu, frame, .. } = self;
+        gpu.attempt("generating a layered frame", || {
+            let target = match frame.take().filter(|target| target.fits(&header)) {
+                Some(target) => frame.insert(target),
+                None => frame.insert(FrameTarget::new(gpu, &header)?),
+            };
+            target.generate(gpu, on_gpu, header, layering)
+        })
+    }
+}

@@ -1,0 +1,78 @@
+//! A picture made band by band: `render` and `raycast` write the same buffer.
+
+use isinglass_core::camera::Camera;
+use isinglass_core::picture::Picture;
+
+use crate::device::{Gpu, bands, bind, rows_per_band};
+use crate::error::GpuError;
+use crate::gpu_types::{Band, Basis, WORKGROUP_SIDE};
+use crate::readback::Readback;
+
+/// Buffers for one band of a picture; they grow when a larger picture comes.
+pub(crate) struct PictureTarget {
+    camera: wgpu::Buffer,
+    band: wgpu::Buffer,
+    pixels: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+    readback: Readback,
+}
+
+impl PictureTarget {
+    pub(crate) fn new(gpu: &Gpu) -> Self {
+        let (camera, band) = (gpu.uniform::<Basis>("camera"), gpu.uniform::<Band>("band"));
+        let pixels = gpu.storage("pixels", BYTES_PER_PIXEL);
+        let bind_group = Self::bind(gpu, &camera, &band, &pixels);
+        Self { camera, band, pixels, bind_group, readback: Readback::default() }
+    }
+
+    fn bind(gpu: &Gpu, camera: &wgpu::Buffer, band: &wgpu::Buffer, pixels: &wgpu::Buffer) -> wgpu::BindGroup {
+        bind(
+            gpu.device(),
+            "picture",
+            &gpu.layouts().picture,
+            &[camera.as_entire_binding(), band.as_entire_binding(), pixels.as_entire_binding()],
+        )
+    }
+
+    /// Runs a kernel over all pixels of `camera`; `group_0` is the kernel's own input.
+    pub(crate) fn draw(
+        &mut self,
+        gpu: &Gpu,
+        pipeline: &wgpu::ComputePipeline,
+        group_0: &wgpu::BindGroup,
+        camera: &Camera,
+    ) -> Result<Picture, GpuError> {
+        if !camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let max_pixels = gpu.max_dispatch_pixels();
+        let bytes = u64::from(rows_per_band(width, height, max_pixels)) * u64::from(width) * BYTES_PER_PIXEL;
+        if self.pixels.size() < bytes {
+            gpu.check_binding("picture in bytes", bytes)?;
+            self.pixels = gpu.storage("pixels", bytes);
+            self.bind_group = Self::bind(gpu, &self.camera, &self.band, &self.pixels);
+        }
+        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(camera)));
+        let mut pixels = Vec::with_capacity(camera.intrinsics.num_pixels());
+        for band in bands(width, height, max_pixels) {
+            gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
+            let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, group_0, &[]);
+                pass.set_bind_group(1, &self.bind_group, &[]);
+                pass.dispatch_workgroups(
+                    width.div_ceil(WORKGROUP_SIDE),
+                    band.num_rows.div_ceil(WORKGROUP_SIDE),
+                    1,
+                );
+            }
+            self.readback.read(gpu, encoder, [(&self.pixels, band.num_pixels as usize)], [&mut pixels])?;
+        }
+        Ok(Picture { width, height, pixels })
+    }
+}
+
+const BYTES_PER_PIXEL: u64 = 16;

@@ -1,0 +1,130 @@
+//! A scene on the GPU: the voxels as a 3-D texture, the transfer table and the occupancy bits as storage buffers.
+
+use std::sync::Arc;
+
+use isinglass_core::kernels::march;
+use isinglass_core::volume::{Volume, Voxels};
+
+use crate::device::{Gpu, bind};
+use crate::error::GpuError;
+use crate::gpu_types;
+use crate::shaders::TexelKind;
+
+/// A scene uploaded. Changing the look rewrites two small buffers; the voxels stay.
+pub(crate) struct SceneOnGpu {
+    volume: Arc<Volume>,
+    uniform: wgpu::Buffer,
+    table: wgpu::Buffer,
+    occupancy: wgpu::Buffer,
+    /// How the kernels must read the voxels.
+    pub(crate) kind: TexelKind,
+    /// Group 0 of the marching kernels.
+    pub(crate) bind_group: wgpu::BindGroup,
+}
+
+impl SceneOnGpu {
+    pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
+        gpu.attempt("uploading the volume", || {
+            let (kind, texture) = upload_volume(gpu, &scene.volume)?;
+            let table_bytes = table_words(scene).len() as u64 * 4;
+            let occupancy_bytes = scene.occupancy.words.len() as u64 * 4;
+            gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
+            let uniform = gpu.uniform::<gpu_types::Scene>("scene");
+            let table = gpu.storage("table", table_bytes);
+            let occupancy = gpu.storage("occupancy", occupancy_bytes);
+            let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+            let bind_group = bind(
+                gpu.device(),
+                "scene",
+                gpu.layouts().scene(kind),
+                &[
+                    uniform.as_entire_binding(),
+                    table.as_entire_binding(),
+                    occupancy.as_entire_binding(),
+                    wgpu::BindingResource::TextureView(&view),
+                ],
+            );
+            let on_gpu =
+                Self { volume: Arc::clone(&scene.volume), uniform, table, occupancy, kind, bind_group };
+            on_gpu.write_look(gpu, scene);
+            Ok(on_gpu)
+        })
+    }
+
+    /// Replaces the scene; the voxels are uploaded only if they are others.
+    pub(crate) fn set(&mut self, gpu: &Gpu, scene: &march::Scene) -> Result<(), GpuError> {
+        if !Arc::ptr_eq(&self.volume, &scene.volume) {
+            *self = Self::new(gpu, scene)?;
+            return Ok(());
+        }
+        gpu.attempt("changing the look", || {
+            self.write_look(gpu, scene);
+            Ok(())
+        })
+    }
+
+    fn write_look(&self, gpu: &Gpu, scene: &march::Scene) {
+        let uniform = gpu_types::Scene::of(scene);
+        gpu.queue().write_buffer(&self.uniform, 0, bytemuck::bytes_of(&uniform));
+        gpu.queue().write_buffer(&self.table, 0, bytemuck::cast_slice(&table_words(scene)));
+        gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(&scene.occupancy.words));
+    }
+}
+
+/// The table in the order of `TransferTable` in `shaders/shared/types.wgsl`.
+fn table_words(scene: &march::Scene) -> Vec<f32> {
+    scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect()
+}
+
+/// Integer voxels keep their integers (exact on every device, and 16 bits need no optional feature).
+fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture), GpuError> {
+    let (kind, format, bytes): (_, _, &[u8]) = match volume.voxels() {
+        Voxels::U8(v) => (TexelKind::Uint, wgpu::TextureFormat::R8Uint, v),
+        Voxels::U16(v) => (TexelKind::Uint, wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(v)),
+        Voxels::F32(v) => (TexelKind::Float, wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
+    };
+    let [width, height, depth] = volume.dims();
+    let limit = gpu.device().limits().max_texture_dimension_3d;
+    let longest = width.max(height).max(depth);
+    if longest > limit {
+        let (needed, limit) = (longest.into(), limit.into());
+        return Err(GpuError::TooLarge { what: "longest side of the volume in voxels", needed, limit });
+    }
+    let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
+        label: Some("voxels"),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers: depth },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D3,
+        format,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    let bytes_per_row = width * volume.voxels().bytes_per_voxel() as u32;
+    let bytes_per_slice = bytes_per_row as usize * height as usize;
+    let slices_per_slab = (SLAB_BYTES / bytes_per_slice).max(1);
+    for (slab, bytes) in bytes.chunks(slices_per_slab * bytes_per_slice).enumerate() {
+        gpu.queue().write_texture(
+            wgpu::TexelCopyTextureInfo {
+                texture: &texture,
+                mip_level: 0,
+                origin: wgpu::Origin3d { x: 0, y: 0, z: (slab * slices_per_slab) as u32 },
+                aspect: wgpu::TextureAspect::All,
+            },
+            bytes,
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(bytes_per_row),
+                rows_per_image: Some(height),
+            },
+            wgpu::Extent3d { width, height, depth_or_array_layers: (bytes.len() / bytes_per_slice) as u32 },
+        );
+        // Each slab has its own staging memory, which is free again once it has arrived.
+        gpu.queue().submit([]);
+        gpu.wait("uploading the volume")?;
+    }
+    Ok((kind, texture))
+}
+
+/// Bytes of a volume that are staged at a time.
+const SLAB_BYTES: usize = 32 << 20;

@@ -1,0 +1,235 @@
+//! Guards of the shaders that need no GPU: every concatenation is valid WGSL, and what it shares with Rust is the same
+//! there, names included.
+
+use std::collections::BTreeMap;
+
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::MAX_K;
+use wgpu::naga;
+
+use crate::gpu_types::{BLOCK, Band, Basis, Display, Raycaster, Scene, WORKGROUP_SIDE};
+use crate::shaders::{Kernel, TexelKind};
+
+/// A struct as (size, fields); a field as (name, offset, size).
+type Layout = (usize, Vec<(String, usize, usize)>);
+
+/// The layout of a Rust struct. The pattern is exhaustive: a field cannot be forgotten.
+macro_rules! layout {
+    ($type:ident { $($field:ident),+ }) => {{
+        let $type { $($field),+ } = <$type as bytemuck::Zeroable>::zeroed();
+        let fields = vec![$((
+            stringify!($field).to_owned(),
+            std::mem::offset_of!($type, $field),
+            size_of_val(&$field),
+        )),+];
+        (stringify!($type), (size_of::<$type>(), fields))
+    }};
+}
+
+fn rust_layouts() -> BTreeMap<&'static str, Layout> {
+    [
+        layout!(Basis { eye, near, forward, far, right, width, up, height }),
+        layout!(Scene {
+            bounds_min,
+            x_scale,
+            bounds_max,
+            x_offset,
+            voxel_from_world,
+            step_length,
+            half_dims,
+            shaded,
+            light,
+            half_gradient,
+            dims,
+            ambient,
+            brick_dims,
+            diffuse
+        }),
+        layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
+        layout!(Raycaster { basis, bounds_min, units_per_depth, bounds_max, has_frame }),
+        layout!(Display { background, encode_srgb }),
+    ]
+    .into_iter()
+    .collect()
+}
+
+fn all_kernels() -> Vec<Kernel> {
+    let mut kernels = vec![Kernel::Compact, Kernel::RaycastCompute, Kernel::RaycastView];
+    for kind in [TexelKind::Uint, TexelKind::Float] {
+        kernels.push(Kernel::Render(kind));
+        for layering in Layering::ALL {
+            kernels.extend((1..=MAX_K as u8).map(|k| Kernel::Generate(kind, layering, k)));
+        }
+    }
+    kernels
+}
+
+fn parse(source: &str) -> Result<naga::Module, String> {
+    naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))
+}
+
+/// Parses and validates with what wgpu's default features allow.
+fn check(source: &str) -> Result<naga::Module, String> {
+    let module = parse(source)?;
+    let mut validator =
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+    validator.validate(&module).map_err(|e| e.emit_to_string(source))?;
+    Ok(module)
+}
+
+/// The layout of the named struct of a module.
+fn wgsl_layout(module: &naga::Module, name: &str) -> Option<Layout> {
+    let context = module.to_ctx();
+    module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).and_then(|(_, ty)| match &ty.inner {
+        naga::TypeInner::Struct { members, span } => {
+            let field = |m: &naga::StructMember| {
+                let size = module.types[m.ty].inner.size(context) as usize;
+                (m.name.clone().unwrap_or_default(), m.offset as usize, size)
+            };
+            Some((*span as usize, members.iter().map(field).collect()))
+        }
+        _ => None,
+    })
+}
+
+/// Numeric constants of a module, by name.
+fn wgsl_constants(module: &naga::Module) -> BTreeMap<String, f64> {
+    let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
+        naga::Expression::Literal(naga::Literal::F32(x)) => Some(f64::from(x)),
+        naga::Expression::Literal(naga::Literal::U32(x)) => Some(f64::from(x)),
+        naga::Expression::Literal(naga::Literal::I32(x)) => Some(f64::from(x)),
+        _ => None,
+    };
+    module.constants.iter().filter_map(|(_, c)| Some((c.name.clone()?, value(c)?))).collect()
+}
+
+/// Constants with a literal value in Rust text, private ones too, as the `f32` they are.
+fn rust_constants(text: &str) -> BTreeMap<String, f64> {
+    let parse_line = |line: &str| {
+        let line = line.trim().trim_start_matches("pub ").strip_prefix("const ")?;
+        let (name, rest) = line.split_once(':')?;
+        let (ty, value) = rest.trim_end_matches(';').split_once('=')?;
+        let value = value.trim().replace('_', "");
+        let value =
+            if ty.trim() == "f32" { f64::from(value.parse::<f32>().ok()?) } else { value.parse().ok()? };
+        Some((name.trim().to_owned(), value))
+    };
+    text.lines().filter_map(parse_line).collect()
+}
+
+/// The Rust twins of the parts of the shaders.
+const TWINS: [&str; 9] = [
+    include_str!("../../core/src/space.rs"),
+    include_str!("../../core/src/layer.rs"),
+    include_str!("../../core/src/transfer.rs"),
+    include_str!("../../core/src/volume/bricks.rs"),
+    include_str!("../../core/src/kernels/march.rs"),
+    include_str!("../../core/src/kernels/raycast.rs"),
+    include_str!("../../core/src/kernels/layering/mod.rs"),
+    include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
+    include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
+];
+
+/// Constants of the shaders that the twins express otherwise.
+const SHADER_ONLY: [&str; 6] = ["K", "BLOCK", "HALF_NORMAL_MIN", "HALF_SUBNORMAL", "NEVER", "OUT_OF_REACH"];
+
+#[test]
+fn every_concatenation_is_valid() {
+    for kernel in all_kernels() {
+        if let Err(e) = check(&kernel.source()) {
+            panic!("{kernel:?}: {e}");
+        }
+    }
+    // Negative control: a call of a function that a missing part would define.
+    let without_sink = Kernel::Render(TexelKind::Uint).source().replace("fn sink_step", "fn other_step");
+    assert!(check(&without_sink).is_err());
+}
+
+#[test]
+fn shared_structs_have_the_layout_of_their_mirrors() {
+    let mut seen = BTreeMap::new();
+    for kernel in all_kernels() {
+        let module = check(&kernel.source()).unwrap();
+        for (name, expected) in rust_layouts() {
+            if let Some(found) = wgsl_layout(&module, name) {
+                assert_eq!(found, expected, "struct {name} in {kernel:?}");
+                seen.insert(name, ());
+            }
+        }
+        // Every uniform is one of the mirrored structs.
+        for (_, variable) in module.global_variables.iter() {
+            if variable.space == naga::AddressSpace::Uniform {
+                let name = module.types[variable.ty].name.as_deref().unwrap_or_default();
+                assert!(rust_layouts().contains_key(name), "uniform {:?} of type {name}", variable.name);
+            }
+        }
+    }
+    assert_eq!(seen.len(), rust_layouts().len());
+}
+
+#[test]
+fn a_shifted_or_renamed_field_is_noticed() {
+    let source = Kernel::Render(TexelKind::Uint).source();
+    let layouts = rust_layouts();
+    for (from, to) in [
+        ("    x_scale: f32,\n    bounds_max: vec3f,\n", "    bounds_max: vec3f,\n    x_scale: f32,\n"),
+        ("    step_length: f32,\n", ""),
+        ("    ambient: f32,\n", "    brightness: f32,\n"),
+        ("    dims: vec3i,\n", "    dims: vec2i,\n"),
+    ] {
+        assert!(source.contains(from), "{from}");
+        let module = parse(
+            &source
+                .replacen(from, to, 1)
+                .replace("scene.step_length", "1.0")
+                .replace("scene.ambient", "1.0")
+                .replace("scene.dims", "vec3i(1)"),
+        )
+        .unwrap();
+        assert_ne!(wgsl_layout(&module, "Scene").as_ref(), Some(&layouts["Scene"]), "{from}");
+    }
+}
+
+#[test]
+fn shared_constants_have_the_values_of_the_twins() {
+    let mut twin = BTreeMap::new();
+    for text in TWINS {
+        for (name, value) in rust_constants(text) {
+            assert!(
+                twin.insert(name.clone(), value).is_none_or(|v| v == value),
+                "two values of {name} in core"
+            );
+        }
+    }
+    let mut compared = 0;
+    for kernel in all_kernels() {
+        let constants = wgsl_constants(&check(&kernel.source()).unwrap());
+        for (name, value) in constants.iter().filter(|(name, _)| !SHADER_ONLY.contains(&name.as_str())) {
+            let expected =
+                twin.get(name).unwrap_or_else(|| panic!("no constant {name} in the twins of {kernel:?}"));
+            // Bricks and bins are integers on one side and floats on the other; all are exact as f32.
+            assert_eq!(value, expected, "{name} in {kernel:?}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 0);
+    // Negative control: the reader of constants reads them.
+    assert_eq!(twin["TRANSMITTANCE_MIN"], f64::from(1e-4f32));
+    assert_ne!(twin["TAU_MIN"], twin["MIN_SLOPE"]);
+    let compact = wgsl_constants(&check(&Kernel::Compact.source()).unwrap());
+    assert_eq!(compact["BLOCK"], f64::from(BLOCK));
+}
+
+#[test]
+fn workgroups_are_those_that_the_host_dispatches() {
+    for kernel in all_kernels() {
+        for entry in check(&kernel.source()).unwrap().entry_points {
+            let expected = match (kernel, entry.stage) {
+                (_, naga::ShaderStage::Vertex | naga::ShaderStage::Fragment) => continue,
+                (Kernel::Compact, _) => [BLOCK, 1, 1],
+                _ => [WORKGROUP_SIDE, WORKGROUP_SIDE, 1],
+            };
+            assert_eq!(entry.workgroup_size, expected, "{}", entry.name);
+        }
+    }
+}

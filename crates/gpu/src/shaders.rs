@@ -1,0 +1,75 @@
+//! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
+
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::MAX_K;
+
+/// How the voxels are stored, as far as a shader can tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TexelKind {
+    /// 8- and 16-bit unsigned integers.
+    Uint,
+    /// Single-precision floats.
+    Float,
+}
+
+/// A kernel in one of its variants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kernel {
+    /// Entry point `render`.
+    Render(TexelKind),
+    /// Entry point `generate`: rule and greatest list length.
+    Generate(TexelKind, Layering, u8),
+    /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
+    Compact,
+    /// Entry point `raycast`.
+    RaycastCompute,
+    /// Entry points `view_vertex`, `view_fragment`.
+    RaycastView,
+}
+
+impl Kernel {
+    /// The whole WGSL text.
+    pub(crate) fn source(self) -> String {
+        let parts: &[&str] = match self {
+            Self::Render(kind) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, RENDER],
+            Self::Generate(kind, layering, k) => {
+                let rule = match layering {
+                    Layering::VisibilityMerge => VISIBILITY_MERGE,
+                    Layering::EqualTransmittance => EQUAL_TRANSMITTANCE,
+                };
+                let k = usize::from(k).clamp(1, MAX_K);
+                let k = format!("const K: u32 = {k}u;\n");
+                return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, rule].concat();
+            }
+            Self::Compact => &[TYPES, COMPACT],
+            Self::RaycastCompute => &[TYPES, SPACE, LAYER, RAYCAST, RAYCAST_COMPUTE],
+            Self::RaycastView => &[TYPES, SPACE, LAYER, PICTURE, RAYCAST, RAYCAST_VIEW],
+        };
+        parts.concat()
+    }
+}
+
+impl TexelKind {
+    fn part(self) -> &'static str {
+        match self {
+            Self::Uint => TEXELS_UINT,
+            Self::Float => TEXELS_FLOAT,
+        }
+    }
+}
+
+const TYPES: &str = include_str!("../../../shaders/shared/types.wgsl");
+const SPACE: &str = include_str!("../../../shaders/shared/space.wgsl");
+const LAYER: &str = include_str!("../../../shaders/shared/layer.wgsl");
+const PICTURE: &str = include_str!("../../../shaders/shared/picture.wgsl");
+const TEXELS_UINT: &str = include_str!("../../../shaders/shared/texels_uint.wgsl");
+const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wgsl");
+const MARCH: &str = include_str!("../../../shaders/march.wgsl");
+const RENDER: &str = include_str!("../../../shaders/render.wgsl");
+const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
+const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");
+const EQUAL_TRANSMITTANCE: &str = include_str!("../../../shaders/layering/equal_transmittance.wgsl");
+const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
+const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
+const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
+const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");

@@ -1,0 +1,76 @@
+// Lists of segments from the steps of a march. Twin of crates/core/src/kernels/layering/mod.rs.
+//
+// Before this part stands a generated line, the greatest length of a list: const K: u32 = …;
+// The part after this one is the rule:
+//   fn generate_list(ray: Ray, lattice: Lattice)
+// marches and leaves the list in `list`. The lists go to slots; layering/compact.wgsl packs them.
+
+@group(1) @binding(0) var<uniform> camera: Basis;
+@group(1) @binding(1) var<uniform> band: Band;
+// Length of each list of the band.
+@group(1) @binding(2) var<storage, read_write> counts: array<u32>;
+// Packed words of segment j of list i at (3·j + word)·num_pixels + i: neighbouring invocations write side by side.
+@group(1) @binding(3) var<storage, read_write> slots: array<u32>;
+
+// A segment while it is made: world distances along the ray instead of depth units.
+struct OpenSegment {
+    c: vec3f,
+    tau: f32,
+    s0: f32,
+    s1: f32,
+}
+
+// One more than K: visibility-merge opens a segment before it merges two.
+struct SegmentList {
+    len: u32,
+    segments: array<OpenSegment, K + 1>,
+}
+
+var<private> list: SegmentList;
+
+fn push(segment: OpenSegment) {
+    list.segments[list.len] = segment;
+    list.len += 1u;
+}
+
+@compute @workgroup_size(8, 8)
+fn generate(@builtin(global_invocation_id) id: vec3u) {
+    let width = u32(camera.width);
+    if (id.x >= width || id.y >= band.num_rows) {
+        return;
+    }
+    let from_camera = basis_ray(camera, f32(id.x) + 0.5, f32(band.first_row + id.y) + 0.5);
+    let lattice = scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth);
+    list.len = 0u;
+    if (lattice.n > 0u) {
+        generate_list(from_camera.ray, lattice);
+    }
+    let i = id.y * width + id.x;
+    let len = min(list.len, K);
+    counts[i] = len;
+    var last_back = 0u;
+    for (var j = 0u; j < len; j++) {
+        let segment = close_segment(list.segments[j], from_camera.s_per_depth, last_back);
+        last_back = segment.back;
+        let words = pack(segment);
+        slots[3u * j * band.num_pixels + i] = words.x;
+        slots[(3u * j + 1u) * band.num_pixels + i] = words.y;
+        slots[(3u * j + 2u) * band.num_pixels + i] = words.z;
+    }
+}
+
+// Rounds the ends of a segment to depth units, behind last_back. A segment thinner than MIN_UNITS is made so
+// thick; the units kept free at the far end are for those.
+fn close_segment(segment: OpenSegment, s_per_depth: f32, last_back: u32) -> Segment {
+    let front = max(units(segment.s0 / s_per_depth), last_back);
+    let back = max(units(segment.s1 / s_per_depth), front + MIN_UNITS);
+    return Segment(front, back, segment.c, min(segment.tau, TAU_MAX));
+}
+
+fn units(depth: f32) -> u32 {
+    let greatest = DEPTH_UNITS - f32(MAX_K * MIN_UNITS);
+    return u32(clamp(depth_to_units(camera, depth) + 0.5, 0.0, greatest));
+}
+
+// Least thickness of a segment in depth units.
+const MIN_UNITS: u32 = 4;

@@ -1,0 +1,194 @@
+// The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
+// crates/core/src/kernels/march.rs; the derivations are there.
+//
+// The part after this one defines what becomes of the steps:
+//   fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool
+// takes a step from world distance s0 to s1 with premultiplied colour c and optical depth tau > 0, and returns whether
+// the march shall go on.
+
+@group(0) @binding(0) var<uniform> scene: Scene;
+@group(0) @binding(1) var<storage, read> table: TransferTable;
+@group(0) @binding(2) var<storage, read> occupancy: array<u32>;
+
+// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. No steps if the ray misses.
+struct Lattice {
+    s0: f32,
+    h: f32,
+    n: u32,
+}
+
+fn scene_lattice(ray: Ray, near: f32) -> Lattice {
+    let clipped = clip_box(scene.bounds_min, scene.bounds_max, ray);
+    let s0 = max(clipped.s0, near);
+    let s1 = clipped.s1;
+    if (s1 <= s0) {
+        return Lattice(0.0, 0.0, 0u);
+    }
+    let n = clamp(ceil((s1 - s0) / scene.step_length), 1.0, MAX_STEPS);
+    return Lattice(s0, (s1 - s0) / n, u32(n));
+}
+
+fn occupied(brick: vec3u) -> bool {
+    let i = (brick.z * scene.brick_dims.y + brick.y) * scene.brick_dims.x + brick.x;
+    return ((occupancy[i / 32u] >> (i % 32u)) & 1u) != 0u;
+}
+
+fn march(ray: Ray, lattice: Lattice) {
+    let s0 = lattice.s0;
+    let h = lattice.h;
+    let n = lattice.n;
+    let origin = ray.origin * scene.voxel_from_world + scene.half_dims;
+    let dir = safe_dir(ray.dir * scene.voxel_from_world);
+    let inv_dir = 1.0 / dir;
+    let leaves_high = select(vec3f(0.0), vec3f(f32(BRICK)), dir > vec3f(0.0));
+    let max_brick = vec3f(scene.brick_dims) - 1.0;
+    var i = 0u;
+    // Position x in the domain of the last sample, if it was lattice point i.
+    var x_front = 0.0;
+    var has_x_front = false;
+    while (i < n) {
+        let s_front = s0 + f32(i) * h;
+        let p_front = origin + dir * s_front;
+        let brick = clamp(floor(p_front * (1.0 / f32(BRICK))), vec3f(0.0), max_brick);
+        if (!occupied(vec3u(brick))) {
+            let exits = (brick * f32(BRICK) + leaves_high - origin) * inv_dir;
+            let exit = min(min(exits.x, exits.y), exits.z);
+            // The last lattice point inside the brick.
+            let j = u32(clamp(floor((exit - s0) / h), 0.0, f32(n)));
+            if (j > i) {
+                i = j;
+                has_x_front = false;
+                continue;
+            }
+        }
+        var x0 = x_front;
+        if (!has_x_front) {
+            x0 = domain_at(p_front);
+        }
+        let s_back = s0 + f32(i + 1u) * h;
+        let x1 = domain_at(origin + dir * s_back);
+        let classified = classify(x0, x1, h);
+        let tau = classified.w;
+        if (tau > TAU_MIN) {
+            let c = classified.xyz * shade(origin + dir * (s_front + 0.5 * h)) * opacity(tau);
+            if (!sink_step(s_front, s_back, c, tau)) {
+                return;
+            }
+        }
+        x_front = x1;
+        has_x_front = true;
+        i += 1u;
+    }
+}
+
+// Colour (not premultiplied) and, in w, optical depth of a step of length h between the domain positions x0, x1.
+fn classify(x0: f32, x1: f32, h: f32) -> vec4f {
+    let dx = x1 - x0;
+    if (abs(dx) < 0.5 / f32(TABLE_BINS)) {
+        let m = lookup_density(0.5 * (x0 + x1));
+        let sigma = m.w;
+        if (sigma <= 0.0) {
+            return vec4f(0.0);
+        }
+        return vec4f(m.xyz / sigma, sigma * h);
+    }
+    let a = lookup_integral(x0);
+    let b = lookup_integral(x1);
+    let d_t = b.w - a.w;
+    if (d_t == 0.0) {
+        return vec4f(0.0);
+    }
+    let color = (b.xyz - a.xyz) / d_t;
+    return vec4f(clamp(color, vec3f(0.0), vec3f(1.0)), h * d_t / dx);
+}
+
+// Trilinear sample at a point of voxel space, as a position in the transfer function's domain.
+fn domain_at(p: vec3f) -> f32 {
+    let u = p - 0.5;
+    let c = vec3i(floor(u));
+    let t = u - floor(u);
+    let x00 = lerp(v(c, 0, 0, 0), v(c, 1, 0, 0), t.x);
+    let x10 = lerp(v(c, 0, 1, 0), v(c, 1, 1, 0), t.x);
+    let x01 = lerp(v(c, 0, 0, 1), v(c, 1, 0, 1), t.x);
+    let x11 = lerp(v(c, 0, 1, 1), v(c, 1, 1, 1), t.x);
+    let value = lerp(lerp(x00, x10, t.y), lerp(x01, x11, t.y), t.z);
+    return clamp(value * scene.x_scale + scene.x_offset, 0.0, 1.0);
+}
+
+// Brightness of matter at a point of voxel space, from the gradient: central differences over one voxel, interpolated
+// trilinearly.
+fn shade(p: vec3f) -> f32 {
+    if (scene.shaded == 0u) {
+        return 1.0;
+    }
+    let u = p - 0.5;
+    let c = vec3i(floor(u));
+    let t = u - floor(u);
+    let gx = lerp(
+        lerp(row_x(c, 0, 0, t.x), row_x(c, 1, 0, t.x), t.y),
+        lerp(row_x(c, 0, 1, t.x), row_x(c, 1, 1, t.x), t.y),
+        t.z,
+    );
+    let gy = lerp(
+        lerp(row_y(c, 0, 0, t.y), row_y(c, 1, 0, t.y), t.x),
+        lerp(row_y(c, 0, 1, t.y), row_y(c, 1, 1, t.y), t.x),
+        t.z,
+    );
+    let gz = lerp(
+        lerp(row_z(c, 0, 0, t.z), row_z(c, 1, 0, t.z), t.x),
+        lerp(row_z(c, 0, 1, t.z), row_z(c, 1, 1, t.z), t.x),
+        t.y,
+    );
+    let per_voxel = vec3f(gx, gy, gz) * (0.5 * scene.x_scale);
+    let strength = dot(per_voxel, per_voxel);
+    let normal = per_voxel * scene.voxel_from_world;
+    let length_squared = dot(normal, normal);
+    if (length_squared <= 0.0) {
+        return scene.ambient + scene.diffuse * 0.5;
+    }
+    let lambert = abs(dot(normal, scene.light) / sqrt(length_squared));
+    let weight = strength / (strength + scene.half_gradient * scene.half_gradient);
+    return scene.ambient + scene.diffuse * lerp(0.5, lambert, weight);
+}
+
+fn row_x(c: vec3i, dy: i32, dz: i32, t: f32) -> f32 {
+    return lerp(v(c, 1, dy, dz) - v(c, -1, dy, dz), v(c, 2, dy, dz) - v(c, 0, dy, dz), t);
+}
+
+fn row_y(c: vec3i, dx: i32, dz: i32, t: f32) -> f32 {
+    return lerp(v(c, dx, 1, dz) - v(c, dx, -1, dz), v(c, dx, 2, dz) - v(c, dx, 0, dz), t);
+}
+
+fn row_z(c: vec3i, dx: i32, dy: i32, t: f32) -> f32 {
+    return lerp(v(c, dx, dy, 1) - v(c, dx, dy, -1), v(c, dx, dy, 2) - v(c, dx, dy, 0), t);
+}
+
+// The stored number beside the corner c of a cell, clamped to the grid.
+fn v(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
+    return stored(clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1));
+}
+
+// Linear interpolation in a table over [0, 1].
+fn lookup_density(x: f32) -> vec4f {
+    let u = x * f32(TABLE_BINS);
+    let i = min(u32(u), TABLE_BINS - 1u);
+    let a = table.density[i];
+    return a + (table.density[i + 1u] - a) * (u - f32(i));
+}
+
+fn lookup_integral(x: f32) -> vec4f {
+    let u = x * f32(TABLE_BINS);
+    let i = min(u32(u), TABLE_BINS - 1u);
+    let a = table.integral[i];
+    return a + (table.integral[i + 1u] - a) * (u - f32(i));
+}
+
+// a + (b − a)·t, in this form: the built-in mix may be evaluated in another.
+fn lerp(a: f32, b: f32, t: f32) -> f32 {
+    return a + (b - a) * t;
+}
+
+// Steps at or below this optical depth are dropped.
+const TAU_MIN: f32 = 1e-7;
+// Bound on the steps of one ray.
+const MAX_STEPS: f32 = 65536.0;

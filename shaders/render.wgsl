@@ -1,0 +1,26 @@
+// The picture of the volume from a camera: full volume rendering. Second half of the twin
+// crates/core/src/kernels/march.rs (OverSink, render).
+
+@group(1) @binding(0) var<uniform> camera: Basis;
+@group(1) @binding(1) var<uniform> band: Band;
+// Premultiplied linear colour of the band's pixels.
+@group(1) @binding(2) var<storage, read_write> pixels: array<vec4f>;
+
+var<private> over_sink: Over;
+
+fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool {
+    over_sink = over_add(over_sink, c, tau);
+    return over_sink.transmittance > TRANSMITTANCE_MIN;
+}
+
+@compute @workgroup_size(8, 8)
+fn render(@builtin(global_invocation_id) id: vec3u) {
+    let width = u32(camera.width);
+    if (id.x >= width || id.y >= band.num_rows) {
+        return;
+    }
+    let from_camera = basis_ray(camera, f32(id.x) + 0.5, f32(band.first_row + id.y) + 0.5);
+    over_sink = over_identity();
+    march(from_camera.ray, scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth));
+    pixels[id.y * width + id.x] = over_rgba(over_sink);
+}

@@ -1,0 +1,73 @@
+// What the kernels and the host share: the same structs, names and constants as crates/gpu/src/gpu_types.rs. Every
+// kernel is a plain concatenation of parts, in the order that crates/gpu/src/shaders.rs states; this part is first.
+
+// A camera as an eye and three vectors (core::camera::Basis), with the depth interval of the camera.
+struct Basis {
+    eye: vec3f,
+    near: f32,
+    forward: vec3f,
+    far: f32,
+    right: vec3f,
+    width: f32,
+    up: vec3f,
+    height: f32,
+}
+
+// A volume, its look and what is constant over all rays (core::kernels::march::{Scene, Marcher}).
+struct Scene {
+    bounds_min: vec3f,
+    x_scale: f32,
+    bounds_max: vec3f,
+    x_offset: f32,
+    voxel_from_world: vec3f,
+    // Greatest step, world units.
+    step_length: f32,
+    half_dims: vec3f,
+    // Whether to shade at all.
+    shaded: u32,
+    light: vec3f,
+    half_gradient: f32,
+    dims: vec3i,
+    ambient: f32,
+    // Bricks along x, y, z.
+    brick_dims: vec3u,
+    diffuse: f32,
+}
+
+// core::transfer::TransferTable.
+struct TransferTable {
+    integral: array<vec4f, TABLE_BINS + 1>,
+    density: array<vec4f, TABLE_BINS + 1>,
+}
+
+// The rows of a picture that one dispatch works on.
+struct Band {
+    first_row: u32,
+    num_rows: u32,
+    first_pixel: u32,
+    num_pixels: u32,
+}
+
+// A layered frame with what is constant over all new rays (core::kernels::raycast::Raycaster).
+struct Raycaster {
+    basis: Basis,
+    // The volume's box with a margin.
+    bounds_min: vec3f,
+    units_per_depth: f32,
+    bounds_max: vec3f,
+    // 0 before the first frame.
+    has_frame: u32,
+}
+
+// How a picture goes to the screen.
+struct Display {
+    // Linear colour behind the volume.
+    background: vec3f,
+    // Whether the target stores what it is given, so that the shader encodes.
+    encode_srgb: u32,
+}
+
+// Bins of a transfer table.
+const TABLE_BINS: u32 = 1024;
+// Voxels along the side of a brick.
+const BRICK: u32 = 8;
