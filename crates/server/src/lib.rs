@@ -1,1 +1,128 @@
-//! placeholder
+//! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own
+//! pose and look.
+//!
+//! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
+//! waiting, so all get the same share. A viewer's frame is always made for the newest pose that has arrived, and none
+//! is made for a pose that has been answered. This crate opens no files and no window.
+
+mod generator;
+mod serving;
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+
+use isinglass_core::codec;
+use isinglass_core::ids::LookVersion;
+use isinglass_core::kernels::march::{MarchSettings, Scene, Shading};
+use isinglass_core::look::Look;
+use isinglass_core::volume::Volume;
+use isinglass_core::wire::VolumeDescription;
+use isinglass_gpu::{Backend, GpuError};
+use isinglass_net::{BindError, Greeting, Identity, Link, Server};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+
+pub use generator::{Generated, Generator};
+
+/// What to serve, and how.
+pub struct ServeOptions {
+    /// The volume.
+    pub volume: Arc<Volume>,
+    /// The look that viewers begin with; must be valid.
+    pub look: Look,
+    /// Where kernels run.
+    pub backend: Backend,
+    /// Address to listen on; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// How frames are encoded.
+    pub codec: codec::Settings,
+    /// Viewers at the same time.
+    pub max_viewers: u32,
+}
+
+/// Why there is no server.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The renderer could not be made.
+    #[error("cannot render this volume: {0}")]
+    Renderer(#[from] GpuError),
+    /// The address cannot be used.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// There is no certificate.
+    #[error(transparent)]
+    Identity(#[from] isinglass_net::IdentityError),
+    /// The thread of the renderer could not be started.
+    #[error("cannot start the rendering thread: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A server at work. It stops when this is dropped; [`RunningServer::close`] also tells the viewers.
+pub struct RunningServer {
+    address: SocketAddr,
+    commands: mpsc::Sender<Command>,
+    serving: JoinHandle<()>,
+}
+
+/// What the owner of a server asks of its task.
+enum Command {
+    MintLink { host: String, reply: oneshot::Sender<Result<Link, BindError>> },
+    Close,
+}
+
+/// Starts to serve. Must be called within a tokio runtime with more than one thread, which then drives the server.
+///
+/// # Errors
+/// If the address is taken or the volume does not fit the backend.
+pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
+    let ServeOptions { volume, look, backend, listen, codec, max_viewers } = options;
+    let scene = Scene::new(volume, &look.transfer, march_settings(&look));
+    let bounds = scene.volume.bounds();
+    let greeting = Greeting {
+        volume: VolumeDescription::of(&scene.volume, &scene.histogram),
+        look_version: LookVersion(1),
+        look: look.clone(),
+    };
+    let identity = Identity::generate()?;
+    let server =
+        Server::bind(listen, &identity, isinglass_net::ServerOptions { max_viewers }, greeting)?;
+    let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
+    let generator = Generator::start(&backend, scene, look.clone())?;
+    let (commands, receiver) = mpsc::channel(1);
+    let serving = tokio::spawn(serving::serve(server, generator, bounds, look, codec, receiver));
+    tracing::info!(%address, backend = backend.description(), "serving");
+    Ok(RunningServer { address, commands, serving })
+}
+
+/// How the volume is marched under a look.
+pub fn march_settings(look: &Look) -> MarchSettings {
+    MarchSettings { shading: look.shaded.then(Shading::default), ..MarchSettings::default() }
+}
+
+impl RunningServer {
+    /// The address that is listened on, with its real port.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// A new link that lets in one viewer, who reaches this server as `host`, or at its own address.
+    ///
+    /// # Errors
+    /// If there are no random numbers or no places.
+    pub async fn mint_link(&self, host: Option<&str>) -> Result<Link, BindError> {
+        let own = match self.address.ip() {
+            ip if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
+            ip => ip,
+        };
+        let (reply, answer) = oneshot::channel();
+        let host = host.map_or_else(|| own.to_string(), str::to_owned);
+        let _ = self.commands.send(Command::MintLink { host, reply }).await;
+        answer.await.unwrap_or(Err(BindError::NoPlaces))
+    }
+
+    /// Ends all sessions and waits, for a short time, until the viewers know.
+    pub async fn close(self) {
+        let _ = self.commands.send(Command::Close).await;
+        let _ = self.serving.await;
+    }
+}

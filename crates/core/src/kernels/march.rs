@@ -116,11 +116,25 @@ pub struct Lattice {
     pub n: u32,
 }
 
+/// A visible step of a march.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Step {
+    /// World distance of the front.
+    pub s0: f32,
+    /// World distance of the back.
+    pub s1: f32,
+    /// Premultiplied colour of the step on its own.
+    pub c: Vec3,
+    /// Optical depth, above [`TAU_MIN`].
+    pub tau: f32,
+    /// Opacity, 1 − e^−τ.
+    pub alpha: f32,
+}
+
 /// Takes the visible steps of a ray, front to back.
 pub trait Sink {
-    /// A step from world distance `s0` to `s1` with premultiplied colour `c` and optical depth `tau` > 0. Returns
-    /// whether the march shall go on.
-    fn step(&mut self, s0: f32, s1: f32, c: Vec3, tau: f32) -> bool;
+    /// Takes the next step. Returns whether the march shall go on.
+    fn step(&mut self, step: Step) -> bool;
 }
 
 /// Opacity of optical depth `tau`, accurate for small ones too.
@@ -178,6 +192,7 @@ pub struct Marcher<'a, T> {
     scene: &'a Scene,
     texels: T,
     dims: [i32; 3],
+    strides: [usize; 3],
     voxel_from_world: Vec3,
     half_dims: Vec3,
     max_brick: Vec3,
@@ -192,6 +207,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             scene,
             texels,
             dims: dims.map(|d| d as i32),
+            strides: [1, dims[0] as usize, dims[0] as usize * dims[1] as usize],
             voxel_from_world: scene.volume.spacing().recip(),
             half_dims: scene.volume.dims_f32() * 0.5,
             max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
@@ -227,8 +243,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
             let x1 = self.domain_at(origin + dir * s_back);
             let (color, tau) = self.classify(x0, x1, h);
             if tau > TAU_MIN {
-                let c = color * self.shade(origin + dir * (s_front + 0.5 * h)) * opacity(tau);
-                if !sink.step(s_front, s_back, c, tau) {
+                let alpha = opacity(tau);
+                let c = color * (self.shade(origin + dir * (s_front + 0.5 * h)) * alpha);
+                if !sink.step(Step { s0: s_front, s1: s_back, c, tau, alpha }) {
                     return;
                 }
             }
@@ -262,7 +279,8 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// Trilinear sample at a point of voxel space, as a position in the transfer function's domain.
     fn domain_at(&self, p: Vec3) -> f32 {
         let (corner, t) = cell(p);
-        let v = |dx, dy, dz| self.texel(corner[0] + dx, corner[1] + dy, corner[2] + dz);
+        let [ix, iy, iz] = self.neighbours::<2>(corner, 0);
+        let v = |x: usize, y: usize, z: usize| self.texels.at(iz[z] + iy[y] + ix[x]);
         let x00 = mix(v(0, 0, 0), v(1, 0, 0), t.x);
         let x10 = mix(v(0, 1, 0), v(1, 1, 0), t.x);
         let x01 = mix(v(0, 0, 1), v(1, 0, 1), t.x);
@@ -276,14 +294,16 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// interpolated trilinearly.
     fn shade(&self, p: Vec3) -> f32 {
         let Some(shading) = self.scene.settings.shading else { return 1.0 };
-        let (c, t) = cell(p);
-        let v = |dx, dy, dz| self.texel(c[0] + dx, c[1] + dy, c[2] + dz);
-        let row_x = |dy, dz| mix(v(1, dy, dz) - v(-1, dy, dz), v(2, dy, dz) - v(0, dy, dz), t.x);
-        let row_y = |dx, dz| mix(v(dx, 1, dz) - v(dx, -1, dz), v(dx, 2, dz) - v(dx, 0, dz), t.y);
-        let row_z = |dx, dy| mix(v(dx, dy, 1) - v(dx, dy, -1), v(dx, dy, 2) - v(dx, dy, 0), t.z);
-        let gx = mix(mix(row_x(0, 0), row_x(1, 0), t.y), mix(row_x(0, 1), row_x(1, 1), t.y), t.z);
-        let gy = mix(mix(row_y(0, 0), row_y(1, 0), t.x), mix(row_y(0, 1), row_y(1, 1), t.x), t.z);
-        let gz = mix(mix(row_z(0, 0), row_z(1, 0), t.x), mix(row_z(0, 1), row_z(1, 1), t.x), t.y);
+        let (corner, t) = cell(p);
+        let [ix, iy, iz] = self.neighbours::<4>(corner, -1);
+        let v = |x: usize, y: usize, z: usize| self.texels.at(iz[z] + iy[y] + ix[x]);
+        // The corners of the cell have the indices 1 and 2.
+        let row_x = |y, z| mix(v(2, y, z) - v(0, y, z), v(3, y, z) - v(1, y, z), t.x);
+        let row_y = |x, z| mix(v(x, 2, z) - v(x, 0, z), v(x, 3, z) - v(x, 1, z), t.y);
+        let row_z = |x, y| mix(v(x, y, 2) - v(x, y, 0), v(x, y, 3) - v(x, y, 1), t.z);
+        let gx = mix(mix(row_x(1, 1), row_x(2, 1), t.y), mix(row_x(1, 2), row_x(2, 2), t.y), t.z);
+        let gy = mix(mix(row_y(1, 1), row_y(2, 1), t.x), mix(row_y(1, 2), row_y(2, 2), t.x), t.z);
+        let gz = mix(mix(row_z(1, 1), row_z(2, 1), t.x), mix(row_z(1, 2), row_z(2, 2), t.x), t.y);
         let per_voxel = Vec3::new(gx, gy, gz) * (0.5 * self.scene.table.x_scale);
         let strength = per_voxel.length_squared();
         let normal = per_voxel * self.voxel_from_world;
@@ -296,11 +316,14 @@ impl<'a, T: Texels> Marcher<'a, T> {
         shading.ambient + shading.diffuse * mix(0.5, lambert, weight)
     }
 
-    /// The stored number at integer coordinates, clamped to the grid.
-    fn texel(&self, x: i32, y: i32, z: i32) -> f32 {
-        let [nx, ny, nz] = self.dims;
-        let (x, y, z) = (x.clamp(0, nx - 1), y.clamp(0, ny - 1), z.clamp(0, nz - 1));
-        self.texels.at((z as usize * ny as usize + y as usize) * nx as usize + x as usize)
+    /// Memory offsets of `N` voxels along each axis, from `corner` + `first` on, clamped to the grid.
+    fn neighbours<const N: usize>(&self, corner: [i32; 3], first: i32) -> [[usize; N]; 3] {
+        std::array::from_fn(|axis| {
+            std::array::from_fn(|i| {
+                let at = corner[axis] + first + i as i32;
+                at.clamp(0, self.dims[axis] - 1) as usize * self.strides[axis]
+            })
+        })
     }
 }
 
@@ -309,8 +332,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
 struct OverSink(Over);
 
 impl Sink for OverSink {
-    fn step(&mut self, _s0: f32, _s1: f32, c: Vec3, tau: f32) -> bool {
-        self.0.add(c, tau);
+    fn step(&mut self, step: Step) -> bool {
+        self.0.c += step.c * self.0.transmittance;
+        self.0.transmittance *= 1.0 - step.alpha;
         self.0.transmittance > TRANSMITTANCE_MIN
     }
 }

@@ -8,7 +8,7 @@
 use glam::Vec3;
 
 use super::{OpenSegment, SegmentList};
-use crate::kernels::march::{Sink, TRANSMITTANCE_MIN, opacity};
+use crate::kernels::march::{Sink, Step, TRANSMITTANCE_MIN, opacity};
 
 /// March 1: transmittance of the whole ray and the end of its content.
 #[derive(Clone, Copy, Debug)]
@@ -24,9 +24,9 @@ impl Default for Profile {
 }
 
 impl Sink for Profile {
-    fn step(&mut self, _s0: f32, s1: f32, _c: Vec3, tau: f32) -> bool {
-        self.transmittance *= (-tau).exp();
-        self.s_last = s1;
+    fn step(&mut self, step: Step) -> bool {
+        self.transmittance *= 1.0 - step.alpha;
+        self.s_last = step.s1;
         self.transmittance > TRANSMITTANCE_MIN
     }
 }
@@ -39,7 +39,6 @@ pub struct Cuts {
     /// Optical depth from the start of the content to the next cut.
     tau_cut: f32,
     tau_total: f32,
-    transmittance: f32,
     open: Option<OpenSegment>,
     list: SegmentList,
 }
@@ -52,7 +51,6 @@ impl Cuts {
             profile,
             tau_cut: 0.0,
             tau_total: 0.0,
-            transmittance: 1.0,
             open: None,
             list: SegmentList::default(),
         };
@@ -71,8 +69,9 @@ impl Cuts {
 
     /// Adds a piece to the open segment; opens one at its front if there is none.
     fn extend(&mut self, s0: f32, s1: f32, c: Vec3, tau: f32) {
-        let open = self.open.get_or_insert(OpenSegment { s0, s1: s0, c: Vec3::ZERO, tau: 0.0 });
-        open.c += c * (-open.tau).exp();
+        let open = self.open.get_or_insert(OpenSegment { s0, s1: s0, ..OpenSegment::default() });
+        open.c += c * (1.0 - open.alpha);
+        open.alpha += opacity(tau) * (1.0 - open.alpha);
         open.tau += tau;
         open.s1 = s1;
     }
@@ -87,7 +86,8 @@ impl Cuts {
 }
 
 impl Sink for Cuts {
-    fn step(&mut self, mut s0: f32, s1: f32, mut c: Vec3, mut tau: f32) -> bool {
+    fn step(&mut self, step: Step) -> bool {
+        let Step { mut s0, s1, mut c, mut tau, .. } = step;
         while self.tau_total + tau > self.tau_cut && self.list.len + 1 < self.k {
             let part = ((self.tau_cut - self.tau_total) / tau).clamp(0.0, 1.0);
             let s_cut = s0 + (s1 - s0) * part;
@@ -101,12 +101,11 @@ impl Sink for Cuts {
             self.tau_total += tau * part;
             tau *= 1.0 - part;
             s0 = s_cut;
-            self.open = Some(OpenSegment { s0: s_cut, s1: s_cut, c: Vec3::ZERO, tau: 0.0 });
+            self.open = Some(OpenSegment { s0: s_cut, s1: s_cut, ..OpenSegment::default() });
             self.tau_cut = self.depth_of_cut(self.list.len + 1);
         }
         self.extend(s0, s1, c, tau);
         self.tau_total += tau;
-        self.transmittance *= (-tau).exp();
         s1 < self.profile.s_last
     }
 }

@@ -5,10 +5,9 @@
 pub mod equal_transmittance;
 pub mod visibility_merge;
 
-use glam::Vec3;
 use rayon::prelude::*;
 
-use super::march::{Marcher, Scene, Texels, with_texels};
+use super::march::{Marcher, Scene, Step, Texels, with_texels};
 use crate::camera::Camera;
 use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::space::Ray;
@@ -52,18 +51,8 @@ impl std::str::FromStr for Layering {
     }
 }
 
-/// A segment while it is made: world distances along the ray instead of depth units.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct OpenSegment {
-    /// World distance of the front.
-    pub s0: f32,
-    /// World distance of the back.
-    pub s1: f32,
-    /// Premultiplied colour of the whole on its own.
-    pub c: Vec3,
-    /// Optical depth of the whole.
-    pub tau: f32,
-}
+/// A segment while it is made: a step that may span many.
+pub type OpenSegment = Step;
 
 /// Up to [`MAX_K`] finished segments of one ray.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,10 +1,8 @@
 //! One march with at most K + 1 open segments; each step opens one, and when there are too many the neighbouring
 //! pair that costs least is merged (ours). Twin of `shaders/layering/visibility_merge.wgsl`.
 
-use glam::Vec3;
-
 use super::{OpenSegment, SegmentList};
-use crate::kernels::march::{Sink, opacity};
+use crate::kernels::march::{Sink, Step};
 use crate::layer::MAX_K;
 
 /// The open segments of one ray.
@@ -17,7 +15,7 @@ pub struct VisibilityMerge {
     open: [OpenSegment; MAX_K + 1],
     /// Cost of merging segment i with i + 1.
     cost: [f32; MAX_K + 1],
-    /// Transmittance in front of segment i.
+    /// Transmittance in front of segment i, at least [`VISIBILITY_FLOOR`].
     visibility: [f32; MAX_K + 1],
     transmittance: f32,
 }
@@ -38,8 +36,7 @@ impl VisibilityMerge {
 
     /// Cost of merging segment `i` with its neighbour behind.
     fn pair_cost(&self, i: usize) -> f32 {
-        let (a, b) = (&self.open[i], &self.open[i + 1]);
-        merge_cost(a, b, self.h) * self.visibility[i].max(VISIBILITY_FLOOR)
+        merge_cost(&self.open[i], &self.open[i + 1], self.h) * self.visibility[i]
     }
 
     /// Merges segment `i` with its neighbour behind and closes the ranks.
@@ -70,11 +67,11 @@ impl VisibilityMerge {
 }
 
 impl Sink for VisibilityMerge {
-    fn step(&mut self, s0: f32, s1: f32, c: Vec3, tau: f32) -> bool {
+    fn step(&mut self, step: Step) -> bool {
         let n = self.len;
-        self.open[n] = OpenSegment { s0, s1, c, tau };
-        self.visibility[n] = self.transmittance;
-        self.transmittance *= (-tau).exp();
+        self.open[n] = step;
+        self.visibility[n] = self.transmittance.max(VISIBILITY_FLOOR);
+        self.transmittance *= 1.0 - step.alpha;
         self.len = n + 1;
         if n > 0 {
             self.cost[n - 1] = self.pair_cost(n - 1);
@@ -94,15 +91,21 @@ impl Sink for VisibilityMerge {
 
 /// The homogeneous segment with the composite of `a` over `b`, from the front of `a` to the back of `b`.
 fn merged(a: &OpenSegment, b: &OpenSegment) -> OpenSegment {
-    OpenSegment { s0: a.s0, s1: b.s1, c: a.c + b.c * (-a.tau).exp(), tau: a.tau + b.tau }
+    OpenSegment {
+        s0: a.s0,
+        s1: b.s1,
+        c: a.c + b.c * (1.0 - a.alpha),
+        tau: a.tau + b.tau,
+        alpha: a.alpha + b.alpha * (1.0 - a.alpha),
+    }
 }
 
 /// The image error, seen from nearby views, of reading `a`, the gap and `b` as one homogeneous piece.
 ///
 /// Two things go wrong. Optical depth moves: from where it was to where an even spread puts it; what moves is half of
-/// the total variation between the two densities, and shows as its opacity. And the colours of the two pieces mix,
-/// which shows where both are opaque enough to be told apart. Seen at an angle, both errors are displaced by at most
-/// the length of the piece, so they grow with it.
+/// the total variation between the two densities, and shows as its opacity (here τ/(1 + τ), which saturates like it
+/// and needs no exponential). And the colours of the two pieces mix, which shows where both are opaque enough to be
+/// told apart. Seen at an angle, both errors are displaced by at most the length of the piece, so they grow with it.
 fn merge_cost(a: &OpenSegment, b: &OpenSegment, h: f32) -> f32 {
     let length = b.s1 - a.s0;
     let per_length = (a.tau + b.tau) / length;
@@ -111,9 +114,9 @@ fn merge_cost(a: &OpenSegment, b: &OpenSegment, h: f32) -> f32 {
         * ((a.tau - per_length * (a.s1 - a.s0)).abs()
             + (b.tau - per_length * (b.s1 - b.s0)).abs()
             + per_length * gap);
-    let (alpha_a, alpha_b) = (opacity(a.tau), opacity(b.tau));
-    let contrast = (a.c / alpha_a - b.c / alpha_b).abs().max_element();
-    (MOVED_WEIGHT * opacity(moved) + contrast * alpha_a * alpha_b) * (length / h)
+    // |Ea − Eb|·αa·αb with E = C/α.
+    let mixed = (a.c * b.alpha - b.c * a.alpha).abs().max_element();
+    (MOVED_WEIGHT * moved / (1.0 + moved) + mixed) * (length / h)
 }
 
 /// Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it. Between

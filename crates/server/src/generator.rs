@@ -1,0 +1,82 @@
+//! The thread that owns the renderer.
+
+use std::time::Instant;
+
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::look::Look;
+use isinglass_gpu::{Backend, GpuError, Renderer};
+use tokio::sync::{mpsc, oneshot};
+
+use crate::{ServeError, march_settings};
+
+/// Makes layered frames one after the other, in the order they are asked for. Clones share the thread, which ends
+/// with the last of them.
+#[derive(Clone)]
+pub struct Generator {
+    jobs: mpsc::Sender<Job>,
+}
+
+/// A frame and what it cost.
+pub struct Generated {
+    /// The frame.
+    pub frame: LayeredFrame,
+    /// Marching and layering, µs.
+    pub generate_micros: u64,
+}
+
+struct Job {
+    look: Look,
+    header: FrameHeader,
+    reply: oneshot::Sender<Result<Generated, GpuError>>,
+}
+
+impl Generator {
+    /// Puts a scene, which has `look`, on a thread of its own.
+    ///
+    /// # Errors
+    /// If the scene does not fit the backend, or there is no thread to be had.
+    pub fn start(backend: &Backend, scene: Scene, look: Look) -> Result<Self, ServeError> {
+        let renderer = backend.renderer(scene)?;
+        let (jobs, receiver) = mpsc::channel(MAX_JOBS);
+        std::thread::Builder::new()
+            .name("generator".into())
+            .spawn(move || work(renderer, look, receiver))
+            .map_err(ServeError::Thread)?;
+        Ok(Self { jobs })
+    }
+
+    /// The frame for `header` under a valid look. `None` if the thread has ended.
+    ///
+    /// # Errors
+    /// Whatever the GPU could not do.
+    pub async fn generate(&self, look: Look, header: FrameHeader) -> Option<Result<Generated, GpuError>> {
+        let (reply, answer) = oneshot::channel();
+        self.jobs.send(Job { look, header, reply }).await.ok()?;
+        answer.await.ok()
+    }
+}
+
+fn work(mut renderer: Renderer, mut look: Look, mut jobs: mpsc::Receiver<Job>) {
+    while let Some(job) = jobs.blocking_recv() {
+        // Nobody waits any more: the viewer has left while its frame was in the queue.
+        if job.reply.is_closed() {
+            continue;
+        }
+        let result = generate(&mut renderer, &mut look, &job);
+        let _ = job.reply.send(result);
+    }
+}
+
+fn generate(renderer: &mut Renderer, look: &mut Look, job: &Job) -> Result<Generated, GpuError> {
+    let started = Instant::now();
+    if job.look.transfer != look.transfer || job.look.shaded != look.shaded {
+        renderer.set_look(&job.look.transfer, march_settings(&job.look))?;
+        *look = job.look.clone();
+    }
+    let frame = renderer.generate(job.header, job.look.layering)?;
+    Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64 })
+}
+
+/// Every viewer waits for at most one frame; those beyond this wait to ask.
+const MAX_JOBS: usize = 16;

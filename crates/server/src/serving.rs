@@ -1,0 +1,219 @@
+//! The task of the server, and one task for each viewer.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::codec;
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::look::Look;
+use isinglass_core::session::server::Request;
+use isinglass_core::space::Aabb;
+use isinglass_core::wire::{PoseRequest, ServerStats};
+use isinglass_net::{Server, Session, SessionClosed};
+use tokio::sync::mpsc;
+use tokio::task::{JoinHandle, JoinSet};
+use tracing::Instrument;
+
+use crate::Command;
+use crate::generator::{Generated, Generator};
+
+/// Lets viewers in until told to close.
+pub(crate) async fn serve(
+    mut server: Server,
+    generator: Generator,
+    bounds: Aabb,
+    look: Look,
+    codec: codec::Settings,
+    mut commands: mpsc::Receiver<Command>,
+) {
+    let mut viewers = JoinSet::new();
+    loop {
+        tokio::select! {
+            session = server.accept() => {
+                let Some(session) = session else { break };
+                let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
+                let viewer = Viewer::new(session, generator.clone(), bounds, look.clone(), codec);
+                viewers.spawn(viewer.run().instrument(span));
+            }
+            Some(_) = viewers.join_next() => {}
+            command = commands.recv() => match command {
+                Some(Command::MintLink { host, reply }) => {
+                    let _ = reply.send(server.mint_link(&host));
+                }
+                Some(Command::Close) | None => break,
+            },
+        }
+    }
+    server.close().await;
+}
+
+/// One viewer: turns its newest pose into frames until the connection is over.
+struct Viewer {
+    session: Session,
+    generator: Generator,
+    bounds: Aabb,
+    look: Arc<Look>,
+    version: LookVersion,
+    codec: codec::Settings,
+    frame: FrameId,
+    /// What the newest frame was made for.
+    answered: Option<(PoseId, LookVersion)>,
+    /// Encoding and handing over of the frame before: runs while the next one is generated.
+    sending: Option<JoinHandle<Result<(), SessionClosed>>>,
+}
+
+impl Viewer {
+    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, codec: codec::Settings) -> Self {
+        Self {
+            session,
+            generator,
+            bounds,
+            look: Arc::new(look),
+            version: LookVersion(1),
+            codec,
+            frame: FrameId(0),
+            answered: None,
+            sending: None,
+        }
+    }
+
+    async fn run(mut self) {
+        tracing::info!("viewer connected");
+        while self.wait_for_work().await {
+            let Some(request) = *self.session.poses.borrow_and_update() else { continue };
+            if self.answered == Some((request.id, self.version)) {
+                continue;
+            }
+            if !self.answer(&request).await {
+                break;
+            }
+        }
+        tracing::info!(frames = self.frame.0, "viewer gone");
+    }
+
+    /// Waits for a pose or a request; false when the viewer has left.
+    async fn wait_for_work(&mut self) -> bool {
+        tokio::select! {
+            changed = self.session.poses.changed() => changed.is_ok(),
+            request = self.session.requests.recv() => match request {
+                Some(request) => self.take(request).await,
+                None => false,
+            },
+        }
+    }
+
+    async fn take(&mut self, request: Request) -> bool {
+        match request {
+            Request::SetLook(look) => {
+                tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
+                self.version = self.version.next();
+                self.look = Arc::new(look);
+                // The newest pose shall be answered again.
+                self.session.poses.mark_changed();
+                self.session.control.look_changed(self.version, (*self.look).clone()).await.is_ok()
+            }
+            Request::Stats(stats) => {
+                tracing::debug!(?stats, "viewer");
+                true
+            }
+            Request::Bye => false,
+        }
+    }
+
+    /// Generates the frame for a pose, and hands it over to be encoded and sent; false when the viewer has left.
+    async fn answer(&mut self, request: &PoseRequest) -> bool {
+        self.frame = self.frame.next();
+        self.answered = Some((request.id, self.version));
+        let header = FrameHeader {
+            frame: self.frame,
+            pose: request.id,
+            look: self.version,
+            camera: Camera::new(request.pose, bounded(request.intrinsics), &self.bounds),
+            k: self.look.k,
+        };
+        let Some(result) = self.generator.generate((*self.look).clone(), header).await else { return false };
+        let generated = match result {
+            Ok(generated) => generated,
+            Err(e) => {
+                tracing::warn!("frame {}: {e}", self.frame);
+                return self.session.control.notice(&format!("the server cannot render: {e}")).await.is_ok();
+            }
+        };
+        if let Some(sending) = self.sending.take()
+            && !matches!(sending.await, Ok(Ok(())))
+        {
+            return false;
+        }
+        let span = tracing::debug_span!("frame", id = self.frame.0);
+        let send = send(self.session.frames.clone(), self.session.control.clone(), generated, *request, self.codec);
+        self.sending = Some(tokio::spawn(send.instrument(span)));
+        true
+    }
+}
+
+/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base.
+async fn send(
+    frames: isinglass_net::FrameSender,
+    control: isinglass_net::ControlSender,
+    generated: Generated,
+    request: PoseRequest,
+    codec: codec::Settings,
+) -> Result<(), SessionClosed> {
+    let header = generated.frame.header;
+    let segments = generated.frame.num_segments() as u64;
+    let started = Instant::now();
+    let encoded = tokio::task::spawn_blocking(move || codec::encode(&generated.frame, &codec)).await;
+    let encode_micros = started.elapsed().as_micros() as u64;
+    let encoded = match encoded {
+        Ok(Ok(encoded)) => encoded,
+        Ok(Err(e)) => {
+            tracing::warn!("{e}");
+            return control.notice(&format!("the server cannot encode a frame: {e}")).await;
+        }
+        Err(e) => {
+            tracing::error!("encoding ended early: {e}");
+            return Err(SessionClosed);
+        }
+    };
+    control.stats(ServerStats {
+        frame: header.frame,
+        pose: header.pose,
+        pose_stamp_micros: request.stamp_micros,
+        generate_micros: generated.generate_micros,
+        encode_micros,
+        bytes: encoded.num_bytes() as u64,
+        segments,
+    });
+    frames.send(header.frame, header.pose, encoded.chunks).await
+}
+
+/// The picture size that is rendered for a wish: the same shape, at most [`MAX_LISTS`] pixels.
+fn bounded(wish: Intrinsics) -> Intrinsics {
+    let excess = wish.num_pixels() as f32 / MAX_LISTS as f32;
+    if excess <= 1.0 {
+        return wish;
+    }
+    let shrink = |side: u32| ((side as f32 / excess.sqrt()) as u32).max(1);
+    Intrinsics { width: shrink(wish.width), height: shrink(wish.height), ..wish }
+}
+
+/// Most lists of a frame. With 16 segments in each, the planes stay within what a peer of the codec accepts and
+/// within wgpu's default binding size.
+const MAX_LISTS: usize = 1920 * 1088;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wishes_are_bounded_and_keep_their_shape() {
+        let wish = |width, height| bounded(Intrinsics { width, height, fov_y: 1.0 });
+        assert_eq!(wish(1920, 1080), Intrinsics { width: 1920, height: 1080, fov_y: 1.0 });
+        let big = wish(8192, 4096);
+        assert!(big.num_pixels() <= MAX_LISTS && big.num_pixels() > MAX_LISTS * 9 / 10);
+        assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);
+        assert!(wish(8192, 1).num_pixels() >= 1);
+    }
+}
