@@ -1,0 +1,92 @@
+//! Does every arrow between our crates stand in docs/ARCHITECTURE.md, and does each foreign world have one home?
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::process::Command;
+
+use serde_json::Value;
+
+/// Who may use whom, among our own crates.
+const ARROWS: [(&str, &[&str]); 9] = [
+    ("isinglass-core", &[]),
+    ("isinglass-formats", &["core"]),
+    ("isinglass-gpu", &["core"]),
+    ("isinglass-net", &["core"]),
+    ("isinglass-server", &["core", "formats", "gpu", "net"]),
+    ("isinglass-client", &["core", "formats", "gpu", "net"]),
+    ("isinglass-bench", &["core", "formats", "gpu", "net", "server", "client"]),
+    ("isinglass", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
+    ("isinglass-tests", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
+];
+
+/// Crates of the outside world, and who may name them.
+const WORLDS: [(&str, &[&str]); 9] = [
+    ("wgpu", &["isinglass-gpu", "isinglass-client", "isinglass-tests"]),
+    ("quinn", &["isinglass-net"]),
+    ("rustls", &["isinglass-net"]),
+    ("rcgen", &["isinglass-net"]),
+    ("eframe", &["isinglass-client"]),
+    ("egui", &["isinglass-client"]),
+    ("flate2", &["isinglass-formats"]),
+    ("toml", &["isinglass-formats"]),
+    ("clap", &["isinglass"]),
+];
+
+/// Dependencies of each of our crates, development ones of `isinglass-tests` included.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: Value = serde_json::from_slice(&output.stdout).expect("cargo writes JSON");
+    let name = |v: &Value| v["name"].as_str().expect("a name").to_owned();
+    let packages = metadata["packages"].as_array().expect("packages");
+    packages
+        .iter()
+        .map(|p| {
+            let dependencies = p["dependencies"].as_array().expect("dependencies").iter();
+            let counted = dependencies.filter(|d| name(p) == "isinglass-tests" || d["kind"] != "dev");
+            (name(p), counted.map(name).collect())
+        })
+        .collect()
+}
+
+/// The arrows that are not drawn.
+fn violations(dependencies: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
+    let mut found = Vec::new();
+    for (from, all) in dependencies {
+        let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| name == from) else {
+            found.push(format!("{from} is not on the plan"));
+            continue;
+        };
+        for to in all {
+            let ours = to.strip_prefix("isinglass-");
+            if ours.is_some_and(|short| !allowed.contains(&short)) {
+                found.push(format!("{from} -> {to}"));
+            }
+            if let Some((_, homes)) = WORLDS.iter().find(|(world, _)| world == to)
+                && !homes.contains(&from.as_str())
+            {
+                found.push(format!("{from} names {to}"));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn arrows_are_as_drawn() {
+    let dependencies = dependencies();
+    assert_eq!(dependencies.len(), ARROWS.len(), "{:?}", dependencies.keys());
+    assert_eq!(violations(&dependencies), Vec::<String>::new());
+}
+
+#[test]
+fn a_wrong_arrow_is_found() {
+    let mut dependencies = dependencies();
+    let core = dependencies.get_mut("isinglass-core").expect("core is a member");
+    core.insert("isinglass-net".into());
+    core.insert("wgpu".into());
+    assert_eq!(violations(&dependencies), ["isinglass-core -> isinglass-net", "isinglass-core names wgpu"]);
+}
