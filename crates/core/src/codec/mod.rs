@@ -6,8 +6,8 @@
 //! contributes most to the picture comes first. Chunk bytes are documented in `docs/PROTOCOL.md`, "Layered-frame
 //! payload"; nothing outside of this module reads or writes them.
 //!
-//! Depths are kept as they are. Colour and optical depth are quantised ([`scale`]) front to back with the error of
-//! the composite carried on ([`quantize`]), so that the picture from the frame's own pose does not drift. Encoding a
+//! Depths are kept as they are. Colour and optical depth are quantised (`scale`) front to back with the error of
+//! the composite carried on (`quantize`), so that the picture from the frame's own pose does not drift. Encoding a
 //! decoded frame again gives the same bytes.
 //!
 //! Decoding is total: any bytes give a value or an error, in time and memory bounded by the constants here.

@@ -80,7 +80,7 @@ pub fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     at_most("segments in a chunk", num_segments, MAX_CHUNK_SEGMENTS)?;
     let mut planes: [Vec<u8>; NUM_PLANES] = Default::default();
     for number in FRONT_LO..NUM_PLANES {
-        let expected = if number == C_HI && header.color_bits == 8 { 0 } else { num_segments };
+        let expected = plane_bytes(number, num_segments, header.color_bits);
         planes[number] = decompress(number, parts[number], expected)?;
     }
     let codes = codes_from_planes(&counts, &planes, width, scale)?;
@@ -130,8 +130,8 @@ fn planes_from_lists(lists: &Lists, width: usize, scale: &Scale) -> [Vec<u8>; NU
         let tile = tile_of(list, width, tiles_across);
         planes[TILES][tile / 8] |= 1 << (tile % 8);
     }
-    for plane in &mut planes[FRONT_LO..] {
-        plane.reserve_exact(lists.codes.len());
+    for (number, plane) in planes.iter_mut().enumerate().skip(FRONT_LO) {
+        *plane = vec![0; plane_bytes(number, lists.codes.len(), color_bits)];
     }
     let mut walk = Walk::new(width);
     for (list, &count) in lists.counts.iter().enumerate() {
@@ -150,17 +150,17 @@ fn planes_from_lists(lists: &Lists, width: usize, scale: &Scale) -> [Vec<u8>; NU
                 let expected = corrected(scale, ch, &expected, &code.c);
                 zigzag(code.c[ch].wrapping_sub(expected), color_bits)
             });
-            planes[FRONT_LO].push(front as u8);
-            planes[FRONT_HI].push((front >> 8) as u8);
-            planes[BACK_LO].push(back as u8);
-            planes[BACK_HI].push((back >> 8) as u8);
+            planes[FRONT_LO][at] = front as u8;
+            planes[FRONT_HI][at] = (front >> 8) as u8;
+            planes[BACK_LO][at] = back as u8;
+            planes[BACK_HI][at] = (back >> 8) as u8;
             for ch in 0..3 {
-                planes[C_LO + ch].push(c[ch] as u8);
+                planes[C_LO + ch][at] = c[ch] as u8;
             }
             if color_bits > 8 {
-                planes[C_HI].push((c[0] >> 8 | c[1] >> 8 << 2 | c[2] >> 8 << 4) as u8);
+                planes[C_HI][at] = (c[0] >> 8 | c[1] >> 8 << 2 | c[2] >> 8 << 4) as u8;
             }
-            planes[TAU].push(zigzag(u16::from(code.tau).wrapping_sub(tau.into()), 8) as u8);
+            planes[TAU][at] = zigzag(u16::from(code.tau).wrapping_sub(tau.into()), 8) as u8;
         }
     }
     planes
@@ -203,6 +203,11 @@ fn codes_from_planes(
         }
     }
     Ok(codes)
+}
+
+/// Bytes of a plane that has one for each segment, or none.
+fn plane_bytes(number: usize, num_segments: usize, color_bits: u8) -> usize {
+    if number == C_HI && color_bits == 8 { 0 } else { num_segments }
 }
 
 /// Which tile of its band a list lies in.

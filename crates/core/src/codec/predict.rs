@@ -102,12 +102,18 @@ impl Near {
     /// Codes of the colour of a segment of such an optical depth, if the source colour is the same.
     pub(super) fn color(&self, scale: &Scale, tau: u8) -> [u16; 3] {
         let of_tau = scale.sqrt_alpha[usize::from(tau)];
-        std::array::from_fn(|ch| {
-            self.mean(|n| {
-                let times = of_tau / scale.sqrt_alpha[usize::from(n.tau)].max(LEAST_SQRT_ALPHA);
-                scale.clamp_code((f32::from(n.c[ch]) * times + 0.5) as u32)
-            })
-        })
+        let scaled = |n: &Code| {
+            let times = of_tau * scale.inverse_sqrt_alpha[usize::from(n.tau)];
+            n.c.map(|q| scale.clamp_code((f32::from(q) * times + 0.5) as u32))
+        };
+        match &self.0 {
+            [Some(a), Some(b)] => {
+                let (a, b) = (scaled(a), scaled(b));
+                std::array::from_fn(|ch| (a[ch] + b[ch]) / 2)
+            }
+            [Some(a), None] | [None, Some(a)] => scaled(a),
+            [None, None] => [0; 3],
+        }
     }
 
     fn mean(&self, of: impl Fn(&Code) -> u16) -> u16 {
@@ -129,6 +135,3 @@ pub(super) fn corrected(scale: &Scale, ch: usize, predicted: &[u16; 3], c: &[u16
     }
     scale.clamp_code((u32::from(predicted[ch]) * is + was / 2) / was)
 }
-
-/// Guards the division by the opacity of an empty segment.
-const LEAST_SQRT_ALPHA: f32 = 1e-4;

@@ -98,9 +98,10 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Q
 
         let c = s.c.to_array();
         let mut c_code = [0; 3];
+        let per_kappa = 1.0 / kappa_coded;
         for ch in 0..3 {
             let want = if closed {
-                let corrected = c[ch] * (kappa / kappa_coded) + missing_c[ch] / kappa_coded;
+                let corrected = (c[ch] * kappa + missing_c[ch]) * per_kappa;
                 corrected.clamp(c[ch] * (1.0 - GIVE), c[ch] * (1.0 + GIVE))
             } else {
                 c[ch]

@@ -24,7 +24,12 @@ pub(super) struct Scale {
     pub(super) transmittance: [f32; 256],
     /// √(1 − e^−τ) of the codes.
     pub(super) sqrt_alpha: [f32; 256],
-    tau_limits: [f32; 255],
+    /// 1/√(1 − e^−τ) of the codes; that of 0 is guarded.
+    pub(super) inverse_sqrt_alpha: [f32; 256],
+    /// Half-way between a code and the next; nothing is beyond the last.
+    tau_limits: [f32; 256],
+    /// A code not above the nearest one, for each value of a float's upper bits.
+    tau_seeds: Vec<u8>,
 }
 
 /// The scale, or an error if there is none with so many bits.
@@ -48,6 +53,17 @@ impl Scale {
             .collect::<Vec<_>>();
         let tau_half: [u16; 256] = std::array::from_fn(|q| half(tau_from_code(q as u32)));
         let tau = tau_half.map(value);
+        let tau_limits = std::array::from_fn(|q| match tau.get(q + 1) {
+            Some(next) => 0.5 * (tau[q] + next),
+            None => f32::INFINITY,
+        });
+        let tau_seeds = (0..=f32::INFINITY.to_bits() >> SEED_SHIFT)
+            .map(|upper| {
+                let least = f32::from_bits(upper << SEED_SHIFT);
+                tau_limits[..255].partition_point(|&limit| limit < least) as u8
+            })
+            .collect();
+        let sqrt_alpha = tau.map(|t| (1.0 - exp_neg(t)).sqrt() as f32);
         Self {
             color_bits,
             color: color_half.iter().map(|&h| value(h)).collect(),
@@ -55,8 +71,10 @@ impl Scale {
             tau,
             tau_half,
             transmittance: tau.map(|t| exp_neg(t) as f32),
-            sqrt_alpha: tau.map(|t| (1.0 - exp_neg(t)).sqrt() as f32),
-            tau_limits: std::array::from_fn(|q| 0.5 * (tau[q] + tau[q + 1])),
+            sqrt_alpha,
+            inverse_sqrt_alpha: sqrt_alpha.map(|a| 1.0 / a.max(LEAST_SQRT_ALPHA)),
+            tau_limits,
+            tau_seeds,
         }
     }
 
@@ -77,7 +95,10 @@ impl Scale {
 
     /// Nearest code of an optical depth, but never 0 for one that is not.
     pub(super) fn tau_code(&self, tau: f32) -> u8 {
-        let q = self.tau_limits.partition_point(|&limit| limit < tau) as u8;
+        let mut q = self.tau_seeds[(tau.max(0.0).to_bits() >> SEED_SHIFT) as usize];
+        while self.tau_limits[usize::from(q)] < tau {
+            q += 1;
+        }
         if tau > 0.0 { q.max(1) } else { 0 }
     }
 }
@@ -114,6 +135,10 @@ fn value(half: u16) -> f32 {
 
 /// Greatest colour that is kept. Shading can lift a colour a little above one.
 pub(super) const COLOR_MAX: f32 = 1.25;
+/// Guards the division by the opacity of an empty segment.
+const LEAST_SQRT_ALPHA: f32 = 1e-4;
+/// Lower bits of a float that the first guess at a code of τ leaves out: 32 guesses an octave.
+const SEED_SHIFT: u32 = 18;
 
 static SCALE_8: LazyLock<Scale> = LazyLock::new(|| Scale::new(8));
 static SCALE_10: LazyLock<Scale> = LazyLock::new(|| Scale::new(10));
@@ -135,6 +160,22 @@ mod tests {
             }
         }
         assert!(of(9).is_err());
+    }
+
+    #[test]
+    fn the_nearest_code_is_found_from_any_guess() {
+        let scale = of(10).unwrap();
+        let mut tau = 1e-9f32;
+        while tau < 2e3 {
+            let distance = |q: u8| (scale.tau[usize::from(q)] - tau).abs();
+            let q = scale.tau_code(tau);
+            assert!((1..=255).all(|other| distance(q) <= distance(other)), "{tau}");
+            tau *= 1.01;
+        }
+        for tau in [0.0, -0.0, -1.0, f32::NAN] {
+            assert_eq!(scale.tau_code(tau), 0);
+        }
+        assert_eq!((scale.tau_code(f32::MIN_POSITIVE), scale.tau_code(f32::INFINITY)), (1, 255));
     }
 
     #[test]
