@@ -1,1 +1,26 @@
-//! placeholder
+//! Volume files, transfer functions and presets, to and from the types of `isinglass-core`.
+//!
+//! [`open`] reads NRRD (attached and detached), raw voxels whose shape is told, and the built-in volumes;
+//! [`load_transfer`] reads a preset or a TOML file of control points; [`VolumeFacts`] is what `info` prints. What a
+//! file says is never trusted: every length is checked against the file and a memory limit before anything is
+//! allocated, and every error is one line that names the file, what was expected and what was found. This crate
+//! draws nothing and knows no network.
+
+mod decode;
+mod dtype;
+mod error;
+mod facts;
+pub mod iglf;
+mod nrrd;
+mod presets;
+mod raw;
+mod source;
+mod transfer;
+
+pub use dtype::{Dtype, Endian};
+pub use error::{FormatError, HeaderError};
+pub use facts::{PERCENTILES, VolumeFacts};
+pub use presets::{default_preset, preset, preset_names};
+pub use raw::RawShape;
+pub use source::{OpenOptions, open};
+pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml};

@@ -1,0 +1,299 @@
+//! From the bytes or words of a file to stored voxels, in chunks, so that a file is never held twice.
+//!
+//! Signed 8- and 16-bit integers are shifted to unsigned ones and keep their values through the value map; wider
+//! integers and doubles become `f32`, and integers that lose digits by that are counted.
+
+use std::collections::TryReserveError;
+use std::io::{self, BufRead, Read};
+
+use flate2::bufread::GzDecoder;
+use isinglass_core::volume::Voxels;
+
+use crate::dtype::{Dtype, Endian};
+
+/// Takes voxels in the order of the file.
+pub(crate) struct VoxelSink {
+    dtype: Dtype,
+    endian: Endian,
+    voxels: Voxels,
+    num_rounded: u64,
+}
+
+/// What a [`VoxelSink`] took.
+pub(crate) struct Decoded {
+    pub(crate) voxels: Voxels,
+    /// Scale and offset from stored numbers to values.
+    pub(crate) value_map: (f32, f32),
+    pub(crate) warnings: Vec<String>,
+}
+
+impl VoxelSink {
+    /// A sink with room for `num_voxels`, which must have been checked against the file and the memory limit.
+    pub(crate) fn new(dtype: Dtype, endian: Endian, num_voxels: usize) -> Result<Self, TryReserveError> {
+        fn room<T>(n: usize) -> Result<Vec<T>, TryReserveError> {
+            let mut v = Vec::new();
+            v.try_reserve_exact(n)?;
+            Ok(v)
+        }
+        let voxels = match dtype.num_bytes_in_memory() {
+            1 => Voxels::U8(room(num_voxels)?),
+            2 => Voxels::U16(room(num_voxels)?),
+            _ => Voxels::F32(room(num_voxels)?),
+        };
+        Ok(Self { dtype, endian, voxels, num_rounded: 0 })
+    }
+
+    /// Voxels taken so far.
+    pub(crate) fn len(&self) -> usize {
+        self.voxels.len()
+    }
+
+    /// Takes the voxels in `bytes`; an incomplete one at the end is left out.
+    pub(crate) fn push_bytes(&mut self, bytes: &[u8]) {
+        let endian = self.endian;
+        match (&mut self.voxels, self.dtype) {
+            (Voxels::U8(v), Dtype::Int8) => v.extend(bytes.iter().map(|b| b ^ 0x80)),
+            (Voxels::U8(v), _) => v.extend_from_slice(bytes),
+            (Voxels::U16(v), Dtype::Int16) => {
+                v.extend(words(bytes, endian).map(|w| u16::from_le_bytes(w) ^ 0x8000));
+            }
+            (Voxels::U16(v), _) => v.extend(words(bytes, endian).map(u16::from_le_bytes)),
+            (Voxels::F32(v), Dtype::Float) => v.extend(words(bytes, endian).map(f32::from_le_bytes)),
+            (Voxels::F32(v), Dtype::Double) => {
+                v.extend(words(bytes, endian).map(|w| f64::from_le_bytes(w) as f32));
+            }
+            (Voxels::F32(v), dtype) => {
+                let mut rounded = |exact: i128| {
+                    let x = exact as f32;
+                    self.num_rounded += u64::from(x as i128 != exact);
+                    x
+                };
+                match dtype {
+                    Dtype::Int32 => {
+                        v.extend(words(bytes, endian).map(|w| rounded(i32::from_le_bytes(w).into())));
+                    }
+                    Dtype::Uint32 => {
+                        v.extend(words(bytes, endian).map(|w| rounded(u32::from_le_bytes(w).into())));
+                    }
+                    Dtype::Int64 => {
+                        v.extend(words(bytes, endian).map(|w| rounded(i64::from_le_bytes(w).into())));
+                    }
+                    _ => v.extend(words(bytes, endian).map(|w| rounded(u64::from_le_bytes(w).into()))),
+                }
+            }
+        }
+    }
+
+    /// Takes one number written as text; `false`, and nothing taken, if the type cannot hold it.
+    pub(crate) fn push_number(&mut self, number: f64) -> bool {
+        if let Some((lo, hi)) = self.dtype.integer_range()
+            && !(number.fract() == 0.0 && number >= lo && number <= hi)
+        {
+            return false;
+        }
+        match &mut self.voxels {
+            Voxels::U8(v) if self.dtype == Dtype::Int8 => v.push((number + 128.0) as u8),
+            Voxels::U8(v) => v.push(number as u8),
+            Voxels::U16(v) if self.dtype == Dtype::Int16 => v.push((number + 32_768.0) as u16),
+            Voxels::U16(v) => v.push(number as u16),
+            Voxels::F32(v) => {
+                let x = number as f32;
+                self.num_rounded += u64::from(self.dtype.integer_range().is_some() && f64::from(x) != number);
+                v.push(x);
+            }
+        }
+        true
+    }
+
+    /// The voxels, and what their numbers mean.
+    pub(crate) fn finish(self) -> Decoded {
+        let mut warnings = Vec::new();
+        if self.num_rounded > 0 {
+            let (n, name) = (self.num_rounded, self.dtype.name());
+            warnings.push(format!("{n} {name} voxels are beyond 2^24 and were rounded to single precision"));
+        }
+        let offset = match self.dtype {
+            Dtype::Int8 => -128.0,
+            Dtype::Int16 => -32_768.0,
+            _ => 0.0,
+        };
+        Decoded { voxels: self.voxels, value_map: (1.0, offset), warnings }
+    }
+}
+
+/// Moves up to `num_bytes` from `reader` to `sink` and returns how many came before its end. `tick` hears the count
+/// after each chunk.
+pub(crate) fn pump_bytes(
+    reader: &mut dyn Read,
+    sink: &mut VoxelSink,
+    num_bytes: u64,
+    tick: &mut dyn FnMut(u64),
+) -> (u64, io::Result<()>) {
+    let mut chunk = Vec::with_capacity(num_bytes.min(CHUNK_BYTES) as usize);
+    let mut done = 0;
+    while done < num_bytes {
+        let wanted = (num_bytes - done).min(CHUNK_BYTES);
+        chunk.clear();
+        let result = (&mut *reader).take(wanted).read_to_end(&mut chunk);
+        sink.push_bytes(&chunk);
+        done += chunk.len() as u64;
+        tick(done);
+        match result {
+            Ok(n) if (n as u64) < wanted => break,
+            Ok(_) => {}
+            Err(e) => return (done, Err(e)),
+        }
+    }
+    (done, Ok(()))
+}
+
+/// The next number written as text, between spaces, line breaks or commas; `None` at the end. Never reads further
+/// than the longest number can be.
+pub(crate) fn next_number(reader: &mut dyn BufRead) -> io::Result<Option<Result<f64, String>>> {
+    let mut token = Vec::new();
+    loop {
+        let buffer = match reader.fill_buf() {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => continue,
+            other => other?,
+        };
+        let Some(&byte) = buffer.first() else { break };
+        reader.consume(1);
+        let is_gap = byte.is_ascii_whitespace() || byte == b',';
+        match (is_gap, token.is_empty()) {
+            (true, true) => {}
+            (true, false) => break,
+            (false, _) => token.push(byte),
+        }
+        if token.len() > MAX_NUMBER_BYTES {
+            break;
+        }
+    }
+    if token.is_empty() {
+        return Ok(None);
+    }
+    let text = String::from_utf8_lossy(&token);
+    Ok(Some(text.parse().map_err(|_| text.into_owned())))
+}
+
+/// The members of a gzip file one after the other. What follows them and is not gzip is left alone, as other readers
+/// do.
+pub(crate) struct GzipMembers<R> {
+    member: Option<GzDecoder<R>>,
+}
+
+impl<R: BufRead> GzipMembers<R> {
+    pub(crate) fn new(reader: R) -> Self {
+        Self { member: Some(GzDecoder::new(reader)) }
+    }
+}
+
+impl<R: BufRead> Read for GzipMembers<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while let Some(member) = &mut self.member {
+            let n = member.read(out)?;
+            if n > 0 || out.is_empty() {
+                return Ok(n);
+            }
+            let mut rest = self.member.take().expect("the loop holds a member").into_inner();
+            if matches!(rest.fill_buf()?, [0x1f] | [0x1f, 0x8b, ..]) {
+                self.member = Some(GzDecoder::new(rest));
+            }
+        }
+        Ok(0)
+    }
+}
+
+/// The numbers in `bytes` as little-endian words.
+fn words<const N: usize>(bytes: &[u8], endian: Endian) -> impl Iterator<Item = [u8; N]> {
+    bytes.as_chunks::<N>().0.iter().map(move |word| {
+        let mut word = *word;
+        if endian == Endian::Big {
+            word.reverse();
+        }
+        word
+    })
+}
+
+/// Deflate cannot pack tighter than 258 bytes in two bits (RFC 1951), so this many times its length is the most that
+/// compressed data can hold.
+pub(crate) const MAX_DEFLATE_RATIO: u64 = 1032;
+
+/// Bytes read at a time: a multiple of every voxel size, small beside a volume, large beside a system call.
+const CHUNK_BYTES: u64 = 256 * 1024;
+
+/// Longest number in text: a double with all its digits has fewer than this.
+const MAX_NUMBER_BYTES: usize = 400;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sink(dtype: Dtype, endian: Endian) -> VoxelSink {
+        VoxelSink::new(dtype, endian, 8).expect("eight voxels fit")
+    }
+
+    /// Values as a reader of the volume would see them.
+    fn values(sink: VoxelSink) -> Vec<f32> {
+        let decoded = sink.finish();
+        let (scale, offset) = decoded.value_map;
+        (0..decoded.voxels.len()).map(|i| decoded.voxels.get(i) * scale + offset).collect()
+    }
+
+    #[test]
+    fn both_endians_of_every_type_give_the_numbers_back() {
+        macro_rules! check {
+            ($($dtype:ident $t:ty),*) => {$(
+                let numbers: [$t; 4] = [<$t>::MIN.max(-1e9 as $t), 0 as $t, 77 as $t, <$t>::MAX.min(1e9 as $t)];
+                let expected: Vec<f32> = numbers.iter().map(|&x| x as f32).collect();
+                for endian in [Endian::Little, Endian::Big] {
+                    let mut s = sink(Dtype::$dtype, endian);
+                    for x in numbers {
+                        s.push_bytes(&if endian == Endian::Big { x.to_be_bytes() } else { x.to_le_bytes() });
+                    }
+                    assert_eq!(values(s), expected, "{} {endian:?}", Dtype::$dtype.name());
+                    let mut text = sink(Dtype::$dtype, endian);
+                    assert!(numbers.iter().all(|&x| text.push_number(x as f64)));
+                    assert_eq!(values(text), expected);
+                }
+            )*};
+        }
+        check!(Int8 i8, Uint8 u8, Int16 i16, Uint16 u16, Int32 i32, Uint32 u32, Int64 i64, Uint64 u64);
+        check!(Float f32, Double f64);
+    }
+
+    #[test]
+    fn integers_that_do_not_fit_single_precision_are_counted() {
+        let mut s = sink(Dtype::Int32, Endian::Little);
+        for x in [1 << 24, (1 << 24) + 1, -(1 << 24) - 1, i32::MAX, 1 << 30] {
+            s.push_bytes(&i32::to_le_bytes(x));
+        }
+        assert_eq!(s.num_rounded, 3);
+        let warnings = s.finish().warnings;
+        assert_eq!(warnings, ["3 int32 voxels are beyond 2^24 and were rounded to single precision"]);
+    }
+
+    #[test]
+    fn text_outside_of_the_type_is_refused() {
+        for (dtype, number) in [
+            (Dtype::Uint8, 256.0),
+            (Dtype::Uint8, -1.0),
+            (Dtype::Int16, 0.5),
+            (Dtype::Int32, f64::NAN),
+            (Dtype::Uint16, f64::INFINITY),
+        ] {
+            assert!(!sink(dtype, Endian::Little).push_number(number), "{number} as {}", dtype.name());
+        }
+    }
+
+    #[test]
+    fn numbers_in_text_end_where_they_should() {
+        let mut text: &[u8] = b" 1,2\r\n-3.5e2\tx 7";
+        let mut next = || next_number(&mut text).expect("slices cannot fail");
+        assert_eq!(next(), Some(Ok(1.0)));
+        assert_eq!(next(), Some(Ok(2.0)));
+        assert_eq!(next(), Some(Ok(-350.0)));
+        assert_eq!(next(), Some(Err("x".into())));
+        assert_eq!(next(), Some(Ok(7.0)));
+        assert_eq!(next(), None);
+    }
+}

@@ -1,0 +1,189 @@
+//! The types a voxel can have in a file.
+
+use std::str::FromStr;
+
+/// Type of a voxel in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dtype {
+    /// Signed, 8 bits.
+    Int8,
+    /// Unsigned, 8 bits.
+    Uint8,
+    /// Signed, 16 bits.
+    Int16,
+    /// Unsigned, 16 bits.
+    Uint16,
+    /// Signed, 32 bits.
+    Int32,
+    /// Unsigned, 32 bits.
+    Uint32,
+    /// Signed, 64 bits.
+    Int64,
+    /// Unsigned, 64 bits.
+    Uint64,
+    /// Floating point, 32 bits.
+    Float,
+    /// Floating point, 64 bits.
+    Double,
+}
+
+impl Dtype {
+    /// Every type, in the order of their sizes.
+    pub const ALL: [Self; 10] = [
+        Self::Int8,
+        Self::Uint8,
+        Self::Int16,
+        Self::Uint16,
+        Self::Int32,
+        Self::Uint32,
+        Self::Int64,
+        Self::Uint64,
+        Self::Float,
+        Self::Double,
+    ];
+
+    /// The name used in reports, which is also a name NRRD knows.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Int8 => "int8",
+            Self::Uint8 => "uint8",
+            Self::Int16 => "int16",
+            Self::Uint16 => "uint16",
+            Self::Int32 => "int32",
+            Self::Uint32 => "uint32",
+            Self::Int64 => "int64",
+            Self::Uint64 => "uint64",
+            Self::Float => "float",
+            Self::Double => "double",
+        }
+    }
+
+    /// Bytes of one voxel in the file.
+    pub fn num_bytes(self) -> usize {
+        match self {
+            Self::Int8 | Self::Uint8 => 1,
+            Self::Int16 | Self::Uint16 => 2,
+            Self::Int32 | Self::Uint32 | Self::Float => 4,
+            Self::Int64 | Self::Uint64 | Self::Double => 8,
+        }
+    }
+
+    /// Bytes of one voxel in memory: 8- and 16-bit integers keep their size, everything else becomes `f32`.
+    pub fn num_bytes_in_memory(self) -> usize {
+        self.num_bytes().min(4)
+    }
+
+    /// Least and greatest integer of the type, `None` for floating point.
+    pub(crate) fn integer_range(self) -> Option<(f64, f64)> {
+        let signed = |bits: i32| (-(2f64.powi(bits - 1)), 2f64.powi(bits - 1) - 1.0);
+        let unsigned = |bits: i32| (0.0, 2f64.powi(bits) - 1.0);
+        Some(match self {
+            Self::Int8 => signed(8),
+            Self::Uint8 => unsigned(8),
+            Self::Int16 => signed(16),
+            Self::Uint16 => unsigned(16),
+            Self::Int32 => signed(32),
+            Self::Uint32 => unsigned(32),
+            Self::Int64 => signed(64),
+            Self::Uint64 => unsigned(64),
+            Self::Float | Self::Double => return None,
+        })
+    }
+
+    /// What [`Dtype::from_str`] takes, for messages.
+    pub const EXPECTED: &'static str =
+        "int8, uint8, int16, uint16, int32, uint32, int64, uint64, float or double";
+}
+
+impl FromStr for Dtype {
+    type Err = String;
+
+    /// All spellings of the NRRD format (`unsigned short`, `ushort`, `uint16_t`, …) and the short ones of Rust and
+    /// numpy (`u8`, `f32`, `float64`, …), in any case.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let words = text.to_ascii_lowercase();
+        let words: Vec<&str> = words.split_ascii_whitespace().collect();
+        // The list of the NRRD format, section "Basic field specifications", with "int" after short, long and long
+        // long folded away. A bare "long" is not in it: its size depends on the machine.
+        Ok(match words.join(" ").trim_end_matches("_t") {
+            "signed char" | "int8" | "i8" => Self::Int8,
+            "uchar" | "unsigned char" | "uint8" | "u8" => Self::Uint8,
+            "short" | "short int" | "signed short" | "signed short int" | "int16" | "i16" => Self::Int16,
+            "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "u16" => Self::Uint16,
+            "int" | "signed int" | "int32" | "i32" => Self::Int32,
+            "uint" | "unsigned int" | "uint32" | "u32" => Self::Uint32,
+            "longlong"
+            | "long long"
+            | "long long int"
+            | "signed long long"
+            | "signed long long int"
+            | "int64"
+            | "i64" => Self::Int64,
+            "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "u64" => Self::Uint64,
+            "float" | "float32" | "f32" => Self::Float,
+            "double" | "float64" | "f64" => Self::Double,
+            _ => {
+                return Err(format!(
+                    "unknown type {}, expected {}",
+                    crate::error::quoted(text),
+                    Self::EXPECTED
+                ));
+            }
+        })
+    }
+}
+
+/// Order of the bytes of a number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Endian {
+    /// Least significant byte first.
+    #[default]
+    Little,
+    /// Most significant byte first.
+    Big,
+}
+
+impl FromStr for Endian {
+    type Err = String;
+
+    /// `little` or `big`, in any case.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.to_ascii_lowercase().as_str() {
+            "little" => Ok(Self::Little),
+            "big" => Ok(Self::Big),
+            _ => Err(format!("unknown byte order {}, expected little or big", crate::error::quoted(text))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_spelling_of_the_format_is_known_and_nothing_else() {
+        for dtype in Dtype::ALL {
+            assert_eq!(dtype.name().parse(), Ok(dtype));
+            assert_eq!(dtype.name().to_uppercase().parse(), Ok(dtype));
+        }
+        for (spelling, dtype) in [
+            ("signed char", Dtype::Int8),
+            ("int8_t", Dtype::Int8),
+            ("unsigned  char", Dtype::Uint8),
+            ("uint8_t", Dtype::Uint8),
+            ("signed short int", Dtype::Int16),
+            ("unsigned short", Dtype::Uint16),
+            ("signed int", Dtype::Int32),
+            ("uint", Dtype::Uint32),
+            ("long long", Dtype::Int64),
+            ("unsigned long long int", Dtype::Uint64),
+            ("f32", Dtype::Float),
+            ("float64", Dtype::Double),
+        ] {
+            assert_eq!(spelling.parse(), Ok(dtype), "{spelling}");
+        }
+        for wrong in ["", "block", "char16", "long", "int128", "uint8 uint8", "half"] {
+            assert!(wrong.parse::<Dtype>().is_err(), "{wrong}");
+        }
+    }
+}

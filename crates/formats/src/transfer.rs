@@ -1,0 +1,236 @@
+//! Transfer functions as TOML files of control points.
+//!
+//! ```toml
+//! name = "bone"                        # optional, else the name of the file
+//! domain = "full"                      # or { values = [lo, hi] } or { percentiles = [lo, hi] }
+//! unit_length = "voxel"                # or { world = 0.5 } or { radius = 0.01 }
+//!
+//! [[point]]                            # positions ascending; 0 and 1 are the ends of the domain
+//! x = 0.1
+//! color = "#aabbcc"                    # sRGB; or three numbers from 0 to 1
+//! opacity = 0.02                       # of matter one unit length thick
+//! ```
+
+use std::fmt;
+use std::io::Read;
+use std::path::Path;
+
+use isinglass_core::transfer::{ControlPoint, Domain, TransferError, TransferFunction, UnitLength};
+use serde::de::{Deserializer, Error, SeqAccess, Visitor};
+use serde::{Deserialize, de};
+
+use crate::error::{FormatError, io_error, quoted, shown};
+use crate::presets::{preset, preset_names};
+use crate::source::open_file;
+
+/// The preset of this name, or else the TOML file at this path.
+pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError> {
+    if let Some(transfer) = preset(name_or_path) {
+        return Ok(transfer);
+    }
+    let path = Path::new(name_or_path);
+    if !path.exists() {
+        let expected = preset_names().collect::<Vec<_>>().join(", ");
+        return Err(FormatError::UnknownPreset { found: quoted(name_or_path), expected });
+    }
+    let mut bytes = Vec::new();
+    open_file(path)?.take(MAX_TRANSFER_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
+    if bytes.len() as u64 > MAX_TRANSFER_BYTES {
+        let (path, found) = (shown(path), "more than 1 MiB");
+        return Err(FormatError::Unsupported { path, found, expected: "a TOML file of control points" });
+    }
+    let text = String::from_utf8(bytes).map_err(|_| FormatError::Unsupported {
+        path: shown(path),
+        found: "bytes that are not UTF-8",
+        expected: "a TOML file of control points",
+    })?;
+    transfer_from_toml(&text, name_or_path)
+}
+
+/// The transfer function written in `text`. `path` is for messages, and its stem is the name if the text has none.
+pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, FormatError> {
+    let path = Path::new(path);
+    let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::TransferSyntax {
+        path: shown(path),
+        line: 1 + text.bytes().take(e.span().map_or(0, |s| s.start)).filter(|&b| b == b'\n').count(),
+        problem: e.message().replace(['\n', '\r'], " "),
+    })?;
+    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+    let transfer = TransferFunction {
+        name: file.name.or(stem).unwrap_or_default(),
+        domain: file.domain.into(),
+        unit_length: file.unit_length.into(),
+        points: file.point.into_iter().map(ControlPoint::from).collect(),
+    };
+    let transfer_error = |cause| FormatError::Transfer { path: shown(path), cause };
+    transfer.validate().map_err(transfer_error)?;
+    match transfer.domain {
+        Domain::Percentiles(a, b) if a < 0.0 || b > 100.0 => Err(transfer_error(TransferError::Domain(a, b))),
+        _ => Ok(transfer),
+    }
+}
+
+/// The file as a whole.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TransferFile {
+    name: Option<String>,
+    #[serde(default)]
+    domain: DomainText,
+    #[serde(default)]
+    unit_length: UnitLengthText,
+    #[serde(default)]
+    point: Vec<PointText>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum DomainText {
+    #[default]
+    Full,
+    Values([f32; 2]),
+    Percentiles([f32; 2]),
+}
+
+impl From<DomainText> for Domain {
+    fn from(text: DomainText) -> Self {
+        match text {
+            DomainText::Full => Self::Full,
+            DomainText::Values([a, b]) => Self::Values(a, b),
+            DomainText::Percentiles([a, b]) => Self::Percentiles(a, b),
+        }
+    }
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum UnitLengthText {
+    #[default]
+    Voxel,
+    World(f32),
+    Radius(f32),
+}
+
+impl From<UnitLengthText> for UnitLength {
+    fn from(text: UnitLengthText) -> Self {
+        match text {
+            UnitLengthText::Voxel => Self::Voxel,
+            UnitLengthText::World(l) => Self::World(l),
+            UnitLengthText::Radius(r) => Self::Radius(r),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PointText {
+    x: f32,
+    color: ColorText,
+    opacity: f32,
+}
+
+impl From<PointText> for ControlPoint {
+    fn from(point: PointText) -> Self {
+        Self { x: point.x, color: point.color.0, opacity: point.opacity }
+    }
+}
+
+/// `"#rrggbb"` or three numbers.
+struct ColorText([f32; 3]);
+
+impl<'de> Deserialize<'de> for ColorText {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct ColorVisitor;
+        impl<'de> Visitor<'de> for ColorVisitor {
+            type Value = ColorText;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a colour like \"#aabbcc\" or three numbers from 0 to 1")
+            }
+
+            fn visit_str<E: Error>(self, text: &str) -> Result<ColorText, E> {
+                let is_hex = |h: &&str| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit());
+                let number =
+                    text.strip_prefix('#').filter(is_hex).and_then(|h| u32::from_str_radix(h, 16).ok());
+                let [_, rgb @ ..] =
+                    number.ok_or_else(|| E::invalid_value(de::Unexpected::Str(text), &self))?.to_be_bytes();
+                Ok(ColorText(rgb.map(|c| f32::from(c) / 255.0)))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<ColorText, A::Error> {
+                let mut rgb = [0.0; 3];
+                for (i, c) in rgb.iter_mut().enumerate() {
+                    *c = list.next_element()?.ok_or_else(|| A::Error::invalid_length(i, &self))?;
+                }
+                if list.next_element::<de::IgnoredAny>()?.is_some() {
+                    return Err(A::Error::invalid_length(4, &self));
+                }
+                Ok(ColorText(rgb))
+            }
+        }
+        deserializer.deserialize_any(ColorVisitor)
+    }
+}
+
+/// A file larger than this holds no transfer function.
+pub const MAX_TRANSFER_BYTES: u64 = 1 << 20;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = "domain = { percentiles = [1, 99.5] }\nunit_length = { radius = 0.01 }\n\
+                        [[point]]\nx = 0\ncolor = \"#ff8000\"\nopacity = 0\n\
+                        [[point]]\nx = 1.0\ncolor = [1, 0.5, 0]\nopacity = 0.5\n";
+
+    #[test]
+    fn what_is_written_is_read() {
+        let tf = transfer_from_toml(GOOD, "some/soft.toml").unwrap();
+        assert_eq!((tf.name.as_str(), tf.domain), ("soft", Domain::Percentiles(1.0, 99.5)));
+        assert_eq!(tf.unit_length, UnitLength::Radius(0.01));
+        assert_eq!(tf.points[0].color, [1.0, 128.0 / 255.0, 0.0]);
+        assert_eq!(tf.points[1], ControlPoint { x: 1.0, color: [1.0, 0.5, 0.0], opacity: 0.5 });
+        let tf = transfer_from_toml("[[point]]\nx = 0\ncolor = [0, 0, 0]\nopacity = 1", "a").unwrap();
+        assert_eq!((tf.domain, tf.unit_length), (Domain::Full, UnitLength::Voxel));
+        let tf = transfer_from_toml(&GOOD.replace("percentiles = [1, 99.5]", "values = [-1000, 3e3]"), "a")
+            .unwrap();
+        assert_eq!(tf.domain, Domain::Values(-1000.0, 3000.0));
+    }
+
+    #[test]
+    fn each_mistake_is_named_in_one_line() {
+        for (from, to, what) in [
+            ("x = 1.0", "x = 1.5", "control point 1: position is 1.5, expected 0 to 1"),
+            ("x = 0\n", "x = nan\n", "control point 0: position is NaN"),
+            ("opacity = 0.5", "opacity = -0.5", "control point 1: opacity is -0.5"),
+            ("[1, 0.5, 0]", "[1, 2, 0]", "control point 1: green is 2"),
+            ("[1, 99.5]", "[99.5, 1]", "domain runs from 99.5 to 1"),
+            ("[1, 99.5]", "[1, 101]", "domain runs from 1 to 101"),
+            ("radius = 0.01", "radius = 0", "unit length is 0"),
+            ("#ff8000", "#ff800", "line 5: invalid value: string \"#ff800\", expected a colour"),
+            ("#ff8000", "ff8000", "expected a colour"),
+            ("[1, 0.5, 0]", "[1, 0.5]", "invalid length 2, expected a colour"),
+            ("[1, 0.5, 0]", "[1, 0.5, 0, 1]", "invalid length 4, expected a colour"),
+            ("opacity = 0.5", "opacity = 0.5\nalpha = 1", "line 11: unknown field `alpha`"),
+            ("opacity = 0.5", "", "missing field `opacity`"),
+            ("opacity = 0.5", "opacity = 0.5\nopacity = 1", "duplicate key"),
+            ("radius = 0.01", "radius = 0.01, world = 1", "line 2"),
+            ("percentiles", "percent", "unknown variant `percent`"),
+            ("[[point]]", "[[points]]", "unknown field `points`"),
+            ("x = 0\n", "x = \n", "line 4"),
+        ] {
+            let text = GOOD.replacen(from, to, 1);
+            assert_ne!(text, GOOD, "{from} is not in the text");
+            let e = transfer_from_toml(&text, "a.toml").unwrap_err().to_string();
+            assert!(e.starts_with("a.toml: ") && e.contains(what) && !e.contains('\n'), "{to:?}: {e}");
+        }
+        let unordered = GOOD.replace("x = 0\n", "x = 0.5\n").replace("x = 1.0", "x = 0.25");
+        let e = transfer_from_toml(&unordered, "a.toml").unwrap_err().to_string();
+        assert_eq!(
+            e,
+            "a.toml: control point 1 is at 0.25, before the point at 0.5; expected ascending positions"
+        );
+        let e = transfer_from_toml("", "a.toml").unwrap_err().to_string();
+        assert_eq!(e, "a.toml: 0 control points, expected 1 to 256");
+    }
+}
