@@ -1,1 +1,33 @@
-//! placeholder
+//! The viewer: ray-casts the newest layered frame from the camera under the user's hand at every refresh, and never
+//! waits for the network.
+//!
+//! [`run`] opens the window on a server's link, [`run_window`] on any [`FrameSource`]; [`HeadlessViewer`] is the same
+//! without a window. [`camera_controls`] is pure. This crate renders no volume and knows nothing of the wire: frames
+//! come from `isinglass-net`, the ray caster from `isinglass-gpu`.
+
+mod app;
+pub mod camera_controls;
+mod display;
+mod frame_source;
+mod gpu_timer;
+mod headless;
+mod meters;
+mod overlay;
+mod panels;
+mod picture;
+mod pointer;
+mod run;
+mod viewing;
+mod window;
+
+pub use camera_controls::InitialOrbit;
+pub use display::display_available;
+pub use frame_source::FrameSource;
+pub use headless::{DisplayRecord, HeadlessViewer};
+pub use overlay::{BINDINGS, OverlayModel, Row, ViewTime, format_duration, format_rate};
+pub use picture::BACKGROUND;
+pub use run::{ViewerOptions, run};
+pub use viewing::{FrameSize, Refresh, Standing, Viewing};
+pub use window::{
+    DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowOptions, run_window,
+};

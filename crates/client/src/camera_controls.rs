@@ -1,0 +1,343 @@
+//! From pointer movements to a camera: orbit, pan and zoom around the volume's centre.
+//!
+//! The camera is kept as a rotation and the eye's place *relative to the centre, in view space*: (x, y, d), where d is
+//! the view depth of the centre. Orbiting changes only the rotation, panning only x and y, zooming keeps d within
+//! bounds; so the eye can never pass the centre, and orbiting never moves the centre on the screen.
+//!
+//! Orbiting turns about the camera's own right and up axes, like VTK's and ParaView's trackball camera: no pole where
+//! the view flips or sticks, at the price that circling the pointer rolls the picture (`r` sets it upright again).
+
+use glam::{Quat, Vec3};
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::space::Aabb;
+
+/// What the pointer did since the last refresh. Pixels of the picture, x to the right, y down.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ControlInput {
+    /// Movement that orbits.
+    pub orbit: [f32; 2],
+    /// Movement that pans.
+    pub pan: [f32; 2],
+    /// Natural logarithm of the magnification: positive brings the volume closer.
+    pub zoom: f32,
+    /// The point that zooming keeps in place, from the middle of the picture.
+    pub zoom_at: [f32; 2],
+    /// Back to the first view.
+    pub reset: bool,
+}
+
+impl ControlInput {
+    /// Whether it would leave the camera as it is.
+    pub fn is_idle(&self) -> bool {
+        self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.zoom == 0.0 && !self.reset
+    }
+}
+
+/// Where the view starts and where `r` returns to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InitialOrbit {
+    /// Degrees; positive moves the eye towards +x.
+    pub azimuth_degrees: f32,
+    /// Degrees; positive moves the eye towards +y.
+    pub elevation_degrees: f32,
+    /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
+    pub distance_in_radii: Option<f32>,
+}
+
+impl Default for InitialOrbit {
+    fn default() -> Self {
+        Self { azimuth_degrees: 30.0, elevation_degrees: 20.0, distance_in_radii: None }
+    }
+}
+
+/// The camera under the user's hand.
+#[derive(Clone, Debug)]
+pub struct CameraControls {
+    initial: InitialOrbit,
+    center: Vec3,
+    radius: f32,
+    world_from_view: Quat,
+    /// Eye minus centre, view space. z is the view depth of the centre and positive.
+    eye_from_center: Vec3,
+}
+
+impl CameraControls {
+    /// The first view of a volume in the box `bounds`.
+    pub fn new(initial: InitialOrbit, bounds: &Aabb, intrinsics: &Intrinsics) -> Self {
+        let mut controls = Self {
+            initial,
+            center: bounds.center(),
+            radius: bounds.radius(),
+            world_from_view: Quat::IDENTITY,
+            eye_from_center: Vec3::Z,
+        };
+        controls.reset(intrinsics);
+        controls
+    }
+
+    /// Back to the first view.
+    pub fn reset(&mut self, intrinsics: &Intrinsics) {
+        let distance = self.initial.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance());
+        self.world_from_view = Pose::orbit(
+            Vec3::ZERO,
+            self.initial.azimuth_degrees.to_radians(),
+            self.initial.elevation_degrees.to_radians(),
+            1.0,
+        )
+        .world_from_view;
+        self.eye_from_center = Vec3::Z * self.bounded_depth(distance * self.radius);
+    }
+
+    /// Applies what the pointer did. Returns whether the camera changed.
+    pub fn apply(&mut self, input: &ControlInput, intrinsics: &Intrinsics) -> bool {
+        let before = (self.world_from_view, self.eye_from_center);
+        if input.reset {
+            self.reset(intrinsics);
+        }
+        self.orbit(input.orbit, intrinsics);
+        self.pan(input.pan, intrinsics);
+        self.zoom(input.zoom, input.zoom_at, intrinsics);
+        before != (self.world_from_view, self.eye_from_center)
+    }
+
+    /// Turns about the centre so that the near side of the volume follows the pointer: half a turn for a drag over the
+    /// shorter side of the picture.
+    pub fn orbit(&mut self, [dx, dy]: [f32; 2], intrinsics: &Intrinsics) {
+        let angle_per_pixel = std::f32::consts::PI / intrinsics.width.min(intrinsics.height).max(1) as f32;
+        let turn = Quat::from_scaled_axis(Vec3::new(-dy, -dx, 0.0) * angle_per_pixel);
+        let turned = (self.world_from_view * turn).normalize();
+        if (dx, dy) != (0.0, 0.0) && turned.is_finite() {
+            self.world_from_view = turned;
+        }
+    }
+
+    /// Shifts the camera so that the centre of the volume, and all at its depth, follows the pointer.
+    pub fn pan(&mut self, [dx, dy]: [f32; 2], intrinsics: &Intrinsics) {
+        let shift = Vec3::new(-dx, dy, 0.0) * self.world_per_pixel(intrinsics);
+        self.move_eye(shift);
+    }
+
+    /// Magnifies by e^`zoom` around the point `at` (pixels from the middle of the picture) at the centre's depth.
+    pub fn zoom(&mut self, zoom: f32, [x, y]: [f32; 2], intrinsics: &Intrinsics) {
+        let depth = self.eye_from_center.z;
+        let wanted = depth * (-zoom.clamp(-MAX_ZOOM_STEP, MAX_ZOOM_STEP)).exp();
+        let nearer_by = 1.0 - self.bounded_depth(wanted) / depth;
+        let at = Vec3::new(x, -y, 0.0) * self.world_per_pixel(intrinsics) - Vec3::Z * depth;
+        if zoom != 0.0 {
+            self.move_eye(at * nearer_by);
+        }
+    }
+
+    /// The pose now.
+    pub fn pose(&self) -> Pose {
+        Pose {
+            eye: self.center + self.world_from_view * self.eye_from_center,
+            world_from_view: self.world_from_view,
+        }
+    }
+
+    /// The camera now, for a picture of the given size over a volume in `bounds`.
+    pub fn camera(&self, intrinsics: Intrinsics, bounds: &Aabb) -> Camera {
+        Camera::new(self.pose(), intrinsics, bounds)
+    }
+
+    /// World length of one pixel at the depth of the centre.
+    fn world_per_pixel(&self, intrinsics: &Intrinsics) -> f32 {
+        2.0 * intrinsics.tan_half().1 * self.eye_from_center.z / intrinsics.height.max(1) as f32
+    }
+
+    fn move_eye(&mut self, shift: Vec3) {
+        let moved = self.eye_from_center + shift;
+        // A pointer event with NaN in it, or a pan beyond sight, is no reason to lose the volume.
+        if moved.is_finite() && moved.truncate().length() <= MAX_DEPTH_IN_RADII * self.radius {
+            self.eye_from_center = moved.with_z(self.bounded_depth(moved.z));
+        }
+    }
+
+    fn bounded_depth(&self, depth: f32) -> f32 {
+        let (least, most) = (MIN_DEPTH_IN_RADII * self.radius, MAX_DEPTH_IN_RADII * self.radius);
+        if depth.is_finite() { depth.clamp(least, most) } else { most }
+    }
+}
+
+/// The angle between two viewing poses as seen from the volume's centre, degrees: how far a frame made for one must
+/// be turned to serve the other.
+pub fn angle_between_degrees(a: &Pose, b: &Pose, center: Vec3) -> f32 {
+    (a.eye - center).angle_between(b.eye - center).to_degrees()
+}
+
+/// Magnification (natural logarithm) of one notch of the wheel: 1.15, between ParaView's 1.21 and most editors' 1.1.
+pub const ZOOM_PER_NOTCH: f32 = 0.14;
+/// Magnification (natural logarithm) of a right drag over the whole height of the picture: about twenty times.
+pub const ZOOM_PER_HEIGHT: f32 = 3.0;
+/// Nearest that zooming brings the eye to the centre's plane: inside the volume, but never through the centre.
+pub const MIN_DEPTH_IN_RADII: f32 = 0.02;
+/// Farthest that the eye goes: the volume is then a few dozen pixels.
+pub const MAX_DEPTH_IN_RADII: f32 = 50.0;
+/// Largest magnification of one event, so that no event overflows.
+const MAX_ZOOM_STEP: f32 = 20.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INTRINSICS: Intrinsics = Intrinsics { width: 640, height: 400, fov_y: 0.7 };
+
+    fn bounds() -> Aabb {
+        Aabb { min: Vec3::new(-4.0, -2.0, 1.0), max: Vec3::new(4.0, 6.0, 8.0) }
+    }
+
+    /// Turned, shifted and zoomed, so that no law holds by symmetry.
+    fn controls() -> CameraControls {
+        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        c.orbit([37.0, -81.0], &INTRINSICS);
+        c.pan([20.0, 11.0], &INTRINSICS);
+        c.zoom(0.3, [-50.0, 20.0], &INTRINSICS);
+        c
+    }
+
+    fn pixel_of(c: &CameraControls, p: Vec3) -> [f32; 2] {
+        let basis = c.camera(INTRINSICS, &bounds()).basis();
+        let h = basis.pixel_from_world(p - basis.eye);
+        [h.x / h.z, h.y / h.z]
+    }
+
+    fn assert_close(a: [f32; 2], b: [f32; 2], tolerance: f32) {
+        assert!((a[0] - b[0]).abs() < tolerance && (a[1] - b[1]).abs() < tolerance, "{a:?} {b:?}");
+    }
+
+    fn distance(a: &Pose, b: &Pose) -> f32 {
+        let rotation = (1.0 - a.world_from_view.dot(b.world_from_view).abs()).max(0.0);
+        (a.eye - b.eye).length() + rotation
+    }
+
+    /// A few rounding errors of coordinates up to 640 pixels (2^-24 relative each).
+    const PIXEL_TOLERANCE: f32 = 2e-3;
+    /// A few rounding errors of world coordinates up to 50 units.
+    const WORLD_TOLERANCE: f32 = 1e-4;
+
+    #[test]
+    fn the_first_view_is_the_orbit_that_was_asked_for() {
+        let initial =
+            InitialOrbit { azimuth_degrees: 50.0, elevation_degrees: -10.0, distance_in_radii: Some(3.0) };
+        let c = CameraControls::new(initial, &bounds(), &INTRINSICS);
+        let expect = Pose::orbit(
+            bounds().center(),
+            50f32.to_radians(),
+            (-10f32).to_radians(),
+            3.0 * bounds().radius(),
+        );
+        assert!(distance(&c.pose(), &expect) < WORLD_TOLERANCE);
+        let fit = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let d = (fit.pose().eye - bounds().center()).length();
+        assert!((d - bounds().radius() * INTRINSICS.fit_distance()).abs() < WORLD_TOLERANCE);
+    }
+
+    #[test]
+    fn pan_moves_the_projected_centre_by_exactly_these_pixels() {
+        for d in [[10.0, 0.0], [0.0, -25.0], [-130.5, 77.25]] {
+            let mut c = controls();
+            let before = pixel_of(&c, bounds().center());
+            c.pan(d, &INTRINSICS);
+            let after = pixel_of(&c, bounds().center());
+            assert_close(after, [before[0] + d[0], before[1] + d[1]], PIXEL_TOLERANCE);
+        }
+    }
+
+    #[test]
+    fn zoom_keeps_the_point_under_the_pointer_and_its_inverse_undoes_it() {
+        let mut c = controls();
+        let before = c.pose();
+        let at = [120.0, -60.0];
+        // The point of the centre's plane under the pointer.
+        let camera = c.camera(INTRINSICS, &bounds());
+        let (ray, s_per_depth) = camera.ray(320.0 + at[0], 200.0 + at[1]);
+        let depth = (bounds().center() - before.eye).dot(before.forward());
+        let p = ray.at(depth * s_per_depth);
+        c.zoom(0.8, at, &INTRINSICS);
+        assert_close(pixel_of(&c, p), [440.0, 140.0], PIXEL_TOLERANCE);
+        assert!(distance(&c.pose(), &before) > 1.0);
+        c.zoom(-0.8, at, &INTRINSICS);
+        assert!(distance(&c.pose(), &before) < WORLD_TOLERANCE);
+    }
+
+    #[test]
+    fn zoom_magnifies_by_its_exponential() {
+        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let tip = bounds().center() + c.world_from_view * Vec3::X;
+        let before = pixel_of(&c, tip)[0] - 320.0;
+        c.zoom(2f32.ln(), [0.0; 2], &INTRINSICS);
+        assert!(((pixel_of(&c, tip)[0] - 320.0) / before - 2.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_full_turn_returns_and_half_of_it_does_not() {
+        for d in [[1.0, 0.0], [0.0, 1.0], [0.6, -0.8]] {
+            let mut c = controls();
+            let before = c.pose();
+            let steps = 800; // twice the shorter side: a whole turn
+            for step in 0..steps {
+                c.orbit(d, &INTRINSICS);
+                if step == steps / 2 {
+                    assert!(distance(&c.pose(), &before) > 1.0);
+                }
+            }
+            // 800 products of quaternions, 2^-24 each, at a distance of 20 units.
+            assert!(distance(&c.pose(), &before) < 2e-2, "{d:?} {}", distance(&c.pose(), &before));
+        }
+    }
+
+    #[test]
+    fn orbit_keeps_the_centre_on_its_pixel_and_the_near_side_follows_the_pointer() {
+        let mut c = controls();
+        let before = pixel_of(&c, bounds().center());
+        c.orbit([123.0, -45.0], &INTRINSICS);
+        assert_close(pixel_of(&c, bounds().center()), before, PIXEL_TOLERANCE);
+
+        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let near_side = bounds().center() - c.pose().forward() * bounds().radius();
+        c.orbit([5.0, 3.0], &INTRINSICS);
+        let p = pixel_of(&c, near_side);
+        assert!(p[0] > 321.0 && p[1] > 200.5, "{p:?}");
+    }
+
+    #[test]
+    fn reset_returns_to_the_first_view_exactly() {
+        let first = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS).pose();
+        let mut c = controls();
+        assert_ne!(c.pose(), first);
+        assert!(c.apply(&ControlInput { reset: true, ..Default::default() }, &INTRINSICS));
+        assert_eq!(c.pose(), first);
+        assert!(!c.apply(&ControlInput::default(), &INTRINSICS));
+    }
+
+    #[test]
+    fn any_input_leaves_a_valid_camera_in_front_of_the_centre() {
+        let wild = [0.0, 1.0, -3.5, 1e6, -1e6, 1e30, f32::MAX, f32::INFINITY, f32::NEG_INFINITY, f32::NAN];
+        let mut c = controls();
+        for (i, &a) in wild.iter().enumerate() {
+            for &b in &wild {
+                let input = match i % 3 {
+                    0 => ControlInput { zoom: a, zoom_at: [b, a], ..Default::default() },
+                    1 => ControlInput { orbit: [a, b], pan: [b, a], ..Default::default() },
+                    _ => ControlInput { pan: [a, b], zoom: b, orbit: [b, a], ..Default::default() },
+                };
+                c.apply(&input, &INTRINSICS);
+                let camera = c.camera(INTRINSICS, &bounds());
+                assert!(camera.is_valid(), "{input:?} {camera:?}");
+                let depth = (bounds().center() - camera.pose.eye).dot(camera.pose.forward());
+                assert!(depth > 0.0, "{input:?} {depth}");
+            }
+        }
+        for _ in 0..1000 {
+            c.zoom(1.0, [0.0; 2], &INTRINSICS);
+        }
+        assert_eq!(c.eye_from_center.z, MIN_DEPTH_IN_RADII * bounds().radius());
+    }
+
+    #[test]
+    fn angle_between_two_orbits() {
+        let at = |azimuth: f32| Pose::orbit(Vec3::ONE, azimuth.to_radians(), 0.0, 4.0);
+        assert!((angle_between_degrees(&at(10.0), &at(35.0), Vec3::ONE) - 25.0).abs() < 1e-2);
+    }
+}

@@ -1,0 +1,113 @@
+//! The viewer without a window: the same wishes, frames and standings, driven by the caller's clock and camera path,
+//! and a record of every picture that a window would have shown. Whoever wants the pictures casts the recorded frames
+//! afterwards, from the recorded cameras.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::space::Aabb;
+use isinglass_net::{LinkStats, ReceivedFrame, State};
+
+use crate::frame_source::FrameSource;
+use crate::viewing::{FrameSize, Standing, Viewing};
+
+/// One picture that a window would have shown.
+#[derive(Clone, Debug)]
+pub struct DisplayRecord {
+    /// The time, on the clock of the source's stamps.
+    pub at: Duration,
+    /// The camera of the picture: made of the pose given for the same refresh.
+    pub camera: Camera,
+    /// The frame that was cast; none before the first.
+    pub frame: Option<Arc<ReceivedFrame>>,
+    /// How the picture stood to the server's.
+    pub standing: Standing,
+    /// Time since the pose that the frame answers was set.
+    pub frame_age: Option<Duration>,
+    /// Angle between the frame's pose and the camera.
+    pub turned_degrees: Option<f32>,
+    /// The connection's state.
+    pub state: State,
+    /// What the connection costs.
+    pub stats: LinkStats,
+}
+
+/// A viewer without a window.
+pub struct HeadlessViewer<S> {
+    viewing: Viewing<S>,
+    picture: Intrinsics,
+    records: Vec<DisplayRecord>,
+}
+
+impl<S: FrameSource> HeadlessViewer<S> {
+    /// Pictures of the size `picture`, frames of the same.
+    pub fn new(source: S, picture: Intrinsics) -> Self {
+        let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, scale: 1.0 };
+        Self { viewing: Viewing::new(source, frame_size), picture, records: Vec::new() }
+    }
+
+    /// Whoever brings the frames.
+    pub fn source(&self) -> &S {
+        self.viewing.source()
+    }
+
+    /// The box of the volume, once known.
+    pub fn bounds(&self) -> Option<Aabb> {
+        self.source().description().map(|d| d.volume.bounds())
+    }
+
+    /// One refresh of the display at `now`, the time on the clock of the source's stamps, with the camera at `pose`. Records what
+    /// is shown; nothing, and nothing is recorded, as long as the volume is not known.
+    pub fn tick(&mut self, now: Duration, pose: Pose) -> Option<&DisplayRecord> {
+        let bounds = self.bounds()?;
+        let refresh = self.viewing.refresh(now, pose, self.picture, &bounds);
+        let source = self.viewing.source();
+        self.records.push(DisplayRecord {
+            at: now,
+            camera: refresh.camera,
+            frame: refresh.frame,
+            standing: refresh.standing,
+            frame_age: refresh.frame_age,
+            turned_degrees: refresh.turned_degrees,
+            state: source.state(),
+            stats: source.stats(),
+        });
+        self.records.last()
+    }
+
+    /// What was shown so far. A frame lives as long as a record names it.
+    pub fn records(&self) -> &[DisplayRecord] {
+        &self.records
+    }
+
+    /// What was shown.
+    pub fn into_records(self) -> Vec<DisplayRecord> {
+        self.records
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::viewing::tests::{BOUNDS, FakeSource};
+
+    #[test]
+    fn every_tick_is_recorded_with_the_camera_of_its_own_pose() {
+        let picture = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let pose = |i: u64| Pose::orbit(Vec3::ZERO, i as f32 * 0.01, 0.0, 5.0);
+        let mut viewer = HeadlessViewer::new(FakeSource::default(), picture);
+        assert!(viewer.tick(Duration::ZERO, pose(0)).is_none(), "no volume yet");
+        let mut viewer =
+            HeadlessViewer::new(FakeSource { max_side: Some(64), ..Default::default() }, picture);
+        for i in 0..5 {
+            let at = Duration::from_millis(16 * i);
+            assert_eq!(viewer.tick(at, pose(i)).unwrap().camera, Camera::new(pose(i), picture, &BOUNDS));
+        }
+        let records = viewer.into_records();
+        assert_eq!(records.len(), 5);
+        assert!(records.iter().all(|r| r.frame.is_none() && r.standing == Standing::Waiting));
+    }
+}

@@ -1,0 +1,108 @@
+//! The picture inside egui's render pass: uploads the newest frame when it changes and ray-casts it every time.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use isinglass_core::camera::Camera;
+use isinglass_core::space::Aabb;
+use isinglass_gpu::ViewPass;
+use isinglass_net::ReceivedFrame;
+
+use crate::gpu_timer::{GpuTime, GpuTimer};
+
+/// What one refresh draws.
+pub(crate) struct PicturePaint {
+    /// The frame to cast.
+    pub(crate) frame: Arc<ReceivedFrame>,
+    /// The camera to cast it from.
+    pub(crate) camera: Camera,
+    /// The box of the volume.
+    pub(crate) bounds: Aabb,
+}
+
+/// What the painting tells the application.
+#[derive(Debug, Default)]
+pub(crate) struct PictureStatus {
+    /// Time of the newest novel view that was measured.
+    pub(crate) time: Arc<GpuTime>,
+    /// Whether the adapter can measure.
+    pub(crate) has_timer: bool,
+    problem: Mutex<Option<String>>,
+}
+
+impl PictureStatus {
+    /// Why the newest frame could not be uploaded, if so; an older one is shown then.
+    pub(crate) fn problem(&self) -> Option<String> {
+        self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// What stays on the GPU from refresh to refresh.
+struct PictureResources {
+    pass: ViewPass,
+    uploaded: Option<Arc<ReceivedFrame>>,
+    timer: Option<GpuTimer>,
+    status: Arc<PictureStatus>,
+}
+
+/// Prepares the device of the window.
+///
+/// # Errors
+/// If the kernel cannot be built on it.
+pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatus>, String> {
+    let (device, queue) = (&state.device, &state.queue);
+    let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
+    let time = Arc::new(GpuTime::default());
+    let timer = GpuTimer::new(device, queue, time.clone());
+    let status = Arc::new(PictureStatus { time, has_timer: timer.is_some(), problem: Mutex::default() });
+    let resources = PictureResources { pass, uploaded: None, timer, status: status.clone() };
+    state.renderer.write().callback_resources.insert(resources);
+    Ok(status)
+}
+
+impl PicturePaint {
+    /// The picture in `rect`.
+    pub(crate) fn shape(self, rect: egui::Rect) -> egui::PaintCallback {
+        egui_wgpu::Callback::new_paint_callback(rect, self)
+    }
+}
+
+impl egui_wgpu::CallbackTrait for PicturePaint {
+    fn prepare(
+        &self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        _screen: &egui_wgpu::ScreenDescriptor,
+        encoder: &mut wgpu::CommandEncoder,
+        resources: &mut egui_wgpu::CallbackResources,
+    ) -> Vec<wgpu::CommandBuffer> {
+        let Some(r) = resources.get_mut::<PictureResources>() else { return Vec::new() };
+        if r.uploaded.as_ref().is_none_or(|u| !Arc::ptr_eq(u, &self.frame)) {
+            let result = r.pass.upload(device, queue, &self.frame.frame, &self.bounds);
+            *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) =
+                result.err().map(|e| e.to_string());
+            // Also after an error: the same frame would fail again at every refresh.
+            r.uploaded = Some(self.frame.clone());
+        }
+        r.pass.prepare(queue, &self.camera, BACKGROUND);
+        if let Some(timer) = &r.timer {
+            timer.step(device, encoder);
+        }
+        Vec::new()
+    }
+
+    fn paint(
+        &self,
+        _info: egui::PaintCallbackInfo,
+        pass: &mut wgpu::RenderPass<'static>,
+        resources: &egui_wgpu::CallbackResources,
+    ) {
+        let Some(r) = resources.get::<PictureResources>() else { return };
+        match &r.timer {
+            Some(timer) => timer.around(pass, |pass| r.pass.paint(pass)),
+            None => r.pass.paint(pass),
+        }
+    }
+}
+
+/// Linear colour behind the volume: black, as in every picture that the program writes.
+pub const BACKGROUND: [f32; 3] = [0.0; 3];

@@ -1,0 +1,396 @@
+//! What a viewer does at every refresh, with or without a window: ask for the camera's frame, take the newest one
+//! there is, and know how the two stand to each other. Nothing here waits, draws or reads a clock.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::look::Look;
+use isinglass_core::space::Aabb;
+use isinglass_net::ReceivedFrame;
+
+use crate::camera_controls::angle_between_degrees;
+use crate::frame_source::FrameSource;
+
+/// How the picture on screen stands to the server's picture of the same camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// No frame has come yet.
+    Waiting,
+    /// The camera moves; the picture is a novel view of the newest frame.
+    Moving,
+    /// The camera rests; its own frame is not complete yet.
+    Refining,
+    /// The camera's own frame is complete, but of another size than the picture.
+    Settled,
+    /// The camera's own frame is complete and of the picture's size: casting it gives the server's picture.
+    Exact,
+}
+
+/// The size of the frames that are asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameSize {
+    /// Frames are at most so wide.
+    pub max_width: u32,
+    /// Frames are at most so high.
+    pub max_height: u32,
+    /// Size of a frame in units of the picture's, at most 1.
+    pub scale: f32,
+}
+
+impl Default for FrameSize {
+    fn default() -> Self {
+        Self { max_width: 1920, max_height: 1200, scale: 1.0 }
+    }
+}
+
+impl FrameSize {
+    /// The frame to ask for when the picture is `picture`: the same view, scaled down evenly if it is too large. The
+    /// server's limit is `max_side`.
+    pub fn frame_for(&self, picture: Intrinsics, max_side: u32) -> Intrinsics {
+        let (width, height) = (picture.width.max(1) as f32, picture.height.max(1) as f32);
+        let fit = |limit: u32, side: f32| limit.min(max_side) as f32 / side;
+        let scale = self.scale.min(fit(self.max_width, width)).min(fit(self.max_height, height)).min(1.0);
+        let scaled = |x: f32| (x * scale).round().max(1.0) as u32;
+        Intrinsics { width: scaled(width), height: scaled(height), ..picture }
+    }
+}
+
+/// What to draw at a refresh, and how it stands.
+#[derive(Clone, Debug)]
+pub struct Refresh {
+    /// The camera of the picture.
+    pub camera: Camera,
+    /// The box of the volume.
+    pub bounds: Aabb,
+    /// The frame to cast.
+    pub frame: Option<Arc<ReceivedFrame>>,
+    /// How picture and server stand.
+    pub standing: Standing,
+    /// Time since the pose that the frame answers was set.
+    pub frame_age: Option<Duration>,
+    /// Angle between the frame's pose and the camera's.
+    pub turned_degrees: Option<f32>,
+    /// Whether camera or frame differ from the refresh before.
+    pub changed: bool,
+}
+
+/// Keeps the wishes and the newest frame. Call [`Viewing::refresh`] once for each picture.
+pub struct Viewing<S> {
+    source: S,
+    /// How large the frames are.
+    pub frame_size: FrameSize,
+    asked: Option<(Pose, Intrinsics)>,
+    last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
+    moved_at: Duration,
+    wanted_look: Option<(Arc<Look>, Duration)>,
+}
+
+impl<S: FrameSource> Viewing<S> {
+    /// Shows what `source` brings.
+    pub fn new(source: S, frame_size: FrameSize) -> Self {
+        Self { source, frame_size, asked: None, last: None, moved_at: Duration::ZERO, wanted_look: None }
+    }
+
+    /// Whoever brings the frames.
+    pub fn source(&self) -> &S {
+        &self.source
+    }
+
+    /// The same, for what the viewer has to say beside its wishes.
+    pub fn source_mut(&mut self) -> &mut S {
+        &mut self.source
+    }
+
+    /// A picture from `pose` at `now`, the time on the clock of the source's stamps. `bounds` is the box of the volume.
+    pub fn refresh(&mut self, now: Duration, pose: Pose, picture: Intrinsics, bounds: &Aabb) -> Refresh {
+        let camera = Camera::new(pose, picture, bounds);
+        let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
+        let wish = (pose, self.frame_size.frame_for(picture, max_side));
+        if self.asked != Some(wish) {
+            if self.asked.is_some() {
+                self.moved_at = now;
+            }
+            self.asked = Some(wish);
+            self.source.set_pose(wish.0, wish.1);
+        }
+        let frame = self.source.latest_frame();
+        let is_same = |(last_camera, last_frame): &(Camera, Option<Arc<ReceivedFrame>>)| {
+            *last_camera == camera
+                && match (last_frame, &frame) {
+                    (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+                    (a, b) => a.is_none() == b.is_none(),
+                }
+        };
+        let changed = !self.last.as_ref().is_some_and(is_same);
+        if let Some(f) = frame.as_ref().filter(|_| changed) {
+            self.source.note_shown(f.frame.header.frame);
+        }
+        self.last = Some((camera, frame.clone()));
+        let header = frame.as_ref().map(|f| f.frame.header);
+        Refresh {
+            standing: self.standing(now, frame.as_deref(), wish, picture),
+            frame_age: frame.as_ref().and_then(|f| now.checked_sub(Duration::from_micros(f.times.pose_set?))),
+            turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
+            camera,
+            bounds: *bounds,
+            frame,
+            changed,
+        }
+    }
+
+    /// The look to show as chosen: the one asked for last, until the server has it or has had time to refuse it.
+    pub fn look(&self, now: Duration) -> Option<Arc<Look>> {
+        let of_server = self.source.look().map(|(_, look)| look);
+        match &self.wanted_look {
+            Some((wanted, at)) if now < *at + LOOK_PATIENCE => Some(wanted.clone()),
+            _ => of_server,
+        }
+    }
+
+    /// Asks for another look.
+    pub fn set_look(&mut self, now: Duration, look: Look) {
+        self.source.set_look(look.clone());
+        self.wanted_look = Some((Arc::new(look), now));
+    }
+
+    fn standing(
+        &self,
+        now: Duration,
+        frame: Option<&ReceivedFrame>,
+        (pose, asked): (Pose, Intrinsics),
+        picture: Intrinsics,
+    ) -> Standing {
+        let Some(frame) = frame else { return Standing::Waiting };
+        let header = &frame.frame.header;
+        let server_look = self.source.look();
+        let look_is_current = server_look.as_ref().is_none_or(|(version, _)| *version == header.look)
+            && self.look(now) == server_look.map(|(_, look)| look);
+        let is_own = header.camera.pose == pose && header.camera.intrinsics == asked;
+        if is_own && frame.is_complete && look_is_current {
+            if asked == picture { Standing::Exact } else { Standing::Settled }
+        } else if self.moved_at > Duration::ZERO && now < self.moved_at + REST {
+            Standing::Moving
+        } else {
+            Standing::Refining
+        }
+    }
+}
+
+/// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
+const REST: Duration = Duration::from_millis(150);
+/// How long a wish for a look is shown as if granted.
+const LOOK_PATIENCE: Duration = Duration::from_secs(3);
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use glam::Vec3;
+    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+    use isinglass_core::kernels::layering::Layering;
+    use isinglass_core::layer::{FrameHeader, LayeredFrame};
+    use isinglass_core::session::client::FrameTimes;
+    use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+    use isinglass_core::wire::{ClientStats, Token, VolumeDescription, Welcome};
+    use isinglass_net::{LinkStats, State};
+
+    use super::*;
+
+    /// Remembers what it was asked and shows what the test puts into it.
+    #[derive(Default)]
+    pub(crate) struct FakeSource {
+        pub(crate) asked: Vec<(Pose, Intrinsics)>,
+        pub(crate) frame: Option<Arc<ReceivedFrame>>,
+        pub(crate) look: Option<(LookVersion, Arc<Look>)>,
+        pub(crate) wanted_looks: Vec<Look>,
+        pub(crate) shown: Vec<FrameId>,
+        pub(crate) max_side: Option<u32>,
+    }
+
+    impl FrameSource for FakeSource {
+        fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
+            self.asked.push((pose, intrinsics));
+        }
+
+        fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+            self.frame.clone()
+        }
+
+        fn state(&self) -> State {
+            State::Connected
+        }
+
+        fn stats(&self) -> LinkStats {
+            LinkStats::default()
+        }
+
+        fn description(&self) -> Option<Arc<Welcome>> {
+            let volume = VolumeDescription {
+                name: "cube".into(),
+                dims: [2, 2, 2],
+                spacing: [1.0; 3],
+                unit: None,
+                orientation: None,
+                value_range: (0.0, 1.0),
+                histogram: vec![],
+            };
+            Some(Arc::new(Welcome {
+                ticket: Token::new([0; 16]),
+                volume,
+                look_version: LookVersion(0),
+                look: look("first"),
+                max_side: self.max_side?,
+                max_poses_per_second: 100,
+            }))
+        }
+
+        fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+            self.look.clone()
+        }
+
+        fn set_look(&mut self, look: Look) {
+            self.wanted_looks.push(look);
+        }
+
+        fn take_notice(&mut self) -> Option<String> {
+            None
+        }
+
+        fn note_shown(&mut self, frame: FrameId) {
+            self.shown.push(frame);
+        }
+
+        fn report(&mut self, _stats: ClientStats) {}
+    }
+
+    impl FakeSource {
+        /// Answers the wish number `pose`, from 1, that was made at `pose_set`.
+        fn answer(&mut self, pose: u32, pose_set: Duration, is_complete: bool) {
+            let (at, intrinsics) = self.asked[pose as usize - 1];
+            let header = FrameHeader {
+                frame: FrameId(pose),
+                pose: PoseId(pose),
+                look: self.look.as_ref().map_or(LookVersion(0), |l| l.0),
+                camera: Camera::new(at, intrinsics, &BOUNDS),
+                k: 4,
+            };
+            let times = FrameTimes { pose_set: Some(pose_set.as_micros() as u64), ..Default::default() };
+            let frame = LayeredFrame::empty(header);
+            self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, connection: 1, times }));
+        }
+    }
+
+    pub(crate) const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+    const PICTURE: Intrinsics = Intrinsics { width: 60, height: 40, fov_y: 0.7 };
+
+    fn ms(x: u64) -> Duration {
+        Duration::from_millis(x)
+    }
+
+    fn at(azimuth_degrees: f32) -> Pose {
+        Pose::orbit(Vec3::ZERO, azimuth_degrees.to_radians(), 0.2, 6.0)
+    }
+
+    fn look(name: &str) -> Look {
+        let points = vec![ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.5 }];
+        let (domain, unit_length) = (Domain::Full, UnitLength::Voxel);
+        let transfer = TransferFunction { name: name.into(), domain, unit_length, points };
+        Look { transfer, shaded: true, layering: Layering::default(), k: 8 }
+    }
+
+    fn viewing() -> Viewing<FakeSource> {
+        Viewing::new(FakeSource::default(), FrameSize::default())
+    }
+
+    #[test]
+    fn the_picture_has_the_present_camera_whatever_the_frame() {
+        let mut v = viewing();
+        let mut turned = vec![];
+        for i in 0..20u64 {
+            let pose = at(i as f32);
+            let r = v.refresh(ms(i * 16), pose, PICTURE, &BOUNDS);
+            assert_eq!(r.camera, Camera::new(pose, PICTURE, &BOUNDS));
+            turned.extend(r.turned_degrees);
+            // The answer to a wish comes ten refreshes later.
+            if i >= 10 {
+                v.source.answer(i as u32 - 9, ms((i - 10) * 16), true);
+            }
+        }
+        assert_eq!(v.source.asked.len(), 20);
+        let r = v.refresh(ms(20 * 16), at(20.0), PICTURE, &BOUNDS);
+        assert_eq!((r.frame_age, r.standing), (Some(ms(11 * 16)), Standing::Moving));
+        // Azimuths apart at this elevation: the arc is cos(elevation) shorter.
+        assert!((r.turned_degrees.unwrap() - 11.0 * 0.2f32.cos()).abs() < 0.1, "{r:?}");
+        assert!(turned.len() == 9);
+    }
+
+    #[test]
+    fn at_rest_the_standing_goes_from_moving_over_refining_to_exact() {
+        let mut v = viewing();
+        assert_eq!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).standing, Standing::Waiting);
+        v.source.answer(1, ms(0), true);
+        assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        assert_eq!(v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
+        assert_eq!(v.refresh(ms(160), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
+        assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        v.source.answer(2, ms(0), false);
+        assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        v.source.answer(2, ms(0), true);
+        let r = v.refresh(ms(190), at(5.0), PICTURE, &BOUNDS);
+        assert_eq!(r.standing, Standing::Exact);
+        // What "exact" promises: the frame's camera is the picture's.
+        assert_eq!(r.frame.unwrap().frame.header.camera, r.camera);
+        assert_eq!(v.source.asked.len(), 2, "a resting camera asks for nothing");
+    }
+
+    #[test]
+    fn a_frame_of_another_size_settles_but_is_never_exact() {
+        let mut v = Viewing::new(FakeSource::default(), FrameSize { scale: 0.5, ..Default::default() });
+        v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+        assert_eq!(v.source.asked[0].1, Intrinsics { width: 30, height: 20, fov_y: 0.7 });
+        v.source.answer(1, ms(0), true);
+        assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Settled);
+    }
+
+    #[test]
+    fn a_look_that_is_on_its_way_is_not_exact() {
+        let mut v = viewing();
+        v.source.look = Some((LookVersion(1), Arc::new(look("bone"))));
+        v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+        v.source.answer(1, ms(0), true);
+        assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        v.set_look(ms(20), look("skin"));
+        assert_eq!(v.source.wanted_looks, [look("skin")]);
+        assert_eq!(v.look(ms(30)), Some(Arc::new(look("skin"))));
+        assert_eq!(v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
+        assert_eq!(v.refresh(ms(40), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        v.source.answer(1, ms(0), true);
+        assert_eq!(v.refresh(ms(50), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        // A wish that the server ignores is forgotten.
+        v.set_look(ms(60), look("no such thing"));
+        assert_eq!(v.look(ms(4_000)), Some(Arc::new(look("skin"))));
+        assert_eq!(v.refresh(ms(4_000), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    }
+
+    #[test]
+    fn frames_are_asked_for_in_the_picture_s_shape_within_the_limits() {
+        let size = FrameSize::default();
+        let picture = |width, height| Intrinsics { width, height, fov_y: 1.0 };
+        assert_eq!(size.frame_for(picture(800, 600), 4096), picture(800, 600));
+        assert_eq!(size.frame_for(picture(3840, 2160), 4096), picture(1920, 1080));
+        assert_eq!(size.frame_for(picture(1000, 2400), 4096), picture(500, 1200));
+        assert_eq!(FrameSize { scale: 0.5, ..size }.frame_for(picture(801, 1), 4096), picture(401, 1));
+        assert_eq!(size.frame_for(picture(800, 600), 400), picture(400, 300), "the server's limit");
+    }
+
+    #[test]
+    fn a_refresh_knows_whether_anything_changed_and_tells_of_new_frames_once() {
+        let mut v = viewing();
+        assert!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).changed);
+        assert!(!v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).changed);
+        v.source.answer(1, ms(0), false);
+        assert!(v.refresh(ms(2), at(0.0), PICTURE, &BOUNDS).changed);
+        assert!(!v.refresh(ms(3), at(0.0), PICTURE, &BOUNDS).changed);
+        assert_eq!(v.source.shown, [FrameId(1)]);
+    }
+}

@@ -1,0 +1,187 @@
+//! Opens the window and closes it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_net::Clock;
+
+use crate::app::ViewerApp;
+use crate::camera_controls::InitialOrbit;
+use crate::frame_source::FrameSource;
+use crate::gpu_timer::timer_features;
+use crate::picture;
+use crate::viewing::{FrameSize, Refresh};
+
+/// What a window needs to know beside where its frames come from.
+pub struct WindowOptions {
+    /// Who renders, as the person at the viewer knows it.
+    pub server_name: String,
+    /// Width and height of the picture, points.
+    pub size: [u32; 2],
+    /// The first view.
+    pub initial_orbit: InitialOrbit,
+    /// Vertical field of view, radians.
+    pub fov_y: f32,
+    /// Size of the frames that are asked for.
+    pub frame_size: FrameSize,
+    /// Whether the numbers are shown at first.
+    pub shows_overlay: bool,
+    /// Turns the camera by itself, for pictures of a moving view; 0: not.
+    pub auto_orbit_degrees_per_second: f32,
+    /// Watches every refresh, for tests and pictures of the window.
+    pub script: Option<Script>,
+}
+
+impl Default for WindowOptions {
+    fn default() -> Self {
+        Self {
+            server_name: String::new(),
+            size: [1100, 760],
+            initial_orbit: InitialOrbit::default(),
+            fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
+            frame_size: FrameSize::default(),
+            shows_overlay: true,
+            auto_orbit_degrees_per_second: 0.0,
+            script: None,
+        }
+    }
+}
+
+/// Is called after every refresh and says what to do next.
+pub type Script = Box<dyn FnMut(&Probe) -> ScriptStep>;
+
+/// What a script sees.
+pub struct Probe {
+    /// Time since the window opened.
+    pub now: Duration,
+    /// What is drawn; none before the volume is known.
+    pub refresh: Option<Refresh>,
+}
+
+/// What a script wants.
+pub enum ScriptStep {
+    /// Nothing.
+    Continue,
+    /// A picture of the window as it is drawn at this refresh.
+    Capture(Box<dyn FnOnce(Shot) + Send>),
+    /// The end.
+    Close,
+}
+
+/// A picture of the window, 8-bit sRGB, three bytes a pixel, row by row from the top.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// The pixels.
+    pub rgb: Vec<u8>,
+}
+
+/// Wakes the window from any thread: something to show has arrived.
+pub type Waker = Arc<dyn Fn() + Send + Sync>;
+
+/// Why there is no window.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewerError {
+    /// No graphics adapter can draw to the window.
+    #[error(
+        "no graphics adapter can draw to a window: {0}; install a Vulkan driver \
+         (Debian and Ubuntu: mesa-vulkan-drivers, Fedora: mesa-vulkan-drivers, NVIDIA: the vendor's driver)"
+    )]
+    Adapter(String),
+    /// The window system does not give a window.
+    #[error(
+        "cannot open a window: {0}; on Linux a running X server or XWayland (DISPLAY) and its client libraries \
+         (libx11-6, libxcursor1, libxi6, libxkbcommon-x11-0) are needed"
+    )]
+    Window(String),
+    /// The kernel could not be built for this device.
+    #[error("cannot prepare the graphics device: {0}")]
+    Device(String),
+    /// Nothing can bring the frames.
+    #[error("{0}")]
+    Source(String),
+}
+
+/// Opens a window on the frames of `make_source` and returns when it is closed. `clock` is that of the source's stamps.
+/// Must be called on the main thread.
+///
+/// # Errors
+/// If there is no window, no adapter or no source; before anything was shown.
+pub fn run_window<S: FrameSource + 'static>(
+    options: WindowOptions,
+    clock: Clock,
+    make_source: impl FnOnce(Waker) -> Result<S, String>,
+) -> Result<(), ViewerError> {
+    let [width, height] = options.size;
+    let native = eframe::NativeOptions {
+        viewport: egui::ViewportBuilder::default()
+            .with_title("isinglass")
+            .with_app_id("isinglass")
+            .with_inner_size([width as f32, height as f32])
+            .with_min_inner_size([320.0, 240.0])
+            .with_icon(egui::IconData::default()),
+        wgpu_options: wgpu_options(),
+        // The picture is the server's to 1/255; noise would be seen in a comparison.
+        dithering: false,
+        ..Default::default()
+    };
+    let create: eframe::AppCreator<'_> = Box::new(move |cc| {
+        cc.egui_ctx.set_theme(egui::Theme::Dark);
+        let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
+        let status = picture::install(state).map_err(ViewerError::Device)?;
+        let ctx = cc.egui_ctx.clone();
+        let source = make_source(Arc::new(move || ctx.request_repaint())).map_err(ViewerError::Source)?;
+        Ok(Box::new(ViewerApp::new(options, source, clock, status)))
+    });
+    eframe::run_native("isinglass", native, create).map_err(viewer_error)
+}
+
+fn viewer_error(error: eframe::Error) -> ViewerError {
+    match error {
+        eframe::Error::AppCreation(e) => match e.downcast::<ViewerError>() {
+            Ok(e) => *e,
+            Err(e) => ViewerError::Device(one_line(&e)),
+        },
+        eframe::Error::Wgpu(e) => ViewerError::Adapter(one_line(&e)),
+        other => ViewerError::Window(one_line(&other)),
+    }
+}
+
+fn one_line(e: &dyn std::fmt::Display) -> String {
+    e.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// eframe's defaults, least latency, and timestamps where the adapter has them.
+fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
+    let mut setup = egui_wgpu::WgpuSetupCreateNew::without_display_handle();
+    let device_descriptor = setup.device_descriptor.clone();
+    setup.device_descriptor = Arc::new(move |adapter| {
+        let descriptor = device_descriptor(adapter);
+        let features = descriptor.required_features | timer_features(adapter);
+        wgpu::DeviceDescriptor { required_features: features, ..descriptor }
+    });
+    egui_wgpu::WgpuConfiguration { wgpu_setup: setup.into(), ..Default::default() }
+        .with_surface_config(egui_wgpu::SurfaceConfig::LOW_LATENCY)
+}
+
+/// Vertical field of view if none is named, degrees.
+pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_one_line_and_name_the_cause() {
+        let source = Box::new(ViewerError::Source("no route to host".into()));
+        let e = viewer_error(eframe::Error::AppCreation(source));
+        assert_eq!(e.to_string(), "no route to host");
+        let e = viewer_error(eframe::Error::AppCreation("two\n lines".into()));
+        assert_eq!(e.to_string(), "cannot prepare the graphics device: two lines");
+        let e = viewer_error(eframe::Error::Wgpu(egui_wgpu::WgpuError::NoSurfaceFormatsAvailable));
+        assert!(e.to_string().contains("mesa-vulkan-drivers") && !e.to_string().contains('\n'), "{e}");
+    }
+}

@@ -1,0 +1,217 @@
+//! Does the viewer's window show what the CPU twin casts from the same frame and camera?
+//!
+//! Opens a real window, so it needs a display (`xvfb-run` will do) and a Vulkan driver (lavapipe will do). Without a
+//! display it is skipped with a line, or fails if `ISINGLASS_STRICT=1`. Windows belong to the main thread: there is no
+//! test harness around this file.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test without the harness that would allow both"
+)]
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use isinglass_client::camera_controls::InitialOrbit;
+use isinglass_client::{
+    BACKGROUND, FrameSize, FrameSource, Probe, ScriptStep, Shot, Standing, WindowOptions, display_available,
+    run_window,
+};
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::look::Look;
+use isinglass_core::session::client::FrameTimes;
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::wire::{ClientStats, Token, VolumeDescription, Welcome};
+use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
+
+fn main() {
+    if !display_available() {
+        assert!(
+            std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"),
+            "no display: DISPLAY names no X server that answers"
+        );
+        println!("skipped: no display (run under xvfb-run to open the window)");
+        return;
+    }
+    window_shows_what_the_twin_casts();
+    println!("ok: the window shows what the CPU twin casts");
+}
+
+/// First a frame of another pose is shown, as while the hand moves; then the camera's own.
+fn window_shows_what_the_twin_casts() {
+    let answers_wishes = Arc::new(AtomicBool::new(false));
+    let shots: Arc<Mutex<Vec<Shot>>> = Arc::default();
+    let probes: Arc<Mutex<Vec<Probe>>> = Arc::default();
+    let mut awaited = 0;
+    let script = {
+        let (answers_wishes, shots, probes) = (answers_wishes.clone(), shots.clone(), probes.clone());
+        move |probe: &Probe| {
+            assert!(probe.now < Duration::from_secs(120), "the window never came to rest");
+            let Some(refresh) = &probe.refresh else { return ScriptStep::Continue };
+            let have = shots.lock().unwrap().len();
+            if have == 2 {
+                return ScriptStep::Close;
+            }
+            if have == 1 {
+                answers_wishes.store(true, Ordering::Relaxed);
+            }
+            let ready = match have {
+                0 => refresh.frame.is_some() && refresh.standing == Standing::Refining,
+                _ => refresh.standing == Standing::Exact,
+            };
+            if !ready || awaited != have || refresh.changed {
+                return ScriptStep::Continue;
+            }
+            awaited += 1;
+            probes.lock().unwrap().push(Probe { now: probe.now, refresh: Some(refresh.clone()) });
+            let shots = shots.clone();
+            ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push(shot)))
+        }
+    };
+    let options = WindowOptions {
+        size: [360, 260],
+        initial_orbit: InitialOrbit {
+            azimuth_degrees: 25.0,
+            elevation_degrees: 15.0,
+            distance_in_radii: Some(2.6),
+        },
+        frame_size: FrameSize::default(),
+        shows_overlay: false,
+        script: Some(Box::new(script)),
+        ..Default::default()
+    };
+    run_window(options, Clock::start(), move |_wake| Ok(StillSource::new(answers_wishes))).unwrap();
+
+    let probes = probes.lock().unwrap();
+    let shots = shots.lock().unwrap();
+    assert_eq!((probes.len(), shots.len()), (2, 2));
+    for (probe, shot) in probes.iter().zip(shots.iter()) {
+        let refresh = probe.refresh.as_ref().unwrap();
+        let frame = &refresh.frame.as_ref().unwrap().frame;
+        let camera = refresh.camera;
+        assert_eq!(
+            (shot.width, shot.height),
+            (camera.intrinsics.width as usize, camera.intrinsics.height as usize)
+        );
+        let twin = raycast(frame, &refresh.bounds, &camera).to_srgb8(BACKGROUND);
+        let (max, mean) = difference(&shot.rgb, &twin);
+        println!(
+            "{:?}, turned by {:.1}°: max {max}, mean {mean:.4}",
+            refresh.standing,
+            refresh.turned_degrees.unwrap()
+        );
+        // The GPU's exp and the fused products of its compiler: the bound of every kernel against its twin.
+        assert!(max <= 2 && mean < 0.1, "{:?}: max {max}, mean {mean}", refresh.standing);
+
+        // Negative control: two degrees more and the comparison fails, so it does see the camera.
+        let q = glam::Quat::from_rotation_y(2f32.to_radians());
+        let pose = Pose { eye: q * camera.pose.eye, world_from_view: q * camera.pose.world_from_view };
+        let turned = Camera::new(pose, camera.intrinsics, &refresh.bounds);
+        let (max, mean) =
+            difference(&shot.rgb, &raycast(frame, &refresh.bounds, &turned).to_srgb8(BACKGROUND));
+        assert!(max > 10 && mean > 0.1, "turned by two degrees: max {max}, mean {mean}");
+    }
+    let exact = probes[1].refresh.as_ref().unwrap();
+    assert_eq!(exact.frame.as_ref().unwrap().frame.header.camera, exact.camera);
+    assert!(probes[0].refresh.as_ref().unwrap().turned_degrees.unwrap() > 5.0);
+    // What "exact" promises: the server's own picture, to one step of eight bits.
+    let own = exact.frame.as_ref().unwrap().frame.flatten().to_srgb8(BACKGROUND);
+    let (max, _) = difference(&shots[1].rgb, &own);
+    assert!(max <= 1, "exact, against the frame's own picture: max {max}");
+    let (max, _) = difference(&shots[0].rgb, &own);
+    assert!(max > 10, "negative control: the turned frame is not exact, max {max}");
+}
+
+/// Greatest and mean difference, in steps of 8 bits.
+fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
+    assert_eq!(a.len(), b.len());
+    let each = || a.iter().zip(b).map(|(a, b)| a.abs_diff(*b));
+    (each().max().unwrap(), each().map(f64::from).sum::<f64>() / a.len() as f64)
+}
+
+/// Renders on the CPU at once; until it is told to answer wishes, from a pose eight degrees beside the wish.
+struct StillSource {
+    scene: Scene,
+    answers_wishes: Arc<AtomicBool>,
+    beside: Option<Arc<ReceivedFrame>>,
+    own: Option<Arc<ReceivedFrame>>,
+}
+
+impl StillSource {
+    fn new(answers_wishes: Arc<AtomicBool>) -> Self {
+        let transfer = isinglass_formats::preset("cloud").unwrap();
+        let scene = Scene::new(Arc::new(Builtin::Cloud.volume(48)), &transfer, MarchSettings::default());
+        Self { scene, answers_wishes, beside: None, own: None }
+    }
+
+    fn frame(&self, pose: Pose, intrinsics: Intrinsics, id: u32) -> Arc<ReceivedFrame> {
+        let header = FrameHeader {
+            frame: FrameId(id),
+            pose: PoseId(id),
+            look: LookVersion(0),
+            camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
+            k: 8,
+        };
+        let frame: LayeredFrame = generate(&self.scene, header, Layering::VisibilityMerge);
+        let times = FrameTimes::default();
+        Arc::new(ReceivedFrame { frame, is_complete: true, connection: 1, times })
+    }
+}
+
+impl FrameSource for StillSource {
+    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
+        let q = glam::Quat::from_rotation_y(8f32.to_radians());
+        let beside = Pose { eye: q * pose.eye, world_from_view: q * pose.world_from_view };
+        self.beside = Some(self.frame(beside, intrinsics, 1));
+        self.own = Some(self.frame(pose, intrinsics, 2));
+    }
+
+    fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        if self.answers_wishes.load(Ordering::Relaxed) { self.own.clone() } else { self.beside.clone() }
+    }
+
+    fn state(&self) -> State {
+        State::Connected
+    }
+
+    fn stats(&self) -> LinkStats {
+        LinkStats::default()
+    }
+
+    fn description(&self) -> Option<Arc<Welcome>> {
+        Some(Arc::new(Welcome {
+            ticket: Token::new([0; 16]),
+            volume: VolumeDescription::of(&self.scene.volume, &self.scene.histogram),
+            look_version: LookVersion(0),
+            look: Look {
+                transfer: isinglass_formats::preset("cloud").unwrap(),
+                shaded: true,
+                layering: Layering::VisibilityMerge,
+                k: 8,
+            },
+            max_side: 4096,
+            max_poses_per_second: 100,
+        }))
+    }
+
+    // Without a look there is no look panel over the picture.
+    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        None
+    }
+
+    fn set_look(&mut self, _look: Look) {}
+
+    fn take_notice(&mut self) -> Option<String> {
+        None
+    }
+
+    fn note_shown(&mut self, _frame: FrameId) {}
+
+    fn report(&mut self, _stats: ClientStats) {}
+}
