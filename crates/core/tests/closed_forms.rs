@@ -10,9 +10,9 @@ use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{
     ControlPoint, Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength,
 };
+use isinglass_core::volume::Occupancy;
 use isinglass_core::volume::fields::Field;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::volume::Occupancy;
 
 /// A table with σ = value and white matter, for values up to `sigma_max`.
 fn identity_table(sigma_max: f32) -> TransferTable {

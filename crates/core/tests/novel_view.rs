@@ -89,10 +89,7 @@ fn brute_force(frame: &LayeredFrame, bounds: &Aabb, ray: &Ray) -> [f64; 4] {
     for y in 0..h {
         for x in 0..w {
             let edge = |i: u32, n: u32| 2.0 * f64::from(i) / f64::from(n) - 1.0;
-            let sides = [
-                (right, edge(x, w), edge(x + 1, w)),
-                (up, -edge(y + 1, h), -edge(y, h)),
-            ];
+            let sides = [(right, edge(x, w), edge(x + 1, w)), (up, -edge(y + 1, h), -edge(y, h))];
             let (mut s0, mut s1) = (f64::from(enter), f64::from(leave));
             let mut half_space = |a: f64, b: f64| {
                 // Keeps a + b·s ≥ 0.
@@ -156,14 +153,20 @@ fn poses_from_anywhere() -> Vec<(&'static str, Pose)> {
         ("180 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + std::f32::consts::PI, -0.21, 4.0)),
         ("inside the volume", Pose::orbit(Vec3::ZERO, 1.3, 0.4, 0.3)),
         ("inside, looking at the old eye", Pose::look_at(Vec3::new(0.01, 0.02, 0.0), eye.eye, Vec3::Y)),
-        ("behind the old eye", Pose { eye: eye.eye + eye.world_from_view * (back * 2.0 + Vec3::X * 0.013), ..eye }),
+        (
+            "behind the old eye",
+            Pose { eye: eye.eye + eye.world_from_view * (back * 2.0 + Vec3::X * 0.013), ..eye },
+        ),
         (
             "behind the old eye and beside",
             Pose::look_at(eye.eye + eye.world_from_view * Vec3::new(1.5, 1.0, 2.0), Vec3::ZERO, Vec3::Y),
         ),
         ("at the old eye, looking away", turned(eye, Quat::from_rotation_y(3.1))),
         ("at the old eye, turned", turned(eye, Quat::from_rotation_y(0.3) * Quat::from_rotation_z(0.7))),
-        ("along the old image plane", turned(Pose::orbit(Vec3::ZERO, 0.3 + 1.5708, 0.01, 1.2), Quat::IDENTITY)),
+        (
+            "along the old image plane",
+            turned(Pose::orbit(Vec3::ZERO, 0.3 + 1.5708, 0.01, 1.2), Quat::IDENTITY),
+        ),
     ]
 }
 
@@ -252,7 +255,8 @@ fn equal_transmittance_adds_equal_shares_without_gaps() {
     // Negative control: the other rule shares unequally.
     let other = frame_of(&scene, old, k, Layering::VisibilityMerge);
     let unequal = (0..other.offsets.len() - 1).any(|i| {
-        other.list(i).len() == usize::from(k) && other.list(i).any(|j| other.segment(j).alpha() > 2.0 / f32::from(k))
+        other.list(i).len() == usize::from(k)
+            && other.list(i).any(|j| other.segment(j).alpha() > 2.0 / f32::from(k))
     });
     assert!(unequal);
 }

@@ -51,7 +51,7 @@ pub enum ServeError {
     Bind(#[from] BindError),
     /// There is no certificate.
     #[error(transparent)]
-    Identity(#[from] isinglass_net::IdentityError),
+    Identity(#[from] isinglass_net::identity::IdentityError),
     /// The thread of the renderer could not be started.
     #[error("cannot start the rendering thread: {0}")]
     Thread(std::io::Error),
@@ -84,8 +84,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         look: look.clone(),
     };
     let identity = Identity::generate()?;
-    let server =
-        Server::bind(listen, &identity, isinglass_net::ServerOptions { max_viewers }, greeting)?;
+    let server = Server::bind(listen, &identity, isinglass_net::ServerOptions { max_viewers }, greeting)?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
     let generator = Generator::start(&backend, scene, look.clone())?;
     let (commands, receiver) = mpsc::channel(1);

@@ -147,7 +147,8 @@ impl Viewer {
             return false;
         }
         let span = tracing::debug_span!("frame", id = self.frame.0);
-        let send = send(self.session.frames.clone(), self.session.control.clone(), generated, *request, self.codec);
+        let send =
+            send(self.session.frames.clone(), self.session.control.clone(), generated, *request, self.codec);
         self.sending = Some(tokio::spawn(send.instrument(span)));
         true
     }
@@ -155,8 +156,8 @@ impl Viewer {
 
 /// Encodes a frame on a thread for blocking work, and returns when the network has taken its base.
 async fn send(
-    frames: isinglass_net::FrameSender,
-    control: isinglass_net::ControlSender,
+    frames: isinglass_net::server::FrameSender,
+    control: isinglass_net::server::ControlSender,
     generated: Generated,
     request: PoseRequest,
     codec: codec::Settings,

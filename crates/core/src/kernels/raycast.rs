@@ -163,7 +163,8 @@ impl<'a> Raycaster<'a> {
         hint: &mut usize,
         acc: &mut Over,
     ) {
-        let list = self.frame.list(y as usize * self.frame.header.camera.intrinsics.width as usize + x as usize);
+        let list =
+            self.frame.list(y as usize * self.frame.header.camera.intrinsics.width as usize + x as usize);
         if list.is_empty() {
             return;
         }
@@ -213,7 +214,14 @@ impl<'a> Raycaster<'a> {
 
     /// Composites the part of segment `i` between the depths `lo` and `hi`; `ratio` is the ray's length over the
     /// list's own length, for the same depth.
-    fn cross_segment(&self, i: usize, (front, back): (f32, f32), (lo, hi): (f32, f32), ratio: f32, acc: &mut Over) {
+    fn cross_segment(
+        &self,
+        i: usize,
+        (front, back): (f32, f32),
+        (lo, hi): (f32, f32),
+        ratio: f32,
+        acc: &mut Over,
+    ) {
         let overlap = hi.min(back) - lo.max(front);
         if overlap <= 0.0 {
             return;

@@ -46,14 +46,8 @@ pub struct Cuts {
 impl Cuts {
     /// At most `k` segments for a ray with the given profile.
     pub fn new(k: usize, profile: Profile) -> Self {
-        let mut cuts = Self {
-            k,
-            profile,
-            tau_cut: 0.0,
-            tau_total: 0.0,
-            open: None,
-            list: SegmentList::default(),
-        };
+        let mut cuts =
+            Self { k, profile, tau_cut: 0.0, tau_total: 0.0, open: None, list: SegmentList::default() };
         cuts.tau_cut = cuts.depth_of_cut(1);
         cuts
     }

@@ -1,0 +1,159 @@
+//! Does a volume reach the viewer's picture: renderer, codec, QUIC, client, novel view?
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::codec;
+use isinglass_core::ids::PoseId;
+use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::{Scene, render};
+use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::look::Look;
+use isinglass_core::picture::Picture;
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_formats::load_transfer;
+use isinglass_gpu::Backend;
+use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
+use isinglass_server::{RunningServer, ServeOptions, march_settings, start};
+
+const SIZE: Intrinsics = Intrinsics { width: 96, height: 80, fov_y: 0.6 };
+
+fn look(builtin: Builtin) -> Look {
+    let transfer = load_transfer(builtin.name()).unwrap();
+    Look { transfer, shaded: true, layering: Layering::VisibilityMerge, k: 8 }
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
+}
+
+async fn serve(builtin: Builtin) -> RunningServer {
+    start(ServeOptions {
+        volume: Arc::new(builtin.volume(48)),
+        look: look(builtin),
+        backend: Backend::Cpu,
+        listen: SocketAddr::from(([127, 0, 0, 1], 0)),
+        codec: codec::Settings::default(),
+        max_viewers: 4,
+    })
+    .unwrap()
+}
+
+/// Waits until the complete frame for a pose is there.
+fn frame_for(client: &Client, pose: PoseId) -> Arc<ReceivedFrame> {
+    let patience = Instant::now() + Duration::from_secs(60);
+    loop {
+        if let Some(frame) = client.latest_frame()
+            && frame.is_complete
+            && frame.frame.header.pose == pose
+        {
+            return frame;
+        }
+        assert!(Instant::now() < patience, "no frame for pose {pose}: {:?}", client.state());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn error(a: &Picture, b: &Picture) -> ImageError {
+    let size = (a.width as usize, a.height as usize);
+    compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), size.0, size.1, [0; 3]).unwrap()
+}
+
+#[test]
+fn what_the_viewer_sees_is_what_the_volume_looks_like() {
+    let runtime = runtime();
+    for builtin in Builtin::ALL {
+        let server = runtime.block_on(serve(builtin));
+        let link = runtime.block_on(server.mint_link(None)).unwrap();
+        let client = Client::connect(&link, ClientOptions::default()).unwrap();
+        let look = look(builtin);
+        let scene = Scene::new(Arc::new(builtin.volume(48)), &look.transfer, march_settings(&look));
+        let bounds = scene.volume.bounds();
+        for azimuth in [0.0f32, 0.6] {
+            let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * SIZE.fit_distance());
+            let received = frame_for(&client, client.set_pose(pose, SIZE));
+            let camera = Camera::new(pose, SIZE, &bounds);
+            assert_eq!(received.frame.header.camera, camera);
+
+            // At rest the display shows the decoded frame itself.
+            let shown = raycast(&received.frame, &bounds, &camera);
+            assert!(error(&shown, &received.frame.flatten()).max_abs_255 <= 1);
+            let truth = render(&scene, &camera);
+            // The bound that the wire is held to.
+            let exact = error(&shown, &truth);
+            assert!(exact.dssim <= 1e-3, "{} {azimuth}: {exact:?}", builtin.name());
+
+            // While the hand moves, the novel view is nearer to the truth than the last picture.
+            let turned = Pose::orbit(Vec3::ZERO, azimuth + 0.17, 0.3, bounds.radius() * SIZE.fit_distance());
+            let turned = Camera::new(turned, SIZE, &bounds);
+            let truth = render(&scene, &turned);
+            let novel = error(&raycast(&received.frame, &bounds, &turned), &truth).dssim;
+            let unchanged = error(&received.frame.flatten(), &truth).dssim;
+            assert!(novel < unchanged / 2.0, "{} {azimuth}: {novel} against {unchanged}", builtin.name());
+        }
+        runtime.block_on(server.close());
+    }
+}
+
+#[test]
+fn a_new_look_reaches_the_picture_and_only_its_own_viewer() {
+    let runtime = runtime();
+    let server = runtime.block_on(serve(Builtin::Cubus));
+    let connect = || {
+        let link = runtime.block_on(server.mint_link(None)).unwrap();
+        Client::connect(&link, ClientOptions::default()).unwrap()
+    };
+    let (changing, staying) = (connect(), connect());
+    let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.3, 6.0);
+    let before = frame_for(&changing, changing.set_pose(pose, SIZE));
+    let same = frame_for(&staying, staying.set_pose(pose, SIZE));
+    assert_eq!(before.frame.flatten(), same.frame.flatten());
+
+    changing.set_look(look(Builtin::Shells)).unwrap();
+    let patience = Instant::now() + Duration::from_secs(60);
+    let after = loop {
+        let frame = changing.latest_frame().unwrap();
+        if frame.is_complete && frame.frame.header.look > before.frame.header.look {
+            break frame;
+        }
+        assert!(Instant::now() < patience, "the look never changed");
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    assert_eq!(after.frame.header.camera, before.frame.header.camera);
+    assert!(error(&after.frame.flatten(), &before.frame.flatten()).max_abs_255 > 8);
+    let (_, look) = changing.look().unwrap();
+    assert_eq!(look.transfer.name, "shells");
+    assert_eq!(staying.latest_frame().unwrap().frame.header.look, same.frame.header.look);
+    runtime.block_on(server.close());
+}
+
+#[test]
+fn a_bad_link_delays_but_does_not_harm() {
+    let runtime = runtime();
+    let server = runtime.block_on(serve(Builtin::Cloud));
+    let link = runtime.block_on(server.mint_link(None)).unwrap();
+    let model = LinkModel {
+        rtt: Duration::from_millis(120),
+        jitter: Duration::from_millis(5),
+        loss: 0.02,
+        seed: 7,
+        ..LinkModel::default()
+    };
+    let options = ClientOptions { conditioner: Some(model), ..ClientOptions::default() };
+    let client = Client::connect(&link, options).unwrap();
+    let mut newest = 0;
+    for i in 0..12 {
+        let pose = Pose::orbit(Vec3::ZERO, 0.05 * i as f32, 0.3, 6.0);
+        let id = client.set_pose(pose, SIZE);
+        let frame = frame_for(&client, id);
+        assert!(frame.frame.header.frame.0 > newest, "frames never go back");
+        newest = frame.frame.header.frame.0;
+        let (set, arrived) = (frame.times.pose_set.unwrap(), frame.times.first_byte);
+        assert!(arrived - set >= 120_000, "faster than the link: {:?}", frame.times);
+    }
+    runtime.block_on(server.close());
+}
