@@ -99,11 +99,13 @@ impl Gpu {
         &self.shared.info
     }
 
-    pub(crate) fn device(&self) -> &wgpu::Device {
+    /// The device itself, for passes that are not of this crate.
+    pub fn device(&self) -> &wgpu::Device {
         &self.shared.device
     }
 
-    pub(crate) fn queue(&self) -> &wgpu::Queue {
+    /// The queue of the device.
+    pub fn queue(&self) -> &wgpu::Queue {
         &self.shared.queue
     }
 
@@ -238,11 +240,14 @@ fn best_adapter() -> Result<wgpu::Adapter, GpuError> {
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
     };
-    pollster::block_on(instance.enumerate_adapters(backends))
-        .into_iter()
-        .filter(|adapter| wgpu::Limits::default().check_limits(&adapter.limits()))
-        .min_by_key(rank)
-        .ok_or_else(|| GpuError::NoAdapter("no driver offers a device".into()))
+    let adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    let best =
+        adapters.iter().filter(|a| wgpu::Limits::default().check_limits(&a.limits())).min_by_key(|a| rank(a));
+    best.cloned().ok_or_else(|| {
+        let too_small =
+            adapters.first().map(|a| format!("'{}' lacks what the kernels need", a.get_info().name));
+        GpuError::NoAdapter(too_small.unwrap_or_else(|| "no driver offers a device".into()))
+    })
 }
 
 /// A bind group layout with the given types at bindings 0, 1, 2 …

@@ -1,0 +1,74 @@
+//! Without a driver, and with a device that goes away, there are errors and never a panic.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_gpu::{Backend, BackendChoice, Gpu, GpuError, GpuRenderer, GpuReprojector};
+
+#[test]
+#[cfg(target_os = "linux")]
+fn without_a_driver_auto_is_the_cpu() {
+    const NO_DRIVER: &str = "ISINGLASS_TEST_NO_DRIVER";
+    if std::env::var_os(NO_DRIVER).is_some() {
+        assert!(matches!(Gpu::open(), Err(GpuError::NoAdapter(_))));
+        assert!(matches!(Backend::open(BackendChoice::Auto), Ok(Backend::Cpu)));
+        assert!(Backend::open(BackendChoice::Gpu).is_err());
+        return;
+    }
+    // The loader reads its environment when it is loaded: this test again, in a process of its own.
+    let status = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "without_a_driver_auto_is_the_cpu"])
+        .envs([(NO_DRIVER, "1"), ("VK_DRIVER_FILES", "/nonexistent"), ("VK_ICD_FILENAMES", "/nonexistent")])
+        .status();
+    assert!(status.unwrap().success());
+}
+
+#[test]
+fn a_lost_device_is_an_error() {
+    let Ok(gpu) = Gpu::open() else {
+        assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
+        eprintln!("skipped: no device");
+        return;
+    };
+    let point = ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.1 };
+    let transfer = TransferFunction {
+        name: "flat".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Voxel,
+        points: vec![point],
+    };
+    let scene = Scene::new(Arc::new(Builtin::Cloud.volume(16)), &transfer, Default::default());
+    let bounds = scene.volume.bounds();
+    let intrinsics = Intrinsics { width: 32, height: 32, fov_y: 0.7 };
+    let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
+    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 4 };
+    let frame = layering::generate(&scene, header, Layering::VisibilityMerge);
+    let mut renderer = GpuRenderer::new(&gpu, scene.clone()).unwrap();
+    let mut reprojector = GpuReprojector::new(&gpu, &frame, &bounds).unwrap();
+    assert!(renderer.render(&camera).is_ok());
+
+    gpu.device().destroy();
+    assert!(renderer.render(&camera).is_err());
+    assert!(renderer.generate(header, Layering::EqualTransmittance).is_err());
+    assert!(reprojector.raycast(&camera).is_err());
+    assert!(reprojector.set_frame(&frame, &bounds).is_err());
+    let error = GpuRenderer::new(&gpu, scene).err().unwrap();
+    assert!(matches!(error, GpuError::Lost { .. } | GpuError::Failed { .. }), "{error}");
+    eprintln!("{error}");
+}
+
+#[test]
+fn choices_go_by_their_names() {
+    for choice in BackendChoice::ALL {
+        assert_eq!(choice.to_string().parse(), Ok(choice));
+    }
+    assert!("vulkan".parse::<BackendChoice>().unwrap_err().contains("auto, gpu, cpu"));
+    assert_eq!(Backend::open(BackendChoice::Cpu).unwrap().description(), "cpu");
+}
