@@ -2,9 +2,8 @@
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
 // The part after this one defines what becomes of the steps:
-//   fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool
-// takes a step from world distance s0 to s1 with premultiplied colour c and optical depth tau > 0, and returns whether
-// the march shall go on.
+//   fn sink_step(step: Step) -> bool
+// takes the visible steps of a ray, front to back, and returns whether the march shall go on.
 
 @group(0) @binding(0) var<uniform> scene: Scene;
 @group(0) @binding(1) var<storage, read> table: TransferTable;
@@ -15,6 +14,20 @@ struct Lattice {
     s0: f32,
     h: f32,
     n: u32,
+}
+
+// A visible step of a march.
+struct Step {
+    // Premultiplied colour of the step on its own.
+    c: vec3f,
+    // Optical depth, above TAU_MIN.
+    tau: f32,
+    // World distance of the front.
+    s0: f32,
+    // World distance of the back.
+    s1: f32,
+    // Opacity, 1 − e^−τ.
+    alpha: f32,
 }
 
 fn scene_lattice(ray: Ray, near: f32) -> Lattice {
@@ -70,8 +83,9 @@ fn march(ray: Ray, lattice: Lattice) {
         let classified = classify(x0, x1, h);
         let tau = classified.w;
         if (tau > TAU_MIN) {
-            let c = classified.xyz * shade(origin + dir * (s_front + 0.5 * h)) * opacity(tau);
-            if (!sink_step(s_front, s_back, c, tau)) {
+            let alpha = opacity(tau);
+            let c = classified.xyz * (shade(origin + dir * (s_front + 0.5 * h)) * alpha);
+            if (!sink_step(Step(c, tau, s_front, s_back, alpha))) {
                 return;
             }
         }

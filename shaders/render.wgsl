@@ -8,8 +8,9 @@
 
 var<private> over_sink: Over;
 
-fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool {
-    over_sink = over_add(over_sink, c, tau);
+fn sink_step(step: Step) -> bool {
+    over_sink.c += step.c * over_sink.transmittance;
+    over_sink.transmittance *= 1.0 - step.alpha;
     return over_sink.transmittance > TRANSMITTANCE_MIN;
 }
 

@@ -35,16 +35,16 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     }
 }
 
-fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool {
+fn sink_step(step: Step) -> bool {
     if (cutting) {
-        return cuts_step(s0, s1, c, tau);
+        return cuts_step(step);
     }
-    return profile_step(s1, tau);
+    return profile_step(step);
 }
 
-fn profile_step(s1: f32, tau: f32) -> bool {
-    profile.transmittance *= exp(-tau);
-    profile.s_last = s1;
+fn profile_step(step: Step) -> bool {
+    profile.transmittance *= 1.0 - step.alpha;
+    profile.s_last = step.s1;
     return profile.transmittance > TRANSMITTANCE_MIN;
 }
 
@@ -60,18 +60,20 @@ fn depth_of_cut(i: u32) -> f32 {
 // Adds a piece to the open segment; opens one at its front if there is none.
 fn extend(s0: f32, s1: f32, c: vec3f, tau: f32) {
     if (!cuts.has_open) {
-        cuts.open = OpenSegment(vec3f(0.0), 0.0, s0, s0);
+        cuts.open = OpenSegment(vec3f(0.0), 0.0, s0, s0, 0.0);
         cuts.has_open = true;
     }
-    cuts.open.c += c * exp(-cuts.open.tau);
+    cuts.open.c += c * (1.0 - cuts.open.alpha);
+    cuts.open.alpha += opacity(tau) * (1.0 - cuts.open.alpha);
     cuts.open.tau += tau;
     cuts.open.s1 = s1;
 }
 
-fn cuts_step(s0_step: f32, s1: f32, c_step: vec3f, tau_step: f32) -> bool {
-    var s0 = s0_step;
-    var c = c_step;
-    var tau = tau_step;
+fn cuts_step(step: Step) -> bool {
+    var s0 = step.s0;
+    let s1 = step.s1;
+    var c = step.c;
+    var tau = step.tau;
     while (cuts.tau_total + tau > cuts.tau_cut && list.len + 1u < K) {
         let part = clamp((cuts.tau_cut - cuts.tau_total) / tau, 0.0, 1.0);
         let s_cut = s0 + (s1 - s0) * part;
@@ -83,7 +85,7 @@ fn cuts_step(s0_step: f32, s1: f32, c_step: vec3f, tau_step: f32) -> bool {
         cuts.tau_total += tau * part;
         tau *= 1.0 - part;
         s0 = s_cut;
-        cuts.open = OpenSegment(vec3f(0.0), 0.0, s_cut, s_cut);
+        cuts.open = OpenSegment(vec3f(0.0), 0.0, s_cut, s_cut, 0.0);
         cuts.has_open = true;
         cuts.tau_cut = depth_of_cut(list.len + 1u);
     }

@@ -12,13 +12,8 @@
 // Packed words of segment j of list i at (3·j + word)·num_pixels + i: neighbouring invocations write side by side.
 @group(1) @binding(3) var<storage, read_write> slots: array<u32>;
 
-// A segment while it is made: world distances along the ray instead of depth units.
-struct OpenSegment {
-    c: vec3f,
-    tau: f32,
-    s0: f32,
-    s1: f32,
-}
+// A segment while it is made: a step that may span many.
+alias OpenSegment = Step;
 
 // One more than K: visibility-merge opens a segment before it merges two.
 struct SegmentList {

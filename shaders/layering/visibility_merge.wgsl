@@ -8,7 +8,7 @@ struct VisibilityMerge {
     transmittance: f32,
     // Cost of merging segment i with i + 1.
     cost: array<f32, K + 1>,
-    // Transmittance in front of segment i.
+    // Transmittance in front of segment i, at least VISIBILITY_FLOOR.
     visibility: array<f32, K + 1>,
 }
 
@@ -22,7 +22,7 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 
 // Cost of merging segment i with its neighbour behind.
 fn pair_cost(i: u32) -> f32 {
-    return merge_cost(list.segments[i], list.segments[i + 1u], sink.h) * max(sink.visibility[i], VISIBILITY_FLOOR);
+    return merge_cost(list.segments[i], list.segments[i + 1u], sink.h) * sink.visibility[i];
 }
 
 // Merges segment i with its neighbour behind and closes the ranks.
@@ -42,11 +42,11 @@ fn merge(i: u32) {
     }
 }
 
-fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool {
+fn sink_step(step: Step) -> bool {
     let n = list.len;
-    list.segments[n] = OpenSegment(c, tau, s0, s1);
-    sink.visibility[n] = sink.transmittance;
-    sink.transmittance *= exp(-tau);
+    list.segments[n] = step;
+    sink.visibility[n] = max(sink.transmittance, VISIBILITY_FLOOR);
+    sink.transmittance *= 1.0 - step.alpha;
     list.len = n + 1u;
     if (n > 0u) {
         sink.cost[n - 1u] = pair_cost(n - 1u);
@@ -65,7 +65,13 @@ fn sink_step(s0: f32, s1: f32, c: vec3f, tau: f32) -> bool {
 
 // The homogeneous segment with the composite of a over b, from the front of a to the back of b.
 fn merged(a: OpenSegment, b: OpenSegment) -> OpenSegment {
-    return OpenSegment(a.c + b.c * exp(-a.tau), a.tau + b.tau, a.s0, b.s1);
+    return OpenSegment(
+        a.c + b.c * (1.0 - a.alpha),
+        a.tau + b.tau,
+        a.s0,
+        b.s1,
+        a.alpha + b.alpha * (1.0 - a.alpha),
+    );
 }
 
 // The image error, seen from nearby views, of reading a, the gap and b as one homogeneous piece.
@@ -75,11 +81,10 @@ fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
     let gap = max(b.s0 - a.s1, 0.0);
     let moved = 0.5
         * (abs(a.tau - per_length * (a.s1 - a.s0)) + abs(b.tau - per_length * (b.s1 - b.s0)) + per_length * gap);
-    let alpha_a = opacity(a.tau);
-    let alpha_b = opacity(b.tau);
-    let difference = abs(a.c / alpha_a - b.c / alpha_b);
-    let contrast = max(max(difference.x, difference.y), difference.z);
-    return (MOVED_WEIGHT * opacity(moved) + contrast * alpha_a * alpha_b) * (length / h);
+    // |Ea − Eb|·αa·αb with E = C/α.
+    let difference = abs(a.c * b.alpha - b.c * a.alpha);
+    let mixed = max(max(difference.x, difference.y), difference.z);
+    return (MOVED_WEIGHT * moved / (1.0 + moved) + mixed) * (length / h);
 }
 
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.

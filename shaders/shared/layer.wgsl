@@ -30,10 +30,6 @@ fn over_identity() -> Over {
     return Over(vec3f(0.0), 1.0);
 }
 
-fn over_add(acc: Over, c: vec3f, tau: f32) -> Over {
-    return Over(acc.c + c * acc.transmittance, acc.transmittance * exp(-tau));
-}
-
 fn over_rgba(acc: Over) -> vec4f {
     return vec4f(acc.c, 1.0 - acc.transmittance);
 }

@@ -198,8 +198,9 @@ fn the_look_can_change_without_another_upload() {
 /// Lists cannot be equal word by word: a rounding decides to which depth unit an end goes, and which of two merges that
 /// cost the same (there are many: equal cubes, equal shells, everything hidden) comes first. Composited along their own
 /// rays they must agree within the tolerance of all pictures. From aside, merges decided otherwise show: they are as
-/// good, but elsewhere, so visibility-merge is allowed 0.5 % of the pixels beyond 2/255 (0.27 % were seen on lavapipe),
-/// and its error against the true picture must be the same to 2 % of itself.
+/// good, but elsewhere, so visibility-merge is allowed 0.5 % of the pixels beyond 2/255 (costs
+/// that differ in the last bit moved 0.27 % of them), and its error against the true picture must be the same to 2 % of
+/// itself.
 #[test]
 fn layered_frames_are_those_of_the_twin() {
     let Some(gpu) = gpu() else { return };
@@ -211,7 +212,9 @@ fn layered_frames_are_those_of_the_twin() {
         let truth = march::render(&scene, &camera_1);
         let mut renderer = GpuRenderer::new(gpu, scene.clone()).unwrap();
         for layering in Layering::ALL {
-            for k in [8, 1, 16] {
+            // Each list length is a kernel of its own; one scene tries the ends of the range.
+            let ks: &[u8] = if name.starts_with("cubus") { &[8, 1, 16] } else { &[8] };
+            for &k in ks {
                 let what = format!("{name}, {layering}, k = {k}");
                 let twin = layering::generate(&scene, header(camera_0, k), layering);
                 let found = renderer.generate(header(camera_0, k), layering).unwrap();
