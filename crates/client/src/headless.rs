@@ -23,7 +23,7 @@ pub struct DisplayRecord {
     pub frame: Option<Arc<ReceivedFrame>>,
     /// How the picture stood to the server's.
     pub standing: Standing,
-    /// Time since the pose that the frame answers was set.
+    /// Time since the camera left the pose that the frame answers.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera.
     pub turned_degrees: Option<f32>,
@@ -79,6 +79,11 @@ impl<S: FrameSource> HeadlessViewer<S> {
     /// What was shown so far. A frame lives as long as a record names it.
     pub fn records(&self) -> &[DisplayRecord] {
         &self.records
+    }
+
+    /// What was shown since the last call; forgotten here, so that a long path at a large size fits into memory.
+    pub fn take_records(&mut self) -> Vec<DisplayRecord> {
+        std::mem::take(&mut self.records)
     }
 
     /// What was shown.

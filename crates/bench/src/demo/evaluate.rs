@@ -1,0 +1,92 @@
+//! Makes the pictures that were shown, and compares them with the truth.
+
+use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::march::Scene;
+use isinglass_gpu::Backend;
+use std::time::Duration;
+
+use super::DemoOptions;
+use super::play::Played;
+use crate::error::BenchError;
+use crate::output::Rgb8;
+use crate::progress::Progress;
+
+/// What the compared pictures showed.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Evaluation {
+    /// In the order of time.
+    pub(crate) pictures: Vec<Evaluated>,
+    /// Pictures to look at.
+    pub(crate) samples: Vec<Sample>,
+}
+
+/// One picture that was shown, compared.
+#[derive(Clone, Debug)]
+pub(crate) struct Evaluated {
+    pub(crate) at: Duration,
+    pub(crate) azimuth_degrees: f32,
+    /// Shown against the truth.
+    pub(crate) shown: ImageError,
+    /// The newest server image unchanged against the truth.
+    pub(crate) last_image: ImageError,
+    /// Shown against the server's own image of the frame: means something where the cameras agree.
+    pub(crate) frame_max_abs_255: u8,
+    pub(crate) frame_age: Option<Duration>,
+}
+
+/// Shown, truth and last server image at one time.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    pub(crate) at: Duration,
+    pub(crate) azimuth_degrees: f32,
+    pub(crate) pictures: [Rgb8; 3],
+}
+
+/// Casts each kept frame from its recorded camera and renders the truth beside it.
+pub(crate) fn evaluate(
+    backend: &Backend,
+    scene: Scene,
+    options: &DemoOptions,
+    played: &Played,
+) -> Result<Evaluation, BenchError> {
+    let bounds = scene.volume.bounds();
+    let mut renderer = backend.renderer(scene)?;
+    let kept: Vec<_> = played.ticks.iter().filter_map(|t| Some((t, t.kept.as_ref()?))).collect();
+    let mut progress = Progress::new("comparing", kept.len() as u64);
+    let sample_stride = kept.len().div_ceil(NUM_SAMPLES).max(1);
+    let mut evaluation = Evaluation::default();
+    let (width, height) = (options.intrinsics.width as usize, options.intrinsics.height as usize);
+    for (number, (tick, frame)) in kept.into_iter().enumerate() {
+        let frame = &frame.frame;
+        let rgb = |picture| Rgb8::of(&picture, [0; 3]);
+        let shown = rgb(backend.raycast(frame, &bounds, &tick.camera)?);
+        let truth = rgb(renderer.render(&tick.camera)?);
+        let last = rgb(frame.flatten());
+        if (last.width, last.height) != (shown.width, shown.height) {
+            return Err(BenchError::Demo(format!(
+                "the server sent {}x{} pixels, expected {width}x{height}; ask for a smaller size",
+                last.width, last.height
+            )));
+        }
+        let errors = |a: &Rgb8, b: &Rgb8| compare(&a.bytes, &b.bytes, width, height, [0; 3]);
+        evaluation.pictures.push(Evaluated {
+            at: tick.at,
+            azimuth_degrees: tick.azimuth_degrees,
+            shown: errors(&shown, &truth)?,
+            last_image: errors(&last, &truth)?,
+            frame_max_abs_255: errors(&shown, &last)?.max_abs_255,
+            frame_age: tick.frame_age,
+        });
+        // From the middle of each stretch: the first picture is the settled one.
+        if number % sample_stride == sample_stride / 2 {
+            let pictures = [shown, truth, last];
+            evaluation.samples.push(Sample { at: tick.at, azimuth_degrees: tick.azimuth_degrees, pictures });
+        }
+        progress.advance(1, "");
+    }
+    progress.finish();
+    Ok(evaluation)
+}
+
+/// Enough to see movement, stop and reversal.
+const NUM_SAMPLES: usize = 8;

@@ -1,0 +1,140 @@
+//! The demonstration without a window: a real server, a real client and a slowed-down link in one process, a scripted
+//! camera, and afterwards the comparison of everything that was shown with the truth.
+//!
+//! Playing runs in real time and only records cameras and frames; pictures are made and compared when it is over, so
+//! that measuring does not slow down what is measured.
+
+mod evaluate;
+mod play;
+mod plot;
+mod report;
+mod script;
+
+use std::path::{Path, PathBuf};
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::codec;
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::look::Look;
+use isinglass_formats::{OpenOptions, RawShape};
+use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_net::LinkModel;
+use isinglass_server::{ServeOptions, start};
+
+use crate::error::BenchError;
+use crate::quality::march_settings;
+use crate::scenes::open_scene;
+use crate::view::Orbit;
+
+pub use report::Report;
+pub use script::Script;
+
+/// What to play.
+#[derive(Clone, Debug)]
+pub struct DemoOptions {
+    /// What [`isinglass_formats::open`] opens.
+    pub source: String,
+    /// The shape of a raw file.
+    pub raw: Option<RawShape>,
+    /// Preset or file; none: the one that suits the volume.
+    pub transfer: Option<String>,
+    /// Whether gradients shade.
+    pub shaded: bool,
+    /// Layering rule.
+    pub layering: Layering,
+    /// Longest list.
+    pub k: u8,
+    /// Where the camera begins.
+    pub orbit: Orbit,
+    /// Picture and frame size, field of view.
+    pub intrinsics: Intrinsics,
+    /// Where kernels run.
+    pub backend: BackendChoice,
+    /// The link between server and viewer.
+    pub link: LinkModel,
+    /// Speed of the camera while it moves.
+    pub degrees_per_second: f32,
+    /// Pictures shown in a second.
+    pub refresh_hz: f32,
+    /// At most about this many of the pictures shown are compared with the truth, evenly spaced.
+    pub max_evaluated: usize,
+}
+
+impl Default for DemoOptions {
+    fn default() -> Self {
+        Self {
+            source: DEFAULT_SOURCE.into(),
+            raw: None,
+            transfer: None,
+            shaded: true,
+            layering: Layering::default(),
+            k: 8,
+            orbit: Orbit::default(),
+            intrinsics: Intrinsics { width: 256, height: 256, fov_y: 40f32.to_radians() },
+            backend: BackendChoice::default(),
+            link: LinkModel::default(),
+            degrees_per_second: 30.0,
+            refresh_hz: 30.0,
+            max_evaluated: 90,
+        }
+    }
+}
+
+/// What came of it.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The figures.
+    pub report: Report,
+    /// A few lines for people, with the paths of the files.
+    pub text: String,
+}
+
+/// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
+/// which is made if it is not there; without `out` nothing is written.
+pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
+    if let Some(out) = out {
+        std::fs::create_dir_all(out).map_err(BenchError::io(out))?;
+    }
+    let open = OpenOptions { raw: options.raw, ..OpenOptions::default() };
+    let opened =
+        open_scene(&options.source, options.transfer.as_deref(), march_settings(options.shaded), &open)?;
+    let backend = Backend::open(options.backend)?;
+    let look =
+        Look { transfer: opened.transfer, shaded: options.shaded, layering: options.layering, k: options.k };
+    let script = Script::new(options.orbit, options.degrees_per_second, options.link.rtt);
+    let failed = |what: &str, e: &dyn std::fmt::Display| BenchError::Demo(format!("{what}: {e}"));
+
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| failed("no threads for the server", &e))?;
+    let serve = ServeOptions {
+        volume: opened.scene.volume.clone(),
+        look,
+        backend: backend.clone(),
+        listen: ([127, 0, 0, 1], 0).into(),
+        codec: codec::Settings::default(),
+        max_viewers: 1,
+    };
+    let (server, link) = runtime.block_on(async {
+        let server = start(serve).map_err(|e| failed("server", &e))?;
+        let link = server.mint_link(None).await.map_err(|e| failed("server", &e))?;
+        Ok::<_, BenchError>((server, link))
+    })?;
+    let played = play::play(&link, options, &script);
+    runtime.block_on(server.close());
+    drop(runtime);
+    let played = played?;
+
+    let evaluation = evaluate::evaluate(&backend, opened.scene, options, &played)?;
+    let report = Report::of(options, &script, &backend, &played, &evaluation);
+    let mut files: Vec<PathBuf> = Vec::new();
+    if let Some(out) = out {
+        files = report::write(out, &report, &script, &evaluation)?;
+    }
+    let text = report::text(options, &script, &report, &played, &evaluation, &files);
+    Ok(Outcome { report, text })
+}
+
+/// The volume if none is named: translucent and detailed, small enough for the CPU.
+pub const DEFAULT_SOURCE: &str = "builtin:shells";

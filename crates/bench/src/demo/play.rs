@@ -1,0 +1,130 @@
+//! Plays the camera path in real time and records what was shown.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use isinglass_client::{DisplayRecord, HeadlessViewer, Standing};
+use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::ids::FrameId;
+use isinglass_net::{Client, ClientOptions, Link, ReceivedFrame, State};
+
+use super::DemoOptions;
+use super::script::Script;
+use crate::error::BenchError;
+use crate::progress::Progress;
+
+/// One refresh of the display.
+#[derive(Clone, Debug)]
+pub(crate) struct Tick {
+    /// Since the camera began to move.
+    pub(crate) at: Duration,
+    /// Where the script had the camera.
+    pub(crate) azimuth_degrees: f32,
+    /// The input of this refresh.
+    pub(crate) input: Pose,
+    /// The camera of the picture shown.
+    pub(crate) camera: Camera,
+    /// The frame it was cast from.
+    pub(crate) frame: FrameId,
+    /// The frame itself, at the refreshes that are compared.
+    pub(crate) kept: Option<Arc<ReceivedFrame>>,
+    /// How picture and server stood.
+    pub(crate) standing: Standing,
+    /// Time since the pose that the frame answers was set.
+    pub(crate) frame_age: Option<Duration>,
+    /// Bytes of the frame that had arrived.
+    pub(crate) frame_bytes: u64,
+}
+
+/// All refreshes from the moment the camera began to move, with at least one frame on the screen.
+#[derive(Clone, Debug)]
+pub(crate) struct Played {
+    pub(crate) ticks: Vec<Tick>,
+    /// Measured by the transport at the end.
+    pub(crate) round_trip: Duration,
+}
+
+/// Connects, waits for the first settled picture, and plays.
+pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Result<Played, BenchError> {
+    let failed = |what: String| BenchError::Demo(what);
+    let client = ClientOptions { conditioner: Some(options.link.clone()), ..ClientOptions::default() };
+    let client = Client::connect(link, client).map_err(|e| failed(format!("viewer: {e}")))?;
+    let clock = client.clock().clone();
+    let now = || Duration::from_micros(clock.now_micros());
+    let mut viewer = HeadlessViewer::new(client, options.intrinsics);
+    let interval = Duration::from_secs_f32(1.0 / options.refresh_hz);
+
+    let asked = Instant::now();
+    let patience = FIRST_FRAME_TIMEOUT + options.link.rtt * 10;
+    loop {
+        let settled = viewer.bounds().is_some_and(|bounds| {
+            let pose = script.orbit_at(Duration::ZERO).pose(&options.intrinsics, &bounds);
+            let record = viewer.tick(now(), pose);
+            record.is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled))
+        });
+        if settled {
+            break;
+        }
+        if let State::Refused(problem) = viewer.source().state() {
+            return Err(failed(format!("viewer: {problem}")));
+        }
+        if asked.elapsed() > patience {
+            let seconds = patience.as_secs();
+            return Err(failed(format!(
+                "no frame came within {seconds} s, expected one; the machine may be too slow"
+            )));
+        }
+        std::thread::sleep(interval);
+    }
+    viewer.take_records();
+
+    let num_ticks = (script.duration().as_secs_f32() * options.refresh_hz).ceil() as usize;
+    let stride = num_ticks.div_ceil(options.max_evaluated.max(1)).max(1);
+    let mut progress = Progress::new("playing", num_ticks as u64);
+    let mut ticks: Vec<Tick> = Vec::with_capacity(num_ticks);
+    let bounds = viewer.bounds().ok_or_else(|| failed("the volume is gone".into()))?;
+    let start = Instant::now();
+    for number in 0..num_ticks {
+        let due = interval * number as u32;
+        std::thread::sleep(due.saturating_sub(start.elapsed()));
+        let at = start.elapsed();
+        let orbit = script.orbit_at(at);
+        let input = orbit.pose(&options.intrinsics, &bounds);
+        viewer.tick(now(), input);
+        // Frames are kept for the refreshes that are compared only: a long path at a large size would not fit.
+        for record in viewer.take_records() {
+            let kept = number % stride == 0 || ends_rest(script, at, interval);
+            ticks.extend(tick(record, at, orbit.azimuth_degrees, input, kept));
+        }
+        progress.advance(1, "");
+    }
+    progress.finish();
+    let round_trip = Duration::from_micros(viewer.source().stats().rtt_micros);
+    if ticks.is_empty() {
+        return Err(failed("nothing was shown".into()));
+    }
+    Ok(Played { ticks, round_trip })
+}
+
+/// Whether this is the last refresh, or the one before, of a rest.
+fn ends_rest(script: &Script, at: Duration, interval: Duration) -> bool {
+    script.rests().iter().any(|rest| rest.contains(&at) && at + interval * 2 >= rest.end)
+}
+
+fn tick(record: DisplayRecord, at: Duration, azimuth_degrees: f32, input: Pose, kept: bool) -> Option<Tick> {
+    let frame = record.frame?;
+    Some(Tick {
+        at,
+        azimuth_degrees,
+        input,
+        camera: record.camera,
+        frame: frame.frame.header.frame,
+        frame_bytes: frame.times.bytes,
+        kept: kept.then_some(frame),
+        standing: record.standing,
+        frame_age: record.frame_age,
+    })
+}
+
+/// A first frame of a large volume on a slow machine, shader compilation included.
+const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(60);

@@ -1,0 +1,263 @@
+//! The figures of a demonstration, its files and its text.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use isinglass_client::Standing;
+use isinglass_gpu::Backend;
+use serde::Serialize;
+
+use super::evaluate::{Evaluated, Evaluation};
+use super::play::{Played, Tick};
+use super::script::Script;
+use super::{DemoOptions, plot};
+use crate::error::BenchError;
+use crate::output::{Rgb8, write_whole};
+
+/// The figures: the object in `report.json`. Means are over the pictures compared, from the moment the camera began to
+/// move; the first frame was on the screen by then.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Delay of the link, there and back.
+    pub rtt_ms: f64,
+    /// Greatest additional delay, each way.
+    pub jitter_ms: f64,
+    /// Share of packets lost, each way.
+    pub loss: f64,
+    /// Rate of the link each way; none: unlimited.
+    pub bandwidth_mbit: Option<f64>,
+    /// Where kernels ran.
+    pub backend: String,
+    /// Pictures shown, one for each refresh.
+    pub frames_shown: usize,
+    /// Mean DSSIM of the pictures shown.
+    pub dssim_shown_mean: f64,
+    /// 95th percentile of the same.
+    pub dssim_shown_p95: f64,
+    /// Mean DSSIM of the newest server image at the same moments, shown unchanged.
+    pub dssim_last_image_mean: f64,
+    /// Refreshes from an input to the first picture with that camera, at most.
+    pub pose_lag_frames_max: usize,
+    /// Mean time since the pose that the frame on screen answers was set, while the camera moved.
+    pub frame_age_ms_mean: f64,
+    /// Mean size of the server frames shown, as far as they had arrived when the next one took their place.
+    pub bytes_per_frame_mean: f64,
+    /// Gaps between new server frames on the screen while the camera moved that were longer than three mean gaps and
+    /// longer than a mean gap and 150 ms (the freeze of the WebRTC statistics).
+    pub freezes: usize,
+    /// Greatest difference between the picture at the end of a rest and the server's own image of its frame.
+    pub rest_max_abs_255: u8,
+}
+
+impl Report {
+    pub(super) fn of(
+        options: &DemoOptions,
+        script: &Script,
+        backend: &Backend,
+        played: &Played,
+        evaluation: &Evaluation,
+    ) -> Self {
+        let pictures = &evaluation.pictures;
+        let mean = |of: &dyn Fn(&Evaluated) -> f64| {
+            pictures.iter().map(of).sum::<f64>() / pictures.len().max(1) as f64
+        };
+        let moving = played.ticks.iter().filter(|t| script.is_moving(t.at));
+        let ages: Vec<f64> = moving.filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
+        let link = &options.link;
+        Self {
+            rtt_ms: link.rtt.as_secs_f64() * 1e3,
+            jitter_ms: link.jitter.as_secs_f64() * 1e3,
+            loss: link.loss,
+            bandwidth_mbit: link.bandwidth_mbit,
+            backend: backend.description(),
+            frames_shown: played.ticks.len(),
+            dssim_shown_mean: mean(&|p| p.shown.dssim),
+            dssim_shown_p95: percentile(pictures.iter().map(|p| p.shown.dssim).collect(), 0.95),
+            dssim_last_image_mean: mean(&|p| p.last_image.dssim),
+            pose_lag_frames_max: pose_lag(&played.ticks),
+            frame_age_ms_mean: ages.iter().sum::<f64>() / ages.len().max(1) as f64,
+            bytes_per_frame_mean: bytes_per_frame(&played.ticks),
+            freezes: freezes(script, &played.ticks),
+            rest_max_abs_255: rest_pictures(script, pictures)
+                .map(|p| p.frame_max_abs_255)
+                .max()
+                .unwrap_or(u8::MAX),
+        }
+    }
+}
+
+/// Writes everything, each file whole or not at all; the report comes last, so that where it stands all is there.
+pub(super) fn write(
+    out: &Path,
+    report: &Report,
+    script: &Script,
+    evaluation: &Evaluation,
+) -> Result<Vec<PathBuf>, BenchError> {
+    let mut files = Vec::new();
+    for sample in &evaluation.samples {
+        let name = format!("t{:04.1}s-az{:+06.1}.png", sample.at.as_secs_f32(), sample.azimuth_degrees);
+        let [shown, truth, last] = &sample.pictures;
+        files.push(out.join(name));
+        Rgb8::beside(&[shown, truth, last]).write(&files[files.len() - 1])?;
+    }
+    let text_file = |name: &str, text: String| {
+        let path = out.join(name);
+        write_whole(&path, text.as_bytes()).map(|()| path)
+    };
+    files.push(text_file("dssim.svg", plot::svg(script, evaluation)?)?);
+    files.push(text_file("pictures.csv", csv(evaluation))?);
+    let json = serde_json::to_string_pretty(report)
+        .map_err(|e| BenchError::Demo(format!("the report cannot be written: {e}")))?;
+    files.push(text_file("report.json", json + "\n")?);
+    Ok(files)
+}
+
+/// A few lines for people.
+pub(super) fn text(
+    options: &DemoOptions,
+    script: &Script,
+    report: &Report,
+    played: &Played,
+    evaluation: &Evaluation,
+    files: &[PathBuf],
+) -> String {
+    let ratio = report.dssim_last_image_mean / report.dssim_shown_mean.max(1e-9);
+    let measured = played.round_trip.as_secs_f64() * 1e3;
+    let settled = settle_times(script, &played.ticks)
+        .map(|t| t.map_or("never".to_owned(), |t| format!("{:.0} ms", t.as_secs_f64() * 1e3)))
+        .collect::<Vec<_>>()
+        .join(" and ");
+    let mut text = format!(
+        "{} at {}x{}, K = {}, {:.0} degrees/s, on {}\n",
+        options.source,
+        options.intrinsics.width,
+        options.intrinsics.height,
+        options.k,
+        options.degrees_per_second,
+        report.backend
+    );
+    let mut line = |name: &str, value: String| text += &format!("  {name:<22} {value}\n");
+    line(
+        "round trip",
+        format!(
+            "{:.0} ms ({measured:.0} ms measured), jitter {:.0} ms, loss {:.1} %",
+            report.rtt_ms,
+            report.jitter_ms,
+            report.loss * 100.0
+        ),
+    );
+    line(
+        "pictures shown",
+        format!(
+            "{} at {:.0} Hz; the camera is at most {} behind the hand",
+            report.frames_shown, options.refresh_hz, report.pose_lag_frames_max
+        ),
+    );
+    line(
+        "difference shown",
+        format!(
+            "DSSIM {:.4} mean, {:.4} at worst but 5 % ({} pictures compared)",
+            report.dssim_shown_mean,
+            report.dssim_shown_p95,
+            evaluation.pictures.len()
+        ),
+    );
+    line(
+        "last image unchanged",
+        format!("DSSIM {:.4} mean: {ratio:.1} times as much", report.dssim_last_image_mean),
+    );
+    line(
+        "frame on the screen",
+        format!(
+            "{:.0} ms old, {:.0} kB, {} freezes",
+            report.frame_age_ms_mean,
+            report.bytes_per_frame_mean / 1e3,
+            report.freezes
+        ),
+    );
+    line(
+        "at rest",
+        format!("the server's own image to {}/255; exact {settled} after the stop", report.rest_max_abs_255),
+    );
+    if let Some(folder) = files.first().and_then(|f| f.parent()) {
+        text += &format!("In {}:\n", folder.display());
+        for file in files {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            let what = match file.extension().and_then(|e| e.to_str()) {
+                Some("png") => "shown | full rendering | last server image",
+                Some("svg") => "difference over time",
+                Some("csv") => "every picture compared",
+                _ => "all figures",
+            };
+            text += &format!("  {name:<24} {what}\n");
+        }
+    }
+    text
+}
+
+fn csv(evaluation: &Evaluation) -> String {
+    let mut text =
+        "time_s,azimuth_deg,dssim_shown,dssim_object_shown,psnr_db_shown,dssim_last_image,frame_age_ms\n"
+            .to_owned();
+    for p in &evaluation.pictures {
+        let age = p.frame_age.map_or(String::new(), |a| format!("{:.1}", a.as_secs_f64() * 1e3));
+        text += &format!(
+            "{:.3},{:.2},{:.6},{:.6},{:.2},{:.6},{age}\n",
+            p.at.as_secs_f64(),
+            p.azimuth_degrees,
+            p.shown.dssim,
+            p.shown.dssim_object,
+            p.shown.psnr_db,
+            p.last_image.dssim,
+        );
+    }
+    text
+}
+
+/// For each refresh, how many refreshes ago the shown camera was the input; the most of all.
+fn pose_lag(ticks: &[Tick]) -> usize {
+    let lag = |i: usize| (0..=i).rev().position(|j| ticks[j].input == ticks[i].camera.pose).unwrap_or(i + 1);
+    (0..ticks.len()).map(lag).max().unwrap_or(0)
+}
+
+fn bytes_per_frame(ticks: &[Tick]) -> f64 {
+    let runs = ticks.chunk_by(|a, b| a.frame == b.frame);
+    let bytes: Vec<u64> = runs.filter_map(|run| Some(run.last()?.frame_bytes)).collect();
+    bytes.iter().sum::<u64>() as f64 / bytes.len().max(1) as f64
+}
+
+fn freezes(script: &Script, ticks: &[Tick]) -> usize {
+    let mut gaps = Vec::new();
+    let mut since: Option<Duration> = None;
+    for pair in ticks.windows(2) {
+        let [before, now] = pair else { continue };
+        if !script.is_moving(now.at) {
+            since = None;
+        } else if before.frame != now.frame {
+            gaps.extend(since.map(|s| (now.at - s).as_secs_f64()));
+            since = Some(now.at);
+        }
+    }
+    let mean = gaps.iter().sum::<f64>() / gaps.len().max(1) as f64;
+    gaps.iter().filter(|&&gap| gap > (3.0 * mean).max(mean + 0.150)).count()
+}
+
+/// The last compared picture of each rest.
+fn rest_pictures<'a>(script: &Script, pictures: &'a [Evaluated]) -> impl Iterator<Item = &'a Evaluated> {
+    script.rests().into_iter().filter_map(|rest| pictures.iter().rev().find(|p| rest.contains(&p.at)))
+}
+
+/// For each rest, the time from the stop to the first exact picture.
+fn settle_times(script: &Script, ticks: &[Tick]) -> impl Iterator<Item = Option<Duration>> {
+    script.rests().into_iter().map(|rest| {
+        let mut resting = ticks.iter().filter(|t| rest.contains(&t.at));
+        resting.find(|t| t.standing == Standing::Exact).map(|t| t.at - rest.start)
+    })
+}
+
+/// The least value with at least this share at or below it.
+fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let at = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len().max(1)) - 1;
+    values.get(at).copied().unwrap_or(0.0)
+}

@@ -1,0 +1,75 @@
+//! What can go wrong while measuring.
+
+use std::path::Path;
+
+use isinglass_core::codec::CodecError;
+use isinglass_core::image_error::ImageErrorError;
+use isinglass_formats::FormatError;
+use isinglass_gpu::GpuError;
+
+/// Why there is no result.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BenchError {
+    /// A volume or a transfer function cannot be had.
+    #[error("{0}")]
+    Format(FormatError),
+    /// The GPU did not do it.
+    #[error("{0}")]
+    Gpu(GpuError),
+    /// A frame cannot be encoded or decoded.
+    #[error("{0}")]
+    Codec(CodecError),
+    /// Pictures cannot be compared.
+    #[error("{0}")]
+    Compare(ImageErrorError),
+    /// A scene that is none.
+    #[error("unknown scene {found:?}, expected one of {expected}")]
+    UnknownScene {
+        /// What was asked for.
+        found: String,
+        /// What there is.
+        expected: String,
+    },
+    /// Nothing is left to measure.
+    #[error("no scene to measure: {0}")]
+    NoScene(String),
+    /// A file cannot be written or read.
+    #[error("{path}: {cause}")]
+    Io {
+        /// The file.
+        path: String,
+        /// What the system said.
+        cause: std::io::Error,
+    },
+    /// A picture cannot be read or written.
+    #[error("{path}: {cause}")]
+    Picture {
+        /// The file, or what the picture is.
+        path: String,
+        /// What is wrong.
+        cause: String,
+    },
+    /// The demonstration could not be played.
+    #[error("demo: {0}")]
+    Demo(String),
+}
+
+impl BenchError {
+    /// For `map_err` on anything that touches `path`.
+    pub fn io(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        move |cause| Self::Io { path: path.display().to_string(), cause }
+    }
+}
+
+macro_rules! from {
+    ($($variant:ident($inner:ty)),*) => {
+        $(impl From<$inner> for BenchError {
+            fn from(cause: $inner) -> Self {
+                Self::$variant(cause)
+            }
+        })*
+    };
+}
+
+from!(Format(FormatError), Gpu(GpuError), Codec(CodecError), Compare(ImageErrorError));

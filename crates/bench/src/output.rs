@@ -1,0 +1,161 @@
+//! Files that are written whole or not at all, and pictures as PNG.
+
+use std::fs;
+use std::io::{self, Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageReader};
+
+use crate::error::BenchError;
+
+/// Writes `bytes` to `path` through a file beside it that is renamed at the end: whoever looks sees the old file or
+/// the new one. A device or pipe is written to as it is.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
+    let io = BenchError::io(path);
+    // A link is followed, so that the file it names is replaced and not the link.
+    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => return Err(io(io::ErrorKind::IsADirectory.into())),
+        Ok(found) if !found.is_file() => return fs::write(path, bytes).map_err(io),
+        _ => {}
+    }
+    let temporary = temporary_beside(path);
+    let written = fs::File::create(&temporary)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        .and_then(|()| fs::rename(&temporary, path));
+    if written.is_err() {
+        // It may not even exist; the first error is the one to tell.
+        let _ = fs::remove_file(&temporary);
+    }
+    written.map_err(io)
+}
+
+/// An 8-bit RGB picture, row by row from the top.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rgb8 {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Three bytes a pixel.
+    pub bytes: Vec<u8>,
+}
+
+impl Rgb8 {
+    /// The picture on a background of 8-bit sRGB.
+    pub fn of(picture: &isinglass_core::picture::Picture, background: [u8; 3]) -> Self {
+        let linear = background.map(|c| isinglass_core::picture::linear_from_srgb(f32::from(c) / 255.0));
+        Self { width: picture.width, height: picture.height, bytes: picture.to_srgb8(linear) }
+    }
+
+    /// Reads a PNG file. Transparent pixels are put on `background`.
+    pub fn read(path: &Path, background: [u8; 3]) -> Result<Self, BenchError> {
+        let broken = |cause: image::ImageError| BenchError::Picture {
+            path: path.display().to_string(),
+            cause: one_line(&cause.to_string()),
+        };
+        let found = fs::metadata(path).map_err(BenchError::io(path))?;
+        if !found.is_file() {
+            let cause = "not a regular file, expected a PNG picture".into();
+            return Err(BenchError::Picture { path: path.display().to_string(), cause });
+        }
+        let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+        let reader = reader.map_err(BenchError::io(path))?;
+        if reader.format() != Some(image::ImageFormat::Png) {
+            let cause = "not a PNG picture, by its first bytes".into();
+            return Err(BenchError::Picture { path: path.display().to_string(), cause });
+        }
+        let decoded = reader.decode().map_err(broken)?;
+        let has_alpha = decoded.color().has_alpha();
+        let (width, height) = (decoded.width(), decoded.height());
+        if !has_alpha {
+            return Ok(Self { width, height, bytes: decoded.into_rgb8().into_raw() });
+        }
+        let mut bytes = Vec::with_capacity(width as usize * height as usize * 3);
+        for pixel in decoded.into_rgba8().pixels() {
+            let [r, g, b, a] = pixel.0;
+            bytes.extend([r, g, b].iter().zip(background).map(|(&c, behind)| {
+                let blend = u32::from(c) * u32::from(a) + u32::from(behind) * (255 - u32::from(a));
+                ((blend + 127) / 255) as u8
+            }));
+        }
+        Ok(Self { width, height, bytes })
+    }
+
+    /// Writes a PNG file, whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<(), BenchError> {
+        let mut png = Vec::new();
+        PngEncoder::new(Cursor::new(&mut png))
+            .write_image(&self.bytes, self.width, self.height, ExtendedColorType::Rgb8)
+            .map_err(|e| BenchError::Picture {
+                path: path.display().to_string(),
+                cause: one_line(&e.to_string()),
+            })?;
+        write_whole(path, &png)
+    }
+
+    /// Pictures of the same height, from left to right with a thin grey line between them.
+    pub fn beside(pictures: &[&Self]) -> Self {
+        let height = pictures.iter().map(|p| p.height).min().unwrap_or(0);
+        let gap = if pictures.is_empty() { 0 } else { pictures.len() as u32 - 1 };
+        let width = pictures.iter().map(|p| p.width).sum::<u32>() + gap * GAP_PIXELS;
+        let mut bytes = Vec::with_capacity(width as usize * height as usize * 3);
+        for y in 0..height as usize {
+            for (i, p) in pictures.iter().enumerate() {
+                if i > 0 {
+                    bytes.extend([GAP_GREY; 3 * GAP_PIXELS as usize]);
+                }
+                let row = p.width as usize * 3;
+                bytes.extend_from_slice(&p.bytes[y * row..(y + 1) * row]);
+            }
+        }
+        Self { width, height, bytes }
+    }
+}
+
+/// Text of several lines as one.
+pub fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+fn temporary_beside(path: &Path) -> PathBuf {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    path.with_file_name(format!(".{name}.{}.part", std::process::id()))
+}
+
+const GAP_PIXELS: u32 = 4;
+const GAP_GREY: u8 = 96;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_survive_their_file_and_nothing_else_is_left() {
+        let folder = std::env::temp_dir().join(format!("isinglass-output-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let picture = Rgb8 { width: 3, height: 2, bytes: (0..18).collect() };
+        let path = folder.join("a.png");
+        for _ in 0..2 {
+            picture.write(&path).unwrap();
+        }
+        assert_eq!(Rgb8::read(&path, [0; 3]).unwrap(), picture);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        assert!(picture.write(&folder.join("none/a.png")).is_err());
+        assert!(write_whole(&folder, b"x").is_err());
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::write(&path, b"no picture").unwrap();
+        assert!(matches!(Rgb8::read(&path, [0; 3]), Err(BenchError::Picture { .. })));
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn beside_keeps_both_pictures_apart() {
+        let a = Rgb8 { width: 1, height: 1, bytes: vec![1, 2, 3] };
+        let b = Rgb8 { width: 1, height: 1, bytes: vec![4, 5, 6] };
+        let both = Rgb8::beside(&[&a, &b]);
+        assert_eq!((both.width, both.height, both.bytes.len()), (6, 1, 18));
+        assert_eq!((&both.bytes[..3], &both.bytes[15..]), (&a.bytes[..], &b.bytes[..]));
+    }
+}

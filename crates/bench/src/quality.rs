@@ -1,0 +1,328 @@
+//! How near novel views come to full renderings, for each scene, layering rule, list length and turn.
+//!
+//! The truth is the full rendering from the turned camera. A row is the mean over a turn to either side. Beside the
+//! rules stands `last-image`, the picture of the unturned camera shown unchanged: what a viewer of pictures shows.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Instant;
+
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::codec;
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::{MarchSettings, Shading};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::picture::Picture;
+use isinglass_formats::OpenOptions;
+use isinglass_gpu::{Backend, BackendChoice};
+use serde::Serialize;
+
+use crate::error::BenchError;
+use crate::progress::Progress;
+use crate::scenes::{SceneSource, open_scene};
+use crate::view::Orbit;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct QualityOptions {
+    /// The scenes, see [`crate::scenes::select`].
+    pub scenes: Vec<SceneSource>,
+    /// Preset or file for all scenes; none: the one that suits each.
+    pub transfer: Option<String>,
+    /// Rules.
+    pub methods: Vec<Layering>,
+    /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
+    pub ks: Vec<u8>,
+    /// Turns of azimuth, degrees, each to either side. 0 is the generating camera itself.
+    pub angles_degrees: Vec<f32>,
+    /// The generating camera.
+    pub orbit: Orbit,
+    /// Picture and frame size, field of view.
+    pub intrinsics: Intrinsics,
+    /// Whether gradients shade.
+    pub shaded: bool,
+    /// Where the kernels run.
+    pub backend: BackendChoice,
+    /// How frames are encoded.
+    pub codec: codec::Settings,
+}
+
+/// The whole result.
+#[derive(Clone, Debug, Serialize)]
+pub struct QualityReport {
+    /// What holds for all rows.
+    pub conditions: Conditions,
+    /// One for each scene, method, K and turn.
+    pub rows: Vec<QualityRow>,
+}
+
+/// What holds for all rows of a report.
+#[derive(Clone, Debug, Serialize)]
+pub struct Conditions {
+    /// Version of this program.
+    pub version: &'static str,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Vertical field of view, degrees.
+    pub fov_deg: f32,
+    /// Azimuth and elevation of the generating camera, degrees.
+    pub orbit_deg: [f32; 2],
+    /// Its distance in radii of the bounding sphere.
+    pub distance_radii: f32,
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Whether gradients shade.
+    pub shading: bool,
+    /// Bits of a colour channel on the wire.
+    pub color_bits: u8,
+    /// Level of zstd.
+    pub zstd_level: i32,
+    /// Threads of the CPU.
+    pub threads: usize,
+    /// Background of the pictures compared.
+    pub background: &'static str,
+}
+
+/// Means over a turn to either side.
+#[derive(Clone, Debug, Serialize)]
+pub struct QualityRow {
+    /// Name of the scene.
+    pub scene: String,
+    /// Layering rule, or `last-image`.
+    pub method: String,
+    /// Longest list; 0 for `last-image`.
+    pub k: u8,
+    /// Turn, degrees.
+    pub angle_deg: f32,
+    /// See [`ImageError`].
+    pub dssim: f64,
+    /// See [`ImageError`].
+    pub dssim_object: f64,
+    /// See [`ImageError`].
+    pub psnr_db: f64,
+    /// Greatest difference, 0 to 255.
+    pub max_abs_255: u8,
+    /// DSSIM of the frame as it is after encoding and decoding; none for `last-image`.
+    pub dssim_wire: Option<f64>,
+    /// Time to make the frame.
+    pub generate_ms: Option<f64>,
+    /// Time to cast it.
+    pub novel_view_ms: Option<f64>,
+    /// Bytes of the encoded frame.
+    pub bytes: Option<usize>,
+    /// Segments in a list, over lists that have any.
+    pub segments_mean: Option<f64>,
+}
+
+/// Measures. Takes minutes for the default scenes on the CPU.
+pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
+    let backend = Backend::open(options.backend)?;
+    let steps = options.scenes.len() * (1 + options.methods.len() * options.ks.len());
+    let mut progress = Progress::new("quality", steps as u64);
+    let mut rows = Vec::new();
+    for source in &options.scenes {
+        measure_scene(&backend, options, source, &mut rows, &mut progress)?;
+    }
+    progress.finish();
+    Ok(QualityReport { conditions: conditions(options, &backend), rows })
+}
+
+/// A table for people, in the order of measuring.
+pub fn table(report: &QualityReport) -> String {
+    let number = |x: Option<f64>, digits| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"));
+    let mut text = format!(
+        "{:<12} {:<20} {:>2} {:>6} {:>7} {:>7} {:>6} {:>4} {:>7} {:>8} {:>8} {:>9} {:>5}\n",
+        "scene",
+        "method",
+        "k",
+        "turn",
+        "dssim",
+        "object",
+        "psnr",
+        "max",
+        "wire",
+        "gen ms",
+        "view ms",
+        "bytes",
+        "seg"
+    );
+    for r in &report.rows {
+        text += &format!(
+            "{:<12} {:<20} {:>2} {:>5.0}° {:>7.4} {:>7.4} {:>6.1} {:>4} {:>7} {:>8} {:>8} {:>9} {:>5}\n",
+            r.scene,
+            r.method,
+            r.k,
+            r.angle_deg,
+            r.dssim,
+            r.dssim_object,
+            r.psnr_db,
+            r.max_abs_255,
+            number(r.dssim_wire, 4),
+            number(r.generate_ms, 1),
+            number(r.novel_view_ms, 1),
+            r.bytes.map_or_else(|| "-".to_owned(), |b| b.to_string()),
+            number(r.segments_mean, 2),
+        );
+    }
+    text
+}
+
+/// Marching with or without shading.
+pub fn march_settings(shaded: bool) -> MarchSettings {
+    MarchSettings { shading: shaded.then(Shading::default), ..MarchSettings::default() }
+}
+
+/// The header of a frame that answers nobody.
+pub fn header(camera: Camera, k: u8) -> FrameHeader {
+    FrameHeader { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k }
+}
+
+/// Runs `body` and returns its result and milliseconds: the lesser of two times if the first was short, as a first run
+/// may have to compile shaders or fill caches.
+pub fn timed<T>(mut body: impl FnMut() -> Result<T, BenchError>) -> Result<(T, f64), BenchError> {
+    let start = Instant::now();
+    let mut result = body()?;
+    let mut ms = start.elapsed().as_secs_f64() * 1e3;
+    if ms < SHORT_MS {
+        let start = Instant::now();
+        result = body()?;
+        ms = ms.min(start.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok((result, ms))
+}
+
+fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
+    let Intrinsics { width, height, fov_y } = options.intrinsics;
+    Conditions {
+        version: env!("CARGO_PKG_VERSION"),
+        size: [width, height],
+        fov_deg: fov_y.to_degrees(),
+        orbit_deg: [options.orbit.azimuth_degrees, options.orbit.elevation_degrees],
+        distance_radii: options.orbit.distance_in_radii.unwrap_or_else(|| options.intrinsics.fit_distance()),
+        backend: backend.description(),
+        shading: options.shaded,
+        color_bits: options.codec.color_bits,
+        zstd_level: options.codec.zstd_level,
+        threads: rayon::current_num_threads(),
+        background: "#000000",
+    }
+}
+
+fn measure_scene(
+    backend: &Backend,
+    options: &QualityOptions,
+    source: &SceneSource,
+    rows: &mut Vec<QualityRow>,
+    progress: &mut Progress,
+) -> Result<(), BenchError> {
+    let opened = open_scene(
+        &source.source,
+        options.transfer.as_deref(),
+        march_settings(options.shaded),
+        &OpenOptions::default(),
+    )?;
+    let bounds = opened.scene.volume.bounds();
+    let mut renderer = backend.renderer(opened.scene)?;
+    let camera_at = |degrees: f32| options.orbit.turned(degrees).camera(options.intrinsics, &bounds);
+
+    // The truth, by the bits of the angle.
+    let mut truth = BTreeMap::new();
+    let angles: BTreeSet<u32> =
+        options.angles_degrees.iter().flat_map(|&a| sides(a)).chain([0.0]).map(f32::to_bits).collect();
+    for angle in angles {
+        truth.insert(angle, black_srgb8(&renderer.render(&camera_at(f32::from_bits(angle)))?));
+    }
+    progress.advance(1, &format!("{}: truth rendered", source.name));
+    for &angle in options.angles_degrees.iter().filter(|a| **a != 0.0) {
+        let mut mean = Mean::default();
+        for side in sides(angle) {
+            mean.add(&errors(&truth[&0f32.to_bits()], &truth[&side.to_bits()], &options.intrinsics)?);
+        }
+        rows.push(mean.row(source, "last-image", 0, angle));
+    }
+
+    for &method in &options.methods {
+        for &k in &options.ks {
+            let header = header(camera_at(0.0), k);
+            let (frame, generate_ms) = timed(|| Ok(renderer.generate(header, method)?))?;
+            let encoded = codec::encode(&frame, &options.codec)?;
+            let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
+            let mut decoded = backend.reprojector(Arc::new(codec::decode(&chunks)?), &bounds)?;
+            let num_segments = frame.num_segments();
+            let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+            let mut exact = backend.reprojector(Arc::new(frame), &bounds)?;
+            for &angle in &options.angles_degrees {
+                let (mut mean, mut wire, mut ms_sum, mut num) = (Mean::default(), Mean::default(), 0.0, 0.0);
+                for side in sides(angle) {
+                    let camera = camera_at(side);
+                    let (view, ms) = timed(|| Ok(exact.raycast(&camera)?))?;
+                    let truth = &truth[&side.to_bits()];
+                    mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                    let view = decoded.raycast(&camera)?;
+                    wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                    (ms_sum, num) = (ms_sum + ms, num + 1.0);
+                }
+                rows.push(QualityRow {
+                    dssim_wire: Some(wire.mean(|e| e.dssim)),
+                    generate_ms: Some(generate_ms),
+                    novel_view_ms: Some(ms_sum / num),
+                    bytes: Some(encoded.num_bytes()),
+                    segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
+                    ..mean.row(source, method.name(), k, angle)
+                });
+            }
+            progress.advance(1, &format!("{}: {method} K = {k}", source.name));
+        }
+    }
+    Ok(())
+}
+
+/// A turn to either side; no turn is one view.
+fn sides(angle: f32) -> Vec<f32> {
+    if angle == 0.0 { vec![0.0] } else { vec![angle, -angle] }
+}
+
+/// On black, as 8-bit sRGB.
+pub fn black_srgb8(picture: &Picture) -> Vec<u8> {
+    picture.to_srgb8([0.0; 3])
+}
+
+fn errors(a: &[u8], b: &[u8], intrinsics: &Intrinsics) -> Result<ImageError, BenchError> {
+    Ok(compare(a, b, intrinsics.width as usize, intrinsics.height as usize, [0; 3])?)
+}
+
+#[derive(Default)]
+struct Mean(Vec<ImageError>);
+
+impl Mean {
+    fn add(&mut self, errors: &ImageError) {
+        self.0.push(*errors);
+    }
+
+    fn mean(&self, of: impl Fn(&ImageError) -> f64) -> f64 {
+        self.0.iter().map(of).sum::<f64>() / self.0.len().max(1) as f64
+    }
+
+    fn row(&self, source: &SceneSource, method: &str, k: u8, angle_deg: f32) -> QualityRow {
+        QualityRow {
+            scene: source.name.clone(),
+            method: method.to_owned(),
+            k,
+            angle_deg,
+            dssim: self.mean(|e| e.dssim),
+            dssim_object: self.mean(|e| e.dssim_object),
+            psnr_db: self.mean(|e| e.psnr_db),
+            max_abs_255: self.0.iter().map(|e| e.max_abs_255).max().unwrap_or(0),
+            dssim_wire: None,
+            generate_ms: None,
+            novel_view_ms: None,
+            bytes: None,
+            segments_mean: None,
+        }
+    }
+}
+
+/// A run below this is repeated.
+const SHORT_MS: f64 = 400.0;

@@ -1,0 +1,147 @@
+//! What is measured: the built-in volumes and six scanned or simulated ones.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::transfer::TransferFunction;
+use isinglass_core::volume::{Histogram, Volume};
+use isinglass_formats::{FormatError, OpenOptions, default_preset, load_transfer, open};
+
+use crate::error::BenchError;
+
+/// A scene that can be measured.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneSource {
+    /// Short name in tables.
+    pub name: String,
+    /// What [`isinglass_formats::open`] opens.
+    pub source: String,
+}
+
+/// A volume made ready, and the transfer function it is seen with.
+#[derive(Clone, Debug)]
+pub struct OpenedScene {
+    /// Volume, table and settings.
+    pub scene: Scene,
+    /// The transfer function.
+    pub transfer: TransferFunction,
+}
+
+/// Which scenes there are to measure, and which of those asked for are not here.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// To measure.
+    pub scenes: Vec<SceneSource>,
+    /// One sentence for each that is left out.
+    pub skipped: Vec<String>,
+}
+
+/// Opens a volume with the transfer function that is asked for (a preset's name or a file), or else the one that
+/// suits it.
+pub fn open_scene(
+    source: &str,
+    transfer: Option<&str>,
+    settings: MarchSettings,
+    options: &OpenOptions,
+) -> Result<OpenedScene, FormatError> {
+    // First, because it fails fast.
+    let transfer = transfer.map(load_transfer).transpose()?;
+    let volume = Arc::new(open(source, options)?);
+    let transfer = match transfer {
+        Some(transfer) => transfer,
+        None => load_transfer(suitable_preset(source, &volume))?,
+    };
+    Ok(OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer })
+}
+
+/// The scenes called `names`; all if there are no names. A name is one of [`names`], or a volume as on the command
+/// line (`builtin:cloud@64` or a path). Scanned volumes come from `folder`.
+pub fn select(names_asked: &[String], folder: Option<&Path>) -> Result<Selection, BenchError> {
+    let mut selection = Selection::default();
+    let all: Vec<String> = names().map(str::to_owned).collect();
+    let asked = if names_asked.is_empty() { &all[..] } else { names_asked };
+    for name in asked {
+        if let Some(known) = BUILTINS.iter().find(|n| *n == name) {
+            let (name, source) = ((*known).to_owned(), format!("builtin:{known}"));
+            selection.scenes.push(SceneSource { name, source });
+        } else if let Some(known) = FILES.iter().find(|n| *n == name) {
+            let found = folder.map(|f| f.join(format!("{known}.nrrd"))).filter(|p| p.is_file());
+            match (found, folder) {
+                (Some(path), _) => selection
+                    .scenes
+                    .push(SceneSource { name: (*known).to_owned(), source: path.display().to_string() }),
+                (None, Some(folder)) => {
+                    selection.skipped.push(format!("{known}: no {known}.nrrd in {}", folder.display()));
+                }
+                (None, None) => selection
+                    .skipped
+                    .push(format!("{known}: no folder of volumes; name one with {DATA_VARIABLE}")),
+            }
+        } else if name.starts_with("builtin:") || Path::new(name).is_file() {
+            selection.scenes.push(SceneSource { name: name.clone(), source: name.clone() });
+        } else {
+            let expected = format!("{}, a built-in volume or a file", all.join(", "));
+            return Err(BenchError::UnknownScene { found: name.clone(), expected });
+        }
+    }
+    if selection.scenes.is_empty() {
+        return Err(BenchError::NoScene(selection.skipped.join("; ")));
+    }
+    Ok(selection)
+}
+
+/// The names of all scenes.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    BUILTINS.into_iter().chain(FILES)
+}
+
+/// The folder of scanned volumes: the one that [`DATA_VARIABLE`] names, or `shared/data` beside the current folder or
+/// one of those above it.
+pub fn data_folder() -> Option<PathBuf> {
+    if let Some(named) = std::env::var_os(DATA_VARIABLE) {
+        return Some(named.into());
+    }
+    let here = std::env::current_dir().ok()?;
+    here.ancestors().map(|folder| folder.join("shared/data")).find(|folder| folder.is_dir())
+}
+
+fn suitable_preset(source: &str, volume: &Volume) -> &'static str {
+    default_preset(source, volume, &Histogram::of(volume))
+}
+
+/// Names the folder of scanned volumes.
+pub const DATA_VARIABLE: &str = "ISINGLASS_DATA";
+const BUILTINS: [&str; 3] = ["cloud", "cubus", "shells"];
+const FILES: [&str; 6] = ["bonsai", "engine", "avm", "t1_head", "heptane", "mouse_brain"];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_scenes_are_found_or_skipped_and_unknown_ones_refused() {
+        let empty = std::env::temp_dir().join(format!("isinglass-no-volumes-{}", std::process::id()));
+        std::fs::create_dir_all(&empty).unwrap();
+        let selection = select(&[], Some(&empty)).unwrap();
+        assert_eq!(selection.scenes.iter().map(|s| &s.name[..]).collect::<Vec<_>>(), BUILTINS);
+        assert_eq!(selection.skipped.len(), FILES.len());
+        std::fs::write(empty.join("bonsai.nrrd"), b"").unwrap();
+        let selection = select(&["bonsai".into(), "cloud".into()], Some(&empty)).unwrap();
+        assert_eq!(selection.scenes.len(), 2);
+        std::fs::remove_dir_all(&empty).unwrap();
+        let unknown = select(&["bonzai".into()], None).unwrap_err().to_string();
+        assert!(unknown.contains("bonzai") && unknown.contains("mouse_brain"), "{unknown}");
+        assert!(matches!(select(&["bonsai".into()], None), Err(BenchError::NoScene(_))));
+    }
+
+    #[test]
+    fn a_scene_opens_with_its_own_preset_unless_another_is_named() {
+        let open = |transfer| {
+            open_scene("builtin:shells@16", transfer, MarchSettings::default(), &OpenOptions::default())
+        };
+        assert_eq!(open(None).unwrap().transfer, load_transfer("shells").unwrap());
+        assert_eq!(open(Some("ct")).unwrap().transfer, load_transfer("ct").unwrap());
+        assert!(open(Some("no such preset")).is_err());
+    }
+}

@@ -1,0 +1,289 @@
+//! Arguments that several commands share.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use glam::Vec3;
+use isinglass_bench::progress::Progress;
+use isinglass_bench::quality::march_settings;
+use isinglass_bench::scenes::{OpenedScene, open_scene};
+use isinglass_client::DEFAULT_FOV_Y_DEGREES;
+use isinglass_core::camera::{Intrinsics, MAX_SIDE};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::MAX_K;
+use isinglass_core::volume::Volume;
+use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape};
+use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_net::LinkModel;
+
+/// A volume, and the shape of a raw one.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct VolumeArgs {
+    /// A NRRD file, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N
+    /// voxels a side)
+    #[arg(value_name = "VOLUME")]
+    pub(crate) volume: String,
+    #[command(flatten)]
+    pub(crate) raw: RawArgs,
+}
+
+/// What a raw file does not say of itself.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Raw volumes")]
+pub(crate) struct RawArgs {
+    /// Voxels along x, y and z of a raw file
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "dtype")]
+    dims: Option<[u32; 3]>,
+    /// Type of its voxels: uint8, int16, float, …
+    #[arg(long, value_name = "TYPE", requires = "dims")]
+    dtype: Option<Dtype>,
+    /// Distances between its voxels
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, requires = "dims", allow_hyphen_values = true)]
+    spacing: Option<Vec3>,
+    /// Order of its bytes: little or big
+    #[arg(long, value_name = "ORDER", requires = "dims")]
+    endian: Option<Endian>,
+    /// Bytes before its first voxel
+    #[arg(long, value_name = "BYTES", requires = "dims")]
+    offset: Option<u64>,
+}
+
+impl RawArgs {
+    /// The shape, if there is one.
+    pub(crate) fn shape(&self) -> Option<RawShape> {
+        Some(RawShape {
+            dims: self.dims?,
+            dtype: self.dtype?,
+            spacing: self.spacing.unwrap_or(Vec3::ONE),
+            endian: self.endian.unwrap_or_default(),
+            offset: self.offset.unwrap_or(0),
+        })
+    }
+}
+
+/// Size and field of view of a picture.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct ViewArgs {
+    /// Columns and rows of the picture
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "512x512")]
+    pub(crate) size: [u32; 2],
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = DEFAULT_FOV_Y_DEGREES)]
+    pub(crate) fov: f32,
+}
+
+impl ViewArgs {
+    /// The intrinsics.
+    pub(crate) fn intrinsics(&self) -> Intrinsics {
+        let [width, height] = self.size;
+        Intrinsics { width, height, fov_y: self.fov.to_radians() }
+    }
+}
+
+/// How matter looks.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct LookArgs {
+    /// Transfer function: a preset or a TOML file [default: the preset that suits the volume]
+    #[arg(long, value_name = "FILE|PRESET")]
+    pub(crate) tf: Option<String>,
+    /// Whether gradients shade the colours
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    pub(crate) shading: Switch,
+}
+
+/// On or off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Switch {
+    /// Yes.
+    On,
+    /// No.
+    Off,
+}
+
+impl LookArgs {
+    /// Whether gradients shade.
+    pub(crate) fn is_shaded(&self) -> bool {
+        self.shading == Switch::On
+    }
+}
+
+/// Which segments a layered frame holds.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct LayeringArgs {
+    /// Rule: visibility-merge or equal-transmittance
+    #[arg(long, value_name = "RULE", default_value_t = Layering::default())]
+    pub(crate) layering: Layering,
+    /// Most segments a pixel
+    #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
+    pub(crate) k: u8,
+}
+
+/// Where kernels run.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct BackendArgs {
+    /// Where kernels run: auto, gpu or cpu
+    #[arg(long, value_name = "BACKEND", default_value_t = BackendChoice::default())]
+    pub(crate) backend: BackendChoice,
+}
+
+impl BackendArgs {
+    /// Opens it.
+    pub(crate) fn open(&self) -> Result<Backend> {
+        Ok(Backend::open(self.backend)?)
+    }
+}
+
+/// What the link between server and viewer is like, beside its round-trip time.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Link")]
+pub(crate) struct LinkArgs {
+    /// Greatest additional delay of a packet, each way
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "0ms")]
+    jitter: Duration,
+    /// Share of packets that are lost, each way: 0.01 is one in a hundred
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    loss: f64,
+    /// Rate each way, megabits a second [default: unlimited]
+    #[arg(long, value_name = "MBIT")]
+    bandwidth: Option<f64>,
+    /// Seed of the link's chances
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+impl LinkArgs {
+    /// The link.
+    pub(crate) fn model(&self, rtt: Duration) -> Result<LinkModel> {
+        let &Self { jitter, loss, bandwidth: bandwidth_mbit, seed } = self;
+        let model = LinkModel { rtt, jitter, loss, bandwidth_mbit, seed, ..LinkModel::default() };
+        model.validate()?;
+        Ok(model)
+    }
+}
+
+/// Opens a volume with its look; large files show their progress.
+pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<OpenedScene> {
+    let progress = std::cell::RefCell::new(Progress::new("reading", 100));
+    let done = std::cell::Cell::new(0);
+    let report = |fraction: f32| {
+        let percent = (fraction * 100.0) as u64;
+        progress.borrow_mut().advance(percent.saturating_sub(done.get()), "%");
+        done.set(percent.max(done.get()));
+    };
+    let options = OpenOptions { raw: volume.raw.shape(), progress: Some(&report), ..Default::default() };
+    let opened = open_scene(&volume.volume, look.tf.as_deref(), march_settings(look.is_shaded()), &options);
+    progress.into_inner().finish();
+    Ok(opened?)
+}
+
+/// The path of a file to write, checked before any work is done: its folder must exist.
+pub(crate) fn parse_output(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match path.file_name() {
+        None => Err("expected the name of a file".into()),
+        Some(_) if !folder.is_dir() => Err(format!("there is no folder {}", folder.display())),
+        Some(_) if path.is_dir() => Err("found a folder, expected the name of a file".into()),
+        Some(_) => Ok(path),
+    }
+}
+
+/// `#rrggbb`.
+pub(crate) fn parse_background(text: &str) -> Result<[u8; 3], String> {
+    let hex = text.strip_prefix('#').unwrap_or(text);
+    let number = (hex.len() == 6 && hex.bytes().all(|b| b.is_ascii_hexdigit()))
+        .then(|| u32::from_str_radix(hex, 16).ok())
+        .flatten();
+    let [_, rgb @ ..] = number.ok_or("expected a colour like #20242c")?.to_be_bytes();
+    Ok(rgb)
+}
+
+/// `200ms`, `0.2s`, `0`, or a number of milliseconds.
+pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
+    let (number, seconds_per_unit) = match text.strip_suffix("ms") {
+        Some(number) => (number, 1e-3),
+        None => text.strip_suffix('s').map_or((text, 1e-3), |number| (number, 1.0)),
+    };
+    let seconds = number.trim().parse::<f64>().ok().map(|n| n * seconds_per_unit);
+    match seconds.filter(|s| (0.0..=MAX_SECONDS).contains(s)) {
+        Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
+        None => Err(format!("expected a time of at most {MAX_SECONDS} s, such as 200ms or 0.2s")),
+    }
+}
+
+/// `WxH`.
+pub(crate) fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    sides
+        .filter(|sides| sides.iter().all(|side| (1..=MAX_SIDE).contains(side)))
+        .ok_or_else(|| format!("expected WxH with sides of 1 to {MAX_SIDE}, such as 512x512"))
+}
+
+/// Degrees.
+pub(crate) fn parse_fov(text: &str) -> Result<f32, String> {
+    let degrees = text.parse::<f32>().ok().filter(|d| (1.0..=170.0).contains(d));
+    degrees.ok_or_else(|| "expected 1 to 170 degrees".into())
+}
+
+/// A list length.
+pub(crate) fn parse_k(text: &str) -> Result<u8, String> {
+    let k = text.parse::<u8>().ok().filter(|&k| (1..=MAX_K).contains(&usize::from(k)));
+    k.ok_or_else(|| format!("expected 1 to {MAX_K}"))
+}
+
+fn parse_dims(text: &str) -> Result<[u32; 3], String> {
+    parse_three(text).filter(|dims| dims.iter().all(|d| (1..=Volume::MAX_SIDE).contains(d))).ok_or_else(
+        || format!("expected three numbers of voxels, 1 to {}, such as 256,256,128", Volume::MAX_SIDE),
+    )
+}
+
+fn parse_spacing(text: &str) -> Result<Vec3, String> {
+    parse_three::<f32>(text)
+        .filter(|spacing| spacing.iter().all(|s| s.is_finite() && *s > 0.0))
+        .map(Vec3::from_array)
+        .ok_or_else(|| "expected three positive numbers, such as 1,1,2.5".into())
+}
+
+/// Three values between commas or crosses.
+fn parse_three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
+    let parts =
+        text.split([',', 'x', 'X', '×']).map(|p| p.trim().parse().ok()).collect::<Option<Vec<T>>>()?;
+    parts.try_into().ok()
+}
+
+/// Segments a pixel if none are named: the design's figures are for this number.
+pub(crate) const DEFAULT_K: u8 = 8;
+/// Longer times are typing errors.
+const MAX_SECONDS: f64 = 60.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_read_and_nonsense_is_refused() {
+        assert_eq!(parse_size("640x480"), Ok([640, 480]));
+        assert_eq!(parse_duration("200ms"), Ok(Duration::from_millis(200)));
+        assert_eq!(parse_duration("0.2s"), parse_duration("200"));
+        assert_eq!(parse_background("#0a0B0c"), Ok([10, 11, 12]));
+        assert_eq!(parse_dims("1,2,3"), Ok([1, 2, 3]));
+        assert_eq!(parse_spacing("1,2,0.5"), Ok(Vec3::new(1.0, 2.0, 0.5)));
+        assert_eq!(parse_k("16"), Ok(16));
+        for bad in ["", "0x5", "5x", "x", "-1x4", "9999x1", "4", "4x4x4"] {
+            assert!(parse_size(bad).is_err(), "{bad}");
+        }
+        for bad in ["", "-1ms", "nan", "1h", "inf", "61s"] {
+            assert!(parse_duration(bad).is_err(), "{bad}");
+        }
+        for bad in ["", "#12345", "#1234567", "#gggggg", "red"] {
+            assert!(parse_background(bad).is_err(), "{bad}");
+        }
+        for bad in ["1,2", "0,1,1", "1,2,3,4", "1,2,99999"] {
+            assert!(parse_dims(bad).is_err(), "{bad}");
+        }
+        assert!(parse_spacing("1,0,1").is_err() && parse_spacing("1,nan,1").is_err());
+        assert!(parse_k("0").is_err() && parse_k("17").is_err() && parse_fov("180").is_err());
+    }
+}

@@ -1,0 +1,167 @@
+//! `demo`: server and viewer in one process.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
+use isinglass_bench::progress::note;
+use isinglass_bench::view::Orbit;
+use isinglass_client::{InitialOrbit, ViewerOptions, WindowOptions, display_available};
+use isinglass_core::codec;
+use isinglass_core::look::Look;
+use isinglass_net::LinkModel;
+use isinglass_server::ServeOptions;
+
+use crate::args::{
+    BackendArgs, LayeringArgs, LinkArgs, LookArgs, RawArgs, VolumeArgs, open_volume, parse_duration,
+    parse_fov, parse_size,
+};
+use crate::report::{print, print_json};
+
+#[derive(Args)]
+pub(crate) struct DemoArgs {
+    /// A volume, as for `serve` [default: builtin:shells]
+    #[arg(value_name = "VOLUME")]
+    volume: Option<String>,
+    #[command(flatten)]
+    raw: RawArgs,
+    /// Round-trip time between server and viewer
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "0ms")]
+    rtt: Duration,
+    #[command(flatten)]
+    link: LinkArgs,
+    /// Play a camera path without a window, compare what was shown with the truth, and write a report [default: only if
+    /// there is no display]
+    #[arg(long)]
+    headless: bool,
+    /// Folder for the report and the pictures [default: isinglass-demo]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Columns and rows of the picture [default: 256x256, or a window of 1100x760]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
+    fov: f32,
+    /// Where the camera begins
+    #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
+    orbit: Orbit,
+    /// Speed of the headless camera, degrees a second
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_speed)]
+    speed: f32,
+    /// Pictures a second without a window
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = parse_rate)]
+    rate: f32,
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    layering: LayeringArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: DemoArgs) -> Result<()> {
+    let link = args.link.model(args.rtt)?;
+    if args.headless || args.out.is_some() || args.json {
+        return headless(args, link);
+    }
+    if !display_available() {
+        note("no display: playing without a window (see `isinglass doctor`)");
+        return headless(args, link);
+    }
+    window(args, link)
+}
+
+fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
+    let mut options = DemoOptions {
+        raw: args.raw.shape(),
+        transfer: args.look.tf.clone(),
+        shaded: args.look.is_shaded(),
+        layering: args.layering.layering,
+        k: args.layering.k,
+        orbit: args.orbit,
+        backend: args.backend.backend,
+        link,
+        degrees_per_second: args.speed,
+        refresh_hz: args.rate,
+        ..DemoOptions::default()
+    };
+    if let Some(volume) = args.volume {
+        options.source = volume;
+    }
+    if let Some([width, height]) = args.size {
+        (options.intrinsics.width, options.intrinsics.height) = (width, height);
+    }
+    options.intrinsics.fov_y = args.fov.to_radians();
+    let out = args.out.unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
+    if out.exists() && !out.is_dir() {
+        bail!("{}: found a file, expected a folder for the report", out.display());
+    }
+    let outcome = run_headless(&options, Some(&out))?;
+    if args.json { print_json(&outcome.report) } else { print(&outcome.text) }
+}
+
+fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
+    let volume = VolumeArgs { volume: args.volume.unwrap_or_else(|| DEFAULT_SOURCE.into()), raw: args.raw };
+    let opened = open_volume(&volume, &args.look)?;
+    let look = Look {
+        transfer: opened.transfer,
+        shaded: args.look.is_shaded(),
+        layering: args.layering.layering,
+        k: args.layering.k,
+    };
+    let options = ServeOptions {
+        volume: opened.scene.volume,
+        look,
+        backend: args.backend.open()?,
+        listen: ([127, 0, 0, 1], 0).into(),
+        codec: codec::Settings::default(),
+        max_viewers: 1,
+    };
+    let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
+    let (server, server_link) = runtime.block_on(async {
+        let server = isinglass_server::start(options)?;
+        let server_link = server.mint_link(None).await?;
+        anyhow::Ok((server, server_link))
+    })?;
+    let defaults = WindowOptions::default();
+    let shown = isinglass_client::run(ViewerOptions {
+        link: server_link,
+        conditioner: Some(link),
+        window: WindowOptions {
+            server_name: "this computer".into(),
+            size: args.size.unwrap_or(defaults.size),
+            initial_orbit: initial_orbit(&args.orbit),
+            fov_y: args.fov.to_radians(),
+            ..defaults
+        },
+    });
+    runtime.block_on(server.close());
+    Ok(shown?)
+}
+
+/// The same view in the viewer's terms.
+pub(crate) fn initial_orbit(orbit: &Orbit) -> InitialOrbit {
+    InitialOrbit {
+        azimuth_degrees: orbit.azimuth_degrees,
+        elevation_degrees: orbit.elevation_degrees,
+        distance_in_radii: orbit.distance_in_radii,
+    }
+}
+
+fn parse_speed(text: &str) -> Result<f32, String> {
+    let speed = text.parse::<f32>().ok().filter(|s| s.abs() <= 360.0);
+    speed.ok_or_else(|| "expected degrees a second, -360 to 360".into())
+}
+
+fn parse_rate(text: &str) -> Result<f32, String> {
+    let rate = text.parse::<f32>().ok().filter(|r| (1.0..=240.0).contains(r));
+    rate.ok_or_else(|| "expected 1 to 240 pictures a second".into())
+}
+
+const DEFAULT_OUT: &str = "isinglass-demo";

@@ -1,0 +1,64 @@
+//! `layers`: a layered frame of a volume, stored.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::Args;
+use isinglass_bench::quality::header;
+use isinglass_bench::view::Orbit;
+use isinglass_core::codec;
+use isinglass_formats::iglf;
+use serde_json::json;
+
+use crate::args::{BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_output};
+use crate::report::print_json;
+
+#[derive(Args)]
+pub(crate) struct LayersArgs {
+    #[command(flatten)]
+    volume: VolumeArgs,
+    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
+    #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
+    orbit: Orbit,
+    /// File to write, by custom ending in .iglf
+    #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
+    output: PathBuf,
+    #[command(flatten)]
+    view: ViewArgs,
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    layering: LayeringArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Tell what was done as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &LayersArgs) -> Result<()> {
+    let opened = open_volume(&args.volume, &args.look)?;
+    let backend = args.backend.open()?;
+    let camera = args.orbit.camera(args.view.intrinsics(), &opened.scene.volume.bounds());
+    let mut renderer = backend.renderer(opened.scene)?;
+    let start = Instant::now();
+    let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
+    let generate_ms = start.elapsed().as_secs_f64() * 1e3;
+    let encoded = codec::encode(&frame, &codec::Settings::default())?;
+    iglf::write(&args.output, &encoded)?;
+    if args.json {
+        print_json(&json!({
+            "output": args.output.display().to_string(),
+            "size": args.view.size,
+            "backend": backend.description(),
+            "tf": opened.transfer.name,
+            "layering": args.layering.layering.name(),
+            "k": args.layering.k,
+            "segments": frame.num_segments(),
+            "bytes": encoded.num_bytes(),
+            "generate_ms": generate_ms,
+        }))?;
+    }
+    Ok(())
+}

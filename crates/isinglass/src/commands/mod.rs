@@ -1,0 +1,58 @@
+//! One file for each command.
+
+mod bench;
+mod compare;
+mod demo;
+mod doctor;
+mod info;
+mod layers;
+mod render;
+mod reproject;
+mod serve;
+mod view;
+
+use anyhow::Result;
+use clap::Subcommand;
+
+/// What to do.
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// Server and viewer in one process, with as much latency as you like
+    Demo(demo::DemoArgs),
+    /// Serve a volume, and print the link for a viewer
+    Serve(serve::ServeArgs),
+    /// Open the viewer on a server's link
+    View(view::ViewerArgs),
+    /// Render a volume: the reference picture
+    Render(render::RenderArgs),
+    /// Make a layered frame of a volume and store it
+    Layers(layers::LayersArgs),
+    /// Show a stored layered frame from another side
+    Reproject(reproject::ReprojectArgs),
+    /// Compare two pictures: DSSIM, SSIM, PSNR
+    Compare(compare::CompareArgs),
+    /// Tell what is in a volume or in a stored layered frame
+    Info(info::InfoArgs),
+    /// Measure quality, speed or latency
+    Bench(bench::BenchArgs),
+    /// Tell what this machine lacks, and what to install
+    Doctor(doctor::DoctorArgs),
+}
+
+impl Command {
+    /// Does it.
+    pub(crate) fn run(self) -> Result<()> {
+        match self {
+            Self::Demo(args) => demo::run(args),
+            Self::Serve(args) => serve::run(args),
+            Self::View(args) => view::run(args),
+            Self::Render(args) => render::run(&args),
+            Self::Layers(args) => layers::run(&args),
+            Self::Reproject(args) => reproject::run(&args),
+            Self::Compare(args) => compare::run(&args),
+            Self::Info(args) => info::run(&args),
+            Self::Bench(args) => bench::run(args),
+            Self::Doctor(args) => doctor::run(&args),
+        }
+    }
+}

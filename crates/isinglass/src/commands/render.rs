@@ -1,0 +1,58 @@
+//! `render`: the reference picture of a volume.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::Args;
+use isinglass_bench::output::Rgb8;
+use isinglass_bench::view::Orbit;
+use serde_json::json;
+
+use crate::args::{BackendArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_background, parse_output};
+use crate::report::print_json;
+
+#[derive(Args)]
+pub(crate) struct RenderArgs {
+    #[command(flatten)]
+    volume: VolumeArgs,
+    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
+    #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
+    orbit: Orbit,
+    /// PNG file to write
+    #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
+    output: PathBuf,
+    #[command(flatten)]
+    view: ViewArgs,
+    #[command(flatten)]
+    look: LookArgs,
+    /// Colour behind the volume
+    #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
+    background: [u8; 3],
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Tell what was done as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &RenderArgs) -> Result<()> {
+    let opened = open_volume(&args.volume, &args.look)?;
+    let backend = args.backend.open()?;
+    let camera = args.orbit.camera(args.view.intrinsics(), &opened.scene.volume.bounds());
+    let mut renderer = backend.renderer(opened.scene)?;
+    let start = Instant::now();
+    let picture = renderer.render(&camera)?;
+    let render_ms = start.elapsed().as_secs_f64() * 1e3;
+    Rgb8::of(&picture, args.background).write(&args.output)?;
+    if args.json {
+        print_json(&json!({
+            "output": args.output.display().to_string(),
+            "size": args.view.size,
+            "backend": backend.description(),
+            "tf": opened.transfer.name,
+            "render_ms": render_ms,
+        }))?;
+    }
+    Ok(())
+}

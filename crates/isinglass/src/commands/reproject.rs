@@ -1,0 +1,72 @@
+//! `reproject`: a stored layered frame from another side.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::Args;
+use isinglass_bench::output::Rgb8;
+use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame};
+use isinglass_formats::iglf;
+use serde_json::json;
+
+use crate::args::{BackendArgs, parse_background, parse_fov, parse_output, parse_size};
+use crate::report::print_json;
+
+#[derive(Args)]
+pub(crate) struct ReprojectArgs {
+    /// A layered frame that `layers` stored
+    #[arg(value_name = "FRAME")]
+    frame: PathBuf,
+    /// Azimuth and elevation in degrees; distance in radii of the volume's bounding sphere [default: the frame's own
+    /// camera; without DIST as far away as that]
+    #[arg(long, value_name = "AZ,EL[,DIST]", allow_hyphen_values = true)]
+    orbit: Option<Orbit>,
+    /// PNG file to write
+    #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
+    output: PathBuf,
+    /// Columns and rows of the picture [default: the frame's]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Vertical field of view, degrees [default: the frame's]
+    #[arg(long, value_name = "DEG", value_parser = parse_fov)]
+    fov: Option<f32>,
+    /// Colour behind the volume
+    #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
+    background: [u8; 3],
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Tell what was done as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
+    let frame = iglf::read(&args.frame)?;
+    let header = frame.header;
+    let mut intrinsics = header.camera.intrinsics;
+    if let Some([width, height]) = args.size {
+        (intrinsics.width, intrinsics.height) = (width, height);
+    }
+    if let Some(fov) = args.fov {
+        intrinsics.fov_y = fov.to_radians();
+    }
+    let camera = match &args.orbit {
+        Some(orbit) => orbit_of_frame(orbit, intrinsics, &header),
+        None => isinglass_core::camera::Camera { intrinsics, ..header.camera },
+    };
+    let backend = args.backend.open()?;
+    let start = Instant::now();
+    let picture = backend.raycast(&frame, &bounds_from_header(&header), &camera)?;
+    let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
+    Rgb8::of(&picture, args.background).write(&args.output)?;
+    if args.json {
+        print_json(&json!({
+            "output": args.output.display().to_string(),
+            "size": [intrinsics.width, intrinsics.height],
+            "backend": backend.description(),
+            "novel_view_ms": novel_view_ms,
+        }))?;
+    }
+    Ok(())
+}

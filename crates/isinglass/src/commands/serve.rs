@@ -1,0 +1,86 @@
+//! `serve`: a volume for viewers.
+
+use std::net::{SocketAddr, ToSocketAddrs};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use isinglass_bench::progress::note;
+use isinglass_core::codec;
+use isinglass_core::look::Look;
+use isinglass_server::ServeOptions;
+use serde_json::json;
+
+use crate::args::{BackendArgs, LayeringArgs, LookArgs, VolumeArgs, open_volume};
+use crate::report::{print, print_json};
+
+#[derive(Args)]
+pub(crate) struct ServeArgs {
+    #[command(flatten)]
+    volume: VolumeArgs,
+    /// Address and UDP port to listen on; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
+    listen: SocketAddr,
+    /// Name or address that viewers reach this machine by, for the link [default: the one listened on]
+    #[arg(long, value_name = "HOST")]
+    host: Option<String>,
+    /// Viewers at the same time; one link is printed for each
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    viewers: u32,
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    layering: LayeringArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Print the links as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: ServeArgs) -> Result<()> {
+    let opened = open_volume(&args.volume, &args.look)?;
+    let look = Look {
+        transfer: opened.transfer,
+        shaded: args.look.is_shaded(),
+        layering: args.layering.layering,
+        k: args.layering.k,
+    };
+    let backend = args.backend.open()?;
+    let description = backend.description();
+    let options = ServeOptions {
+        volume: opened.scene.volume,
+        look,
+        backend,
+        listen: args.listen,
+        codec: codec::Settings::default(),
+        max_viewers: args.viewers,
+    };
+    let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
+    runtime.block_on(async {
+        let server = isinglass_server::start(options)?;
+        let mut links = Vec::new();
+        for _ in 0..args.viewers {
+            links.push(server.mint_link(args.host.as_deref()).await?.to_string());
+        }
+        note(&format!(
+            "serving {} at {} on {description}; each link lets in one viewer; Ctrl-C ends it",
+            args.volume.volume,
+            server.address()
+        ));
+        if args.json {
+            print_json(&json!({ "address": server.address().to_string(), "links": links }))?;
+        } else {
+            print(&(links.join("\n") + "\n"))?;
+        }
+        tokio::signal::ctrl_c().await.context("cannot wait for Ctrl-C")?;
+        note("closing");
+        server.close().await;
+        Ok(())
+    })
+}
+
+fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    let mut found =
+        text.to_socket_addrs().map_err(|e| format!("{e}; expected an address such as 127.0.0.1:4433"))?;
+    found.next().ok_or_else(|| "no such address".into())
+}

@@ -1,0 +1,68 @@
+//! `view`: the viewer on a server's link.
+
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use isinglass_bench::view::Orbit;
+use isinglass_client::{Waker, WindowOptions, display_available, run_window};
+use isinglass_net::{Client, ClientOptions, Link};
+
+use super::demo::initial_orbit;
+use crate::args::{parse_fov, parse_size};
+
+#[derive(Args)]
+pub(crate) struct ViewerArgs {
+    /// The link that `serve` printed; quote it in a shell
+    #[arg(value_name = "LINK")]
+    link: Link,
+    /// Columns and rows of the window
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1100x760")]
+    size: [u32; 2],
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
+    fov: f32,
+    /// Where the camera begins
+    #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
+    orbit: Orbit,
+}
+
+/// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away
+/// later is shown in the window.
+pub(crate) fn run(args: ViewerArgs) -> Result<()> {
+    // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
+    if !display_available() {
+        bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
+    }
+    let server_name = format!("{}:{}", args.link.host, args.link.port);
+    let waker = Arc::new(OnceLock::<Waker>::new());
+    let wakes = waker.clone();
+    let wake = Arc::new(move || {
+        if let Some(wake) = wakes.get() {
+            wake();
+        }
+    });
+    let options = ClientOptions { wake, ..ClientOptions::default() };
+    let clock = options.clock.clone();
+    let client = Client::connect(&args.link, options)?;
+    if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
+        bail!("{server_name}: {problem}");
+    }
+    let window = WindowOptions {
+        server_name,
+        size: args.size,
+        initial_orbit: initial_orbit(&args.orbit),
+        fov_y: args.fov.to_radians(),
+        ..WindowOptions::default()
+    };
+    run_window(window, clock, move |wake| {
+        // There is one window, so nothing was set before.
+        let _ = waker.set(wake);
+        Ok(client)
+    })?;
+    Ok(())
+}
+
+/// Longer than QUIC tries by itself on a slow link.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(15);
