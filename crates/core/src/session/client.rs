@@ -35,6 +35,9 @@ pub enum ChunkError {
     /// The chunk is there already.
     #[error("frame {0}: chunk {1} arrived twice")]
     Twice(FrameId, ChunkIndex),
+    /// The frame is longer than any can be.
+    #[error("frame {0}: more than {MAX_FRAME_BYTES} bytes")]
+    TooLong(FrameId),
 }
 
 /// Chunks that shall be decoded now.
@@ -55,6 +58,8 @@ pub struct DecodeJob {
 /// Stamps of a frame's life on the client's clock, µs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameTimes {
+    /// The connection it came on, from 1; frame numbers start again with each.
+    pub connection: u32,
     /// The frame.
     pub frame: FrameId,
     /// The pose it answers.
@@ -100,6 +105,7 @@ struct Assembling {
     /// Chunks that no decode job has taken yet.
     waiting: Vec<Vec<u8>>,
     arrived: u32,
+    num_bytes: usize,
     is_decoding: bool,
 }
 
@@ -120,6 +126,11 @@ impl Session {
         self.connection += 1;
         self.assembling.clear();
         self.newest_base = None;
+    }
+
+    /// Number of the connection, from 1.
+    pub fn connection(&self) -> u32 {
+        self.connection
     }
 
     /// A pose was set.
@@ -159,15 +170,17 @@ impl Session {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
-            if self.ledger.iter().any(|t| t.frame == frame && t.complete.is_some()) {
+            if self.times_mut(frame).is_some_and(|t| t.complete.is_some()) {
                 return Err(ChunkError::Twice(frame, index));
             }
             if self.assembling.len() == MAX_ASSEMBLING {
                 self.assembling.pop_first();
                 self.dropped_frames += 1;
             }
-            self.assembling
-                .insert(frame, Assembling { place, waiting: vec![], arrived: 0, is_decoding: false });
+            self.assembling.insert(
+                frame,
+                Assembling { place, waiting: vec![], arrived: 0, num_bytes: 0, is_decoding: false },
+            );
             self.open_ledger(first_byte_micros, place);
         }
         let Some(a) = self.assembling.get_mut(&frame) else { return Ok(()) };
@@ -178,7 +191,11 @@ impl Session {
         if a.arrived & 1 << index.0 != 0 {
             return Err(ChunkError::Twice(frame, index));
         }
+        if a.num_bytes + bytes.len() > MAX_FRAME_BYTES {
+            return Err(ChunkError::TooLong(frame));
+        }
         a.arrived |= 1 << index.0;
+        a.num_bytes += bytes.len();
         let length = bytes.len() as u64;
         a.waiting.push(bytes);
         let (has_base, has_all) = (a.has_base(), a.has_all());
@@ -246,11 +263,15 @@ impl Session {
         Some(times)
     }
 
-    /// A job could not be decoded: the frame is given up.
+    /// A job could not be decoded: the frame is given up, and counts for nothing.
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
         if connection == self.connection {
             self.assembling.remove(&frame);
             self.dropped_frames += 1;
+            if self.newest_base == Some(frame) {
+                self.newest_base =
+                    self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
+            }
         }
     }
 
@@ -287,23 +308,30 @@ impl Session {
     }
 
     fn open_ledger(&mut self, first_byte: u64, place: ChunkPlace) {
-        // A new connection numbers its frames from the start again: the newer life replaces the older.
-        self.ledger.retain(|t| t.frame != place.frame);
         if self.ledger.len() == MAX_LEDGER {
             self.ledger.pop_front();
         }
         let pose_set = self.poses.iter().rev().find(|(p, _)| *p == place.pose).map(|(_, t)| *t);
-        let (frame, pose) = (place.frame, place.pose);
-        self.ledger.push_back(FrameTimes { frame, pose, pose_set, first_byte, ..Default::default() });
+        self.ledger.push_back(FrameTimes {
+            connection: self.connection,
+            frame: place.frame,
+            pose: place.pose,
+            pose_set,
+            first_byte,
+            ..Default::default()
+        });
     }
 
     fn times_mut(&mut self, frame: FrameId) -> Option<&mut FrameTimes> {
-        self.ledger.iter_mut().rev().find(|t| t.frame == frame)
+        let connection = self.connection;
+        self.ledger.iter_mut().rev().find(|t| t.connection == connection && t.frame == frame)
     }
 }
 
 /// Frames in reassembly at the same time.
 pub const MAX_ASSEMBLING: usize = 4;
+/// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
+pub const MAX_FRAME_BYTES: usize = 192 << 20;
 /// Poses whose time is remembered: four seconds' worth, longer than any round trip.
 const MAX_POSES: usize = 512;
 /// Frames in the ledger.
@@ -412,6 +440,25 @@ mod tests {
     }
 
     #[test]
+    fn a_broken_frame_does_not_stand_in_the_way() {
+        let mut s = Session::default();
+        s.handle_connected();
+        for (frame, index) in [(1, 0), (1, 1), (1_000_000, 0), (1_000_000, 1)] {
+            arrive(&mut s, 0, frame, index).unwrap();
+            if let Some(job) = s.poll_decode() {
+                match frame {
+                    1 => drop(s.handle_decoded(0, job.connection, job.frame, false)),
+                    _ => s.handle_broken(job.connection, job.frame),
+                }
+            }
+        }
+        assert_eq!(s.newest_complete(), Some(FrameId(1)));
+        arrive(&mut s, 0, 2, 0).unwrap();
+        arrive(&mut s, 0, 2, 1).unwrap();
+        assert_eq!(s.poll_decode().unwrap().frame, FrameId(2));
+    }
+
+    #[test]
     fn a_new_connection_starts_its_frames_again() {
         let mut s = Session::default();
         s.handle_connected();
@@ -421,10 +468,16 @@ mod tests {
         s.handle_connected();
         assert!(s.handle_decoded(1, old.connection, old.frame, false).is_none());
         assert_eq!(s.newest_complete(), None);
-        arrive(&mut s, 2, 1, 0).unwrap();
-        arrive(&mut s, 2, 1, 1).unwrap();
-        let job = s.poll_decode().unwrap();
-        assert_eq!(job.frame, FrameId(1));
-        assert!(s.handle_decoded(3, job.connection, job.frame, false).is_some());
+        for _ in 0..2 {
+            // All of frame 1, which is new on every connection.
+            for index in 0..4 {
+                arrive(&mut s, 2, 1, index).unwrap();
+            }
+            let job = s.poll_decode().unwrap();
+            assert_eq!((job.frame, job.is_last), (FrameId(1), true));
+            assert!(s.handle_decoded(3, job.connection, job.frame, true).is_some());
+            assert!(arrive(&mut s, 4, 1, 0).is_err());
+            s.handle_connected();
+        }
     }
 }

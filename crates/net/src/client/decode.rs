@@ -1,0 +1,64 @@
+//! The decoding thread: takes the newest frame that can be shown, decodes its chunks in parallel and puts it up.
+
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use isinglass_core::codec::{self, Assembly, CodecError};
+use isinglass_core::session::client::DecodeJob;
+use rayon::prelude::*;
+
+use super::{ReceivedFrame, Shared, lock};
+
+/// Decodes until the client stops.
+pub(super) fn run(shared: &Shared) {
+    // The frame of the job before, for the refinements that come in the next one.
+    let mut assembly = None;
+    while let Some(job) = next_job(shared) {
+        let _span = tracing::debug_span!("frame", frame = job.frame.0).entered();
+        if job.is_first {
+            assembly = None;
+        }
+        match decode(&mut assembly, &job) {
+            Ok(()) => {}
+            Err(e) => {
+                shared.note_broken_chunk(format!("frame {} cannot be decoded: {e}", job.frame));
+                shared.session().handle_broken(job.connection, job.frame);
+                assembly = None;
+                continue;
+            }
+        }
+        let Some(assembly) = &assembly else { continue };
+        let frame = assembly.to_frame();
+        let now = shared.clock.now_micros();
+        let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
+        let Some(times) = times else { continue };
+        let received = ReceivedFrame { frame, is_complete: job.is_last, times };
+        *lock(&shared.frame) = Some(Arc::new(received));
+        tracing::trace!(is_complete = job.is_last, "decoded");
+        (shared.wake)();
+    }
+}
+
+/// Waits for something to decode; `None` when the client stops.
+fn next_job(shared: &Shared) -> Option<DecodeJob> {
+    let mut session = shared.session();
+    loop {
+        if shared.is_stopping() {
+            return None;
+        }
+        if let Some(job) = session.poll_decode() {
+            return Some(job);
+        }
+        let waited = shared.decode_wanted.wait_timeout(session, Duration::from_secs(1));
+        session = waited.unwrap_or_else(PoisonError::into_inner).0;
+    }
+}
+
+/// Adds the job's chunks to the frame, or begins it.
+fn decode(assembly: &mut Option<Assembly>, job: &DecodeJob) -> Result<(), CodecError> {
+    let chunks: Vec<_> = job.chunks.par_iter().map(|c| codec::decode_chunk(c)).collect::<Result<_, _>>()?;
+    for chunk in chunks {
+        assembly.get_or_insert_with(|| Assembly::new(&chunk.header)).insert(chunk)?;
+    }
+    Ok(())
+}

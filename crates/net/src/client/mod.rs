@@ -1,0 +1,403 @@
+//! The client: keeps a connection up and the newest frame at hand, and never makes its caller wait.
+//!
+//! One thread drives the network, another decodes; what the caller asks for is a short look at shared state. A lost
+//! connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
+
+mod chunks;
+mod connection;
+mod decode;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::layer::LayeredFrame;
+use isinglass_core::look::{Look, LookError};
+use isinglass_core::session::client::{self, FrameTimes};
+use isinglass_core::wire::{ClientStats, PoseRequest, ServerStats, Welcome};
+use tokio::sync::watch;
+
+use crate::clock::Clock;
+use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
+
+use crate::link::Link;
+
+pub use connection::ConnectError;
+
+/// How to connect.
+#[derive(Clone)]
+pub struct ClientOptions {
+    /// Name of this client, for the server's log.
+    pub name: String,
+    /// A link with these properties is put under the connection.
+    pub conditioner: Option<LinkModel>,
+    /// What all stamps are read from.
+    pub clock: Clock,
+    /// Called, on a thread of the client, when there is a new frame or state. Must return at once.
+    pub wake: Arc<dyn Fn() + Send + Sync>,
+}
+
+impl Default for ClientOptions {
+    fn default() -> Self {
+        let name = concat!("isinglass ", env!("CARGO_PKG_VERSION")).into();
+        Self { name, conditioner: None, clock: Clock::start(), wake: Arc::new(|| {}) }
+    }
+}
+
+impl std::fmt::Debug for ClientOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ClientOptions")
+            .field("name", &self.name)
+            .field("conditioner", &self.conditioner)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Why no client could be started.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The link model cannot be used.
+    #[error("link conditioner: {0}")]
+    Conditioner(#[from] LinkModelError),
+    /// The system gives no random numbers, or TLS cannot be set up.
+    #[error(transparent)]
+    Identity(#[from] crate::identity::IdentityError),
+    /// The system gives no thread or timer.
+    #[error("cannot start the network thread: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// Where the connection stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum State {
+    /// The first connection is being made.
+    Connecting {
+        /// Counts from 1.
+        attempt: u32,
+        /// Why the attempt before failed.
+        problem: Option<ConnectError>,
+    },
+    /// Frames flow.
+    Connected,
+    /// The connection was lost; the last frame stays.
+    Reconnecting {
+        /// When it was lost, on the client's clock.
+        since_micros: u64,
+        /// Counts from 1.
+        attempt: u32,
+        /// Why it was lost, or why the attempt before failed.
+        problem: ConnectError,
+    },
+    /// There is no use in trying again.
+    Refused(ConnectError),
+}
+
+/// A decoded frame.
+#[derive(Clone, Debug)]
+pub struct ReceivedFrame {
+    /// The frame.
+    pub frame: LayeredFrame,
+    /// Whether its refinements are there too. The same frame comes once more when they are.
+    pub is_complete: bool,
+    /// Stamps of its life so far.
+    pub times: FrameTimes,
+}
+
+/// What the overlay shows. Times are on the client's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LinkStats {
+    /// Round-trip time, smoothed, µs.
+    pub rtt_micros: u64,
+    /// Bytes received in the last second or so.
+    pub bytes_per_second: f64,
+    /// From the pose of the newest decoded frame to now, µs.
+    pub age_micros: Option<u64>,
+    /// Frames decoded in the last second.
+    pub frames_per_second: u32,
+    /// Frames of which something arrived that was never decoded.
+    pub dropped_frames: u64,
+    /// Chunks that could not be used.
+    pub broken_chunks: u64,
+    /// Since a packet came, µs.
+    pub silence_micros: u64,
+    /// Packets that this side sent and lost.
+    pub lost_packets: u64,
+    /// What the newest frame cost the server.
+    pub server: ServerStats,
+}
+
+/// A handle on the connection. Dropping it says goodbye, which takes up to a quarter of a second.
+pub struct Client {
+    shared: Arc<Shared>,
+    done: mpsc::Receiver<()>,
+}
+
+impl Client {
+    /// Starts to connect, and returns at once.
+    ///
+    /// # Errors
+    /// If this machine cannot do it at all. What goes wrong with the connection is told by [`Client::state`].
+    pub fn connect(link: &Link, options: ClientOptions) -> Result<Self, ClientError> {
+        if let Some(model) = &options.conditioner {
+            model.validate()?;
+        }
+        let dialer = connection::Dialer::new(link.clone(), &options)?;
+        let shared = Arc::new(Shared {
+            clock: options.clock,
+            wake: options.wake,
+            session: Mutex::default(),
+            decode_wanted: Condvar::new(),
+            is_stopping: AtomicBool::new(false),
+            frame: Mutex::new(None),
+            status: Mutex::new(Status::new()),
+            status_changed: Condvar::new(),
+            pose: watch::Sender::new(None),
+            look: watch::Sender::new(None),
+            report: watch::Sender::new(None),
+            stop: watch::Sender::new(false),
+            counters: Arc::default(),
+        });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (done_in, done) = mpsc::sync_channel(1);
+        let for_network = shared.clone();
+        std::thread::Builder::new().name("isinglass-net".into()).spawn(move || {
+            runtime.block_on(connection::run(for_network, dialer));
+            // A name that is being resolved may take minutes.
+            runtime.shutdown_background();
+            let _ = done_in.send(());
+        })?;
+        let for_decoding = shared.clone();
+        std::thread::Builder::new()
+            .name("isinglass-decode".into())
+            .spawn(move || decode::run(&for_decoding))
+            .inspect_err(|_| shared.stop())?;
+        Ok(Self { shared, done })
+    }
+
+    /// Asks for frames from this pose. The newest wins; an unusable pose is ignored. Returns the pose's number.
+    pub fn set_pose(&self, pose: Pose, intrinsics: Intrinsics) -> PoseId {
+        let now = self.shared.clock.now_micros();
+        let mut number = PoseId(0);
+        let is_new = self.shared.pose.send_if_modified(|newest| {
+            number = newest.map_or(PoseId(0), |p: PoseRequest| p.id);
+            if newest.is_some_and(|p| p.pose == pose && p.intrinsics == intrinsics) {
+                return false;
+            }
+            let request =
+                PoseRequest { id: number.next(), stamp_micros: now, pose, intrinsics, newest_complete: None };
+            if let Err(e) = request.validate() {
+                tracing::warn!("pose ignored: {e}");
+                return false;
+            }
+            number = request.id;
+            *newest = Some(request);
+            true
+        });
+        if is_new {
+            self.shared.session().handle_pose(now, number);
+        }
+        number
+    }
+
+    /// Asks for another look. The newest wins; it is asked for again after a lost connection.
+    ///
+    /// # Errors
+    /// If the look cannot be used.
+    pub fn set_look(&self, look: Look) -> Result<(), LookError> {
+        look.validate()?;
+        self.shared.look.send_replace(Some(look));
+        Ok(())
+    }
+
+    /// Tells the server how this client fares, once a second at most.
+    pub fn report(&self, stats: ClientStats) {
+        self.shared.report.send_replace(Some(stats));
+    }
+
+    /// The newest frame that can be shown, if there has been one.
+    pub fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        lock(&self.shared.frame).clone()
+    }
+
+    /// A frame of the present connection was on the screen: closes its ledger.
+    pub fn note_shown(&self, frame: FrameId) {
+        self.shared.session().handle_shown(self.shared.clock.now_micros(), frame);
+    }
+
+    /// The lives of the last frames, oldest first.
+    pub fn ledger(&self) -> Vec<FrameTimes> {
+        self.shared.session().ledger().copied().collect()
+    }
+
+    /// Where the connection stands.
+    pub fn state(&self) -> State {
+        self.shared.status().state.clone()
+    }
+
+    /// What the server said when it let this client in, last time.
+    pub fn description(&self) -> Option<Arc<Welcome>> {
+        self.shared.status().welcome.clone()
+    }
+
+    /// The look that the server has said is in force, and its number.
+    pub fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        self.shared.status().look.clone()
+    }
+
+    /// The last line that the server wanted shown; taken when it is asked for.
+    pub fn take_notice(&self) -> Option<String> {
+        self.shared.status().notice.take()
+    }
+
+    /// What went wrong last with a chunk or message.
+    pub fn last_problem(&self) -> Option<String> {
+        self.shared.status().last_problem.clone()
+    }
+
+    /// What the overlay shows.
+    pub fn stats(&self) -> LinkStats {
+        let now = self.shared.clock.now_micros();
+        let mut stats = self.shared.status().stats;
+        let session = self.shared.session();
+        stats.age_micros = session.age_micros(now);
+        stats.frames_per_second = session.frames_per_second(now);
+        stats.dropped_frames = session.dropped_frames();
+        stats
+    }
+
+    /// What has become of the packets, if there is a conditioner.
+    pub fn link_counters(&self) -> LinkCounters {
+        self.shared.counters.read()
+    }
+
+    /// The clock of all stamps.
+    pub fn clock(&self) -> &Clock {
+        &self.shared.clock
+    }
+
+    /// Waits until the server has let this client in, for callers without a display loop.
+    ///
+    /// # Errors
+    /// Why the first attempt failed, or that nothing was decided in time.
+    pub fn wait_connected(&self, timeout: Duration) -> Result<Arc<Welcome>, ConnectError> {
+        let deadline = Instant::now() + timeout;
+        let mut status = self.shared.status();
+        loop {
+            match &status.state {
+                State::Connecting { problem: Some(problem), .. } | State::Refused(problem) => {
+                    return Err(problem.clone());
+                }
+                State::Connected => {
+                    if let Some(welcome) = &status.welcome {
+                        return Ok(welcome.clone());
+                    }
+                }
+                State::Connecting { .. } | State::Reconnecting { .. } => {}
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(ConnectError::Undecided(timeout));
+            }
+            let waited = self.shared.status_changed.wait_timeout(status, left);
+            status = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        self.shared.stop();
+        // The goodbye is sent at once; a thread that is stuck in the system is left behind.
+        let _ = self.done.recv_timeout(Duration::from_millis(250));
+    }
+}
+
+impl std::fmt::Debug for Client {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Client").field("state", &self.state()).finish_non_exhaustive()
+    }
+}
+
+/// What the caller, the network thread and the decoding thread share. No lock is held while waiting for anything
+/// but the lock's own condition, and where two are taken, `session` comes after `status`.
+struct Shared {
+    clock: Clock,
+    wake: Arc<dyn Fn() + Send + Sync>,
+    session: Mutex<client::Session>,
+    decode_wanted: Condvar,
+    is_stopping: AtomicBool,
+    frame: Mutex<Option<Arc<ReceivedFrame>>>,
+    status: Mutex<Status>,
+    status_changed: Condvar,
+    pose: watch::Sender<Option<PoseRequest>>,
+    look: watch::Sender<Option<Look>>,
+    report: watch::Sender<Option<ClientStats>>,
+    stop: watch::Sender<bool>,
+    counters: Arc<SharedCounters>,
+}
+
+struct Status {
+    state: State,
+    welcome: Option<Arc<Welcome>>,
+    look: Option<(LookVersion, Arc<Look>)>,
+    notice: Option<String>,
+    last_problem: Option<String>,
+    stats: LinkStats,
+}
+
+impl Status {
+    fn new() -> Self {
+        Self {
+            state: State::Connecting { attempt: 1, problem: None },
+            welcome: None,
+            look: None,
+            notice: None,
+            last_problem: None,
+            stats: LinkStats::default(),
+        }
+    }
+}
+
+impl Shared {
+    fn session(&self) -> MutexGuard<'_, client::Session> {
+        lock(&self.session)
+    }
+
+    fn status(&self) -> MutexGuard<'_, Status> {
+        lock(&self.status)
+    }
+
+    /// Changes the status and tells everyone.
+    fn update(&self, change: impl FnOnce(&mut Status)) {
+        change(&mut self.status());
+        self.status_changed.notify_all();
+        (self.wake)();
+    }
+
+    /// Something of the server's could not be used.
+    fn note_broken_chunk(&self, problem: String) {
+        tracing::warn!("{problem}");
+        let mut status = self.status();
+        status.stats.broken_chunks += 1;
+        status.last_problem = Some(problem);
+    }
+
+    fn stop(&self) {
+        self.stop.send_replace(true);
+        self.is_stopping.store(true, Ordering::Release);
+        // Taken and given back, so that the decoding thread is either before its check or in its wait.
+        drop(self.session());
+        self.decode_wanted.notify_all();
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.is_stopping.load(Ordering::Acquire)
+    }
+}
+
+/// A panic on another thread leaves state that is still in order: every change is one step.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

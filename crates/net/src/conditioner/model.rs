@@ -1,0 +1,234 @@
+//! What becomes of a packet.
+
+use std::time::Duration;
+
+use rand::rngs::Xoshiro256PlusPlus;
+use rand::{RngExt, SeedableRng};
+
+/// A link, the same in both directions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkModel {
+    /// Delay there and back; half of it each way.
+    pub rtt: Duration,
+    /// Greatest additional delay each way, drawn evenly for each packet.
+    pub jitter: Duration,
+    /// Probability that a packet is lost, each way, independent of the others.
+    pub loss: f64,
+    /// Rate each way, 10⁶ bit/s; `None` for no limit.
+    pub bandwidth_mbit: Option<f64>,
+    /// Longest wait in front of the pipe; packets beyond it are dropped.
+    pub queue: Duration,
+    /// Whether jitter may let packets overtake each other.
+    pub reorder: bool,
+    /// Of the draws.
+    pub seed: u64,
+}
+
+impl Default for LinkModel {
+    /// A link that does nothing.
+    fn default() -> Self {
+        Self {
+            rtt: Duration::ZERO,
+            jitter: Duration::ZERO,
+            loss: 0.0,
+            bandwidth_mbit: None,
+            queue: Duration::from_millis(200),
+            reorder: false,
+            seed: 1,
+        }
+    }
+}
+
+/// What is wrong with a link model.
+#[derive(Clone, Debug, thiserror::Error, PartialEq)]
+pub enum LinkModelError {
+    /// A delay is too long to be meant.
+    #[error("{what} is {found:?}, expected at most {MAX_DELAY:?}")]
+    Delay {
+        /// Which one.
+        what: &'static str,
+        /// Its value.
+        found: Duration,
+    },
+    /// The loss is no probability below one.
+    #[error("loss is {0}, expected 0 to below 1")]
+    Loss(f64),
+    /// The rate is no positive number.
+    #[error("bandwidth is {0} Mbit/s, expected more than 0.001")]
+    Bandwidth(f64),
+}
+
+impl LinkModel {
+    /// Checks what the type cannot say.
+    ///
+    /// # Errors
+    /// Names the first unusable number.
+    pub fn validate(&self) -> Result<(), LinkModelError> {
+        for (what, found) in [("rtt", self.rtt), ("jitter", self.jitter), ("queue", self.queue)] {
+            if found > MAX_DELAY {
+                return Err(LinkModelError::Delay { what, found });
+            }
+        }
+        if !(0.0..1.0).contains(&self.loss) {
+            return Err(LinkModelError::Loss(self.loss));
+        }
+        match self.bandwidth_mbit {
+            Some(b) if !(b > 0.001 && b.is_finite()) => Err(LinkModelError::Bandwidth(b)),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What becomes of a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// It arrives at this time, µs on the caller's clock.
+    Arrives(u64),
+    /// It is lost by chance.
+    Lost,
+    /// It finds the queue full.
+    Dropped,
+}
+
+/// One way of a link. The draws depend on the seed and on how many packets came before, on nothing else.
+#[derive(Clone, Debug)]
+pub struct Direction {
+    model: LinkModel,
+    rng: Xoshiro256PlusPlus,
+    busy_until: f64,
+    last_arrival: u64,
+}
+
+impl Direction {
+    /// `stream` tells the two directions of a link apart: their draws are independent.
+    pub fn new(model: &LinkModel, stream: u64) -> Self {
+        let rng = Xoshiro256PlusPlus::seed_from_u64(model.seed ^ stream.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        Self { model: model.clone(), rng, busy_until: 0.0, last_arrival: 0 }
+    }
+
+    /// A packet with so many bytes of UDP payload enters now.
+    pub fn offer(&mut self, now_micros: u64, bytes: usize) -> Fate {
+        // Both numbers are drawn for every packet, so that one packet's fate does not shift the others' draws.
+        let (luck, lateness): (f64, f64) = (self.rng.random(), self.rng.random());
+        let now = now_micros as f64;
+        let start = self.busy_until.max(now);
+        if start - now > micros(self.model.queue) {
+            return Fate::Dropped;
+        }
+        let on_wire =
+            self.model.bandwidth_mbit.map_or(0.0, |mbit| (bytes + IP_UDP_BYTES) as f64 * 8.0 / mbit);
+        self.busy_until = start + on_wire;
+        // A packet that is lost has used the pipe all the same.
+        if luck < self.model.loss {
+            return Fate::Lost;
+        }
+        let delay = micros(self.model.rtt) / 2.0 + lateness * micros(self.model.jitter);
+        let mut arrival = (self.busy_until + delay).ceil() as u64;
+        if !self.model.reorder {
+            arrival = arrival.max(self.last_arrival);
+            self.last_arrival = arrival;
+        }
+        Fate::Arrives(arrival)
+    }
+}
+
+fn micros(d: Duration) -> f64 {
+    d.as_secs_f64() * 1e6
+}
+
+/// Longer delays are typing errors.
+const MAX_DELAY: Duration = Duration::from_secs(60);
+/// Headers in front of the payload on an IPv4 link.
+const IP_UDP_BYTES: usize = 28;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fates(model: &LinkModel, stream: u64, spacing_micros: u64) -> Vec<Fate> {
+        let mut d = Direction::new(model, stream);
+        (0..10_000).map(|i| d.offer(i * spacing_micros, 1200)).collect()
+    }
+
+    fn lossy() -> LinkModel {
+        let ms = Duration::from_millis;
+        LinkModel { rtt: ms(100), jitter: ms(10), loss: 0.05, ..Default::default() }
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_fates_and_another_does_not() {
+        let a = fates(&lossy(), 0, 1000);
+        assert_eq!(a, fates(&lossy(), 0, 1000));
+        assert_ne!(a, fates(&LinkModel { seed: 2, ..lossy() }, 0, 1000));
+        assert_ne!(a, fates(&lossy(), 1, 1000), "both directions draw the same");
+        // Other times and sizes do not change which packets are lost.
+        let lost = |f: &[Fate]| f.iter().map(|f| *f == Fate::Lost).collect::<Vec<_>>();
+        assert_eq!(lost(&a), lost(&fates(&lossy(), 0, 77)));
+    }
+
+    #[test]
+    fn delays_and_losses_are_those_of_the_model() {
+        let f = fates(&lossy(), 0, 1000);
+        let delays: Vec<u64> = f
+            .iter()
+            .zip(0u64..)
+            .filter_map(|(f, i)| if let Fate::Arrives(at) = f { Some(at - i * 1000) } else { None })
+            .collect();
+        assert!(delays.iter().all(|d| (50_000..=60_000).contains(d)));
+        let lost = f.iter().filter(|f| **f == Fate::Lost).count();
+        // 10 000 draws at 5 %: standard deviation √(10⁴·0.05·0.95) = 22; five of them.
+        assert!((390..=610).contains(&lost), "{lost}");
+        assert!(
+            fates(&LinkModel { loss: 0.0, ..lossy() }, 0, 1000).iter().all(|f| matches!(f, Fate::Arrives(_)))
+        );
+    }
+
+    #[test]
+    fn packets_keep_their_order_unless_asked_otherwise() {
+        let arrivals = |reorder| {
+            let model = LinkModel { reorder, ..lossy() };
+            let all = fates(&model, 0, 100).into_iter();
+            all.filter_map(|f| if let Fate::Arrives(at) = f { Some(at) } else { None }).collect::<Vec<_>>()
+        };
+        assert!(arrivals(false).is_sorted());
+        assert!(!arrivals(true).is_sorted());
+    }
+
+    #[test]
+    fn the_pipe_is_as_wide_and_its_queue_as_long_as_said() {
+        let queue = Duration::from_millis(50);
+        let model = LinkModel { bandwidth_mbit: Some(10.0), queue, ..Default::default() };
+        // 1228 bytes every 500 µs are 19.6 Mbit/s into 10: about half are dropped, the rest arrive at 10.
+        let f = fates(&model, 0, 500);
+        let arrivals: Vec<u64> =
+            f.iter().filter_map(|f| if let Fate::Arrives(at) = f { Some(*at) } else { None }).collect();
+        let bits = (arrivals.len() - 1) as f64 * 1228.0 * 8.0;
+        let mbit = bits / (arrivals[arrivals.len() - 1] - arrivals[0]) as f64;
+        // The pipe is never idle here, so only rounding to whole microseconds remains.
+        assert!((mbit - 10.0).abs() < 0.01, "{mbit}");
+        let wait = f.iter().zip(0u64..).filter_map(|(f, i)| match f {
+            Fate::Arrives(at) => Some(at - i * 500),
+            _ => None,
+        });
+        // The queue and the packet's own time on the wire (983 µs).
+        assert!(wait.max().unwrap() <= 50_000 + 984);
+        assert!(f.contains(&Fate::Dropped));
+    }
+
+    #[test]
+    fn unusable_models_are_named() {
+        let with = |f: &dyn Fn(&mut LinkModel)| {
+            let mut m = lossy();
+            f(&mut m);
+            m.validate()
+        };
+        assert_eq!(lossy().validate(), Ok(()));
+        assert_eq!(with(&|m| m.loss = 1.0), Err(LinkModelError::Loss(1.0)));
+        assert!(matches!(with(&|m| m.loss = f64::NAN), Err(LinkModelError::Loss(_))));
+        assert_eq!(with(&|m| m.bandwidth_mbit = Some(0.0)), Err(LinkModelError::Bandwidth(0.0)));
+        assert!(matches!(
+            with(&|m| m.rtt = Duration::from_secs(61)),
+            Err(LinkModelError::Delay { what: "rtt", .. })
+        ));
+    }
+}

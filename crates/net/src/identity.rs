@@ -1,0 +1,237 @@
+//! Certificates, their fingerprints, and the TLS on both sides.
+//!
+//! A server makes its own certificate; a client accepts exactly the one whose SHA-256 is in the link. Names, dates
+//! and issuers play no part. The signature of the handshake is verified, so that a copy of the certificate is not
+//! enough.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use isinglass_core::wire::{ALPN, Token};
+use ring::rand::{SecureRandom, SystemRandom};
+use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use rustls::crypto::{
+    CryptoProvider, WebPkiSupportedAlgorithms, ring::default_provider, verify_tls13_signature,
+};
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, UnixTime};
+use rustls::{CertificateError, DigitallySignedStruct, SignatureScheme};
+
+/// A certificate and its private key.
+#[derive(Debug)]
+pub struct Identity {
+    certificate: CertificateDer<'static>,
+    key: PrivatePkcs8KeyDer<'static>,
+}
+
+/// Why there is no identity or no secret.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentityError {
+    /// The certificate could not be made.
+    #[error("cannot make a certificate: {0}")]
+    Certificate(#[from] rcgen::Error),
+    /// TLS does not accept it.
+    #[error("cannot set up TLS: {0}")]
+    Tls(String),
+    /// The operating system gives no random numbers.
+    #[error("the operating system gives no random numbers")]
+    NoEntropy,
+}
+
+impl Identity {
+    /// A new self-signed certificate with a new key (ECDSA on P-256).
+    ///
+    /// # Errors
+    /// If the operating system gives no random numbers.
+    pub fn generate() -> Result<Self, IdentityError> {
+        let key = rcgen::KeyPair::generate()?;
+        let mut params = rcgen::CertificateParams::new(vec![SERVER_NAME.to_owned()])?;
+        params.distinguished_name.push(rcgen::DnType::CommonName, SERVER_NAME);
+        let certificate = params.self_signed(&key)?.der().clone();
+        Ok(Self { certificate, key: key.into() })
+    }
+
+    /// What a link says of this certificate.
+    pub fn fingerprint(&self) -> Fingerprint {
+        Fingerprint::of(&self.certificate)
+    }
+
+    pub(crate) fn tls(&self) -> Result<quinn::crypto::rustls::QuicServerConfig, IdentityError> {
+        let key = PrivateKeyDer::Pkcs8(self.key.clone_key());
+        let tls_error = |e: rustls::Error| IdentityError::Tls(e.to_string());
+        let mut config = rustls::ServerConfig::builder_with_provider(Arc::new(default_provider()))
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .map_err(tls_error)?
+            .with_no_client_auth()
+            .with_single_cert(vec![self.certificate.clone()], key)
+            .map_err(tls_error)?;
+        config.alpn_protocols = vec![ALPN.to_vec()];
+        // Tickets of TLS would be a second way in; ours are in the control stream.
+        config.send_tls13_tickets = 0;
+        quinn::crypto::rustls::QuicServerConfig::try_from(config)
+            .map_err(|e| IdentityError::Tls(e.to_string()))
+    }
+}
+
+/// SHA-256 of a certificate (DER). Its text is `sha256:` and 64 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Fingerprint([u8; 32]);
+
+impl Fingerprint {
+    fn of(certificate: &CertificateDer<'_>) -> Self {
+        let digest = ring::digest::digest(&ring::digest::SHA256, certificate);
+        let mut bytes = [0; 32];
+        bytes.copy_from_slice(digest.as_ref());
+        Self(bytes)
+    }
+}
+
+impl std::fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(FINGERPRINT_PREFIX)?;
+        self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
+    }
+}
+
+impl std::fmt::Debug for Fingerprint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Fingerprint({self})")
+    }
+}
+
+impl std::str::FromStr for Fingerprint {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        let digits = s
+            .strip_prefix(FINGERPRINT_PREFIX)
+            .ok_or_else(|| format!("expected '{FINGERPRINT_PREFIX}' and 64 hexadecimal digits"))?;
+        if digits.len() != 64 || !digits.bytes().all(|b| b.is_ascii_hexdigit()) {
+            return Err(format!("expected 64 hexadecimal digits, found {} bytes", digits.len()));
+        }
+        let mut bytes = [0; 32];
+        for (byte, pair) in bytes.iter_mut().zip(digits.as_bytes().chunks_exact(2)) {
+            let digit = |d: u8| (d as char).to_digit(16).unwrap_or(0) as u8;
+            *byte = digit(pair[0]) << 4 | digit(pair[1]);
+        }
+        Ok(Self(bytes))
+    }
+}
+
+/// A token from the operating system's generator.
+///
+/// # Errors
+/// If the operating system gives no random numbers.
+pub fn random_token() -> Result<Token, IdentityError> {
+    let mut bytes = [0; 16];
+    SystemRandom::new().fill(&mut bytes).map_err(|_| IdentityError::NoEntropy)?;
+    Ok(Token::new(bytes))
+}
+
+/// TLS of a client that accepts one certificate, and the place where a mismatch is told.
+///
+/// # Errors
+/// If TLS cannot be set up.
+pub fn pinned_tls(
+    expected: Fingerprint,
+) -> Result<(quinn::crypto::rustls::QuicClientConfig, Arc<Mismatch>), IdentityError> {
+    let provider = Arc::new(default_provider());
+    let mismatch = Arc::new(Mismatch::default());
+    let verifier = PinnedVerifier::new(expected, &provider, mismatch.clone());
+    let mut config = rustls::ClientConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&rustls::version::TLS13])
+        .map_err(|e| IdentityError::Tls(e.to_string()))?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(verifier))
+        .with_no_client_auth();
+    config.alpn_protocols = vec![ALPN.to_vec()];
+    config.resumption = rustls::client::Resumption::disabled();
+    let config = quinn::crypto::rustls::QuicClientConfig::try_from(config)
+        .map_err(|e| IdentityError::Tls(e.to_string()))?;
+    Ok((config, mismatch))
+}
+
+/// The fingerprint that a server showed instead of the expected one.
+#[derive(Debug, Default)]
+pub struct Mismatch(Mutex<Option<Fingerprint>>);
+
+impl Mismatch {
+    /// The fingerprint, if there was a mismatch.
+    pub fn found(&self) -> Option<Fingerprint> {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[derive(Debug)]
+struct PinnedVerifier {
+    expected: Fingerprint,
+    algorithms: WebPkiSupportedAlgorithms,
+    mismatch: Arc<Mismatch>,
+}
+
+impl PinnedVerifier {
+    fn new(expected: Fingerprint, provider: &CryptoProvider, mismatch: Arc<Mismatch>) -> Self {
+        Self { expected, algorithms: provider.signature_verification_algorithms, mismatch }
+    }
+}
+
+impl ServerCertVerifier for PinnedVerifier {
+    fn verify_server_cert(
+        &self,
+        end_entity: &CertificateDer<'_>,
+        _intermediates: &[CertificateDer<'_>],
+        _server_name: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, rustls::Error> {
+        let found = Fingerprint::of(end_entity);
+        if found == self.expected {
+            return Ok(ServerCertVerified::assertion());
+        }
+        *self.mismatch.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
+        Err(rustls::Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        _message: &[u8],
+        _cert: &CertificateDer<'_>,
+        _dss: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        Err(rustls::Error::General("TLS 1.2 is not spoken".into()))
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        cert: &CertificateDer<'_>,
+        dss: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        verify_tls13_signature(message, cert, dss, &self.algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.algorithms.supported_schemes()
+    }
+}
+
+/// The name in the certificate and in the handshake. It identifies nothing.
+pub(crate) const SERVER_NAME: &str = "isinglass";
+const FINGERPRINT_PREFIX: &str = "sha256:";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fingerprints_differ_and_survive_their_text() {
+        let (a, b) = (Identity::generate().unwrap(), Identity::generate().unwrap());
+        assert_ne!(a.fingerprint(), b.fingerprint());
+        assert_eq!(a.fingerprint().to_string().parse(), Ok(a.fingerprint()));
+        assert!("sha256:00".parse::<Fingerprint>().is_err());
+        assert!(a.fingerprint().to_string().replace("sha256", "sha1").parse::<Fingerprint>().is_err());
+    }
+
+    #[test]
+    fn tokens_are_random() {
+        assert!(!random_token().unwrap().matches(&random_token().unwrap()));
+    }
+}

@@ -1,0 +1,137 @@
+//! The link that a server prints and a viewer is given:
+//! `isinglass://host:port/#token=<32 hex digits>&cert=sha256:<64 hex digits>`.
+//!
+//! All that is secret stands behind the `#`, which browsers and proxies do not pass on. `Debug` hides the token.
+
+use std::fmt;
+use std::str::FromStr;
+
+use isinglass_core::wire::Token;
+
+use crate::identity::Fingerprint;
+
+/// Where a server is, whom to expect there, and what to show at the door.
+#[derive(Clone, Debug)]
+pub struct Link {
+    /// Name or address, an IPv6 address without its brackets.
+    pub host: String,
+    /// UDP port.
+    pub port: u16,
+    /// Lets one viewer in.
+    pub token: Token,
+    /// Of the server's certificate.
+    pub fingerprint: Fingerprint,
+}
+
+/// What is wrong with a link.
+#[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum LinkError {
+    /// It does not begin as a link.
+    #[error("not an isinglass link: expected 'isinglass://host:port/#token=…&cert=sha256:…', found '{0}'")]
+    Scheme(String),
+    /// Host or port cannot be read.
+    #[error("link without a host and port: expected 'host:port' after 'isinglass://', found '{0}'")]
+    Authority(String),
+    /// A part behind the `#` is missing.
+    #[error("link without '{0}='; it may have been cut when it was copied (a shell needs quotes around it)")]
+    Missing(&'static str),
+    /// The token cannot be read.
+    #[error("link with a damaged token: {0}")]
+    Token(String),
+    /// The fingerprint cannot be read.
+    #[error("link with a damaged certificate fingerprint: {0}")]
+    Fingerprint(String),
+    /// A part behind the `#` is not known.
+    #[error("link with an unknown part '{0}', expected 'token' and 'cert'")]
+    Unknown(String),
+}
+
+impl FromStr for Link {
+    type Err = LinkError;
+
+    fn from_str(s: &str) -> Result<Self, LinkError> {
+        let s = s.trim();
+        let shown = |s: &str| s.chars().filter(|c| !c.is_control()).take(40).collect::<String>();
+        let rest = s.strip_prefix(SCHEME).ok_or_else(|| {
+            // Nothing behind the '#' is repeated: it may be secret.
+            LinkError::Scheme(shown(s.split('#').next().unwrap_or_default()))
+        })?;
+        let (authority, fragment) = rest.split_once('#').unwrap_or((rest, ""));
+        let authority = authority.strip_suffix('/').unwrap_or(authority);
+        let bad_authority = || LinkError::Authority(shown(authority));
+        let (host, port) = authority.rsplit_once(':').ok_or_else(bad_authority)?;
+        let is_bracketed = host.starts_with('[') && host.ends_with(']');
+        let host = if is_bracketed { &host[1..host.len() - 1] } else { host };
+        let is_good =
+            |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c) || is_bracketed && ":%".contains(c);
+        if host.is_empty() || host.len() > 255 || !host.chars().all(is_good) {
+            return Err(bad_authority());
+        }
+        let port = port.parse().ok().filter(|&p: &u16| p != 0).ok_or_else(bad_authority)?;
+        let (mut token, mut fingerprint) = (None, None);
+        for part in fragment.split('&').filter(|p| !p.is_empty()) {
+            match part.split_once('=') {
+                Some(("token", v)) => {
+                    token = Some(v.parse().map_err(|e| LinkError::Token(format!("{e}")))?);
+                }
+                Some(("cert", v)) => fingerprint = Some(v.parse().map_err(LinkError::Fingerprint)?),
+                _ => return Err(LinkError::Unknown(shown(part.split('=').next().unwrap_or_default()))),
+            }
+        }
+        Ok(Self {
+            host: host.to_owned(),
+            port,
+            token: token.ok_or(LinkError::Missing("token"))?,
+            fingerprint: fingerprint.ok_or(LinkError::Missing("cert"))?,
+        })
+    }
+}
+
+/// The whole link, secret included.
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { host, port, token, fingerprint } = self;
+        let (open, close) = if host.contains(':') { ("[", "]") } else { ("", "") };
+        write!(f, "{SCHEME}{open}{host}{close}:{port}/#token={}&cert={fingerprint}", token.reveal())
+    }
+}
+
+const SCHEME: &str = "isinglass://";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identity::{Identity, random_token};
+
+    #[test]
+    fn a_link_survives_its_text() {
+        for host in ["127.0.0.1", "::1", "render-01.example.org"] {
+            let fingerprint = Identity::generate().unwrap().fingerprint();
+            let link = Link { host: host.into(), port: 4433, token: random_token().unwrap(), fingerprint };
+            let again: Link = format!(" {link}\n").parse().unwrap();
+            assert_eq!((&again.host, again.port, again.fingerprint), (&link.host, 4433, fingerprint));
+            assert!(again.token.matches(&link.token));
+            assert!(!format!("{link:?}").contains(&link.token.reveal()));
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let token = "00112233445566778899aabbccddeeff";
+        let cert = format!("sha256:{}", "ab".repeat(32));
+        let error = |s: &str| s.parse::<Link>().unwrap_err();
+        assert!(format!("isinglass://h:1/#token={token}&cert={cert}").parse::<Link>().is_ok());
+        assert!(matches!(error(""), LinkError::Scheme(_)));
+        assert_eq!(error(&format!("http://h:1/#token={token}")), LinkError::Scheme("http://h:1/".into()));
+        for authority in ["", "h", "h:", "h:0", "h:99999", ":1", "a b:1", "::1:1", "[::1]"] {
+            let s = format!("isinglass://{authority}/#token={token}&cert={cert}");
+            assert!(matches!(error(&s), LinkError::Authority(_)), "{s}");
+        }
+        assert_eq!(error("isinglass://h:1"), LinkError::Missing("token"));
+        assert_eq!(error(&format!("isinglass://h:1/#token={token}")), LinkError::Missing("cert"));
+        assert!(matches!(error(&format!("isinglass://h:1/#token=12&cert={cert}")), LinkError::Token(_)));
+        assert!(matches!(error("isinglass://h:1/#cert=sha256:12"), LinkError::Fingerprint(_)));
+        assert_eq!(error("isinglass://h:1/#tocken=1"), LinkError::Unknown("tocken".into()));
+        assert!(!error(&format!("isinglass://h:1/#token={token}0")).to_string().contains(token));
+    }
+}

@@ -1,0 +1,362 @@
+//! The server: lets viewers in and hands out one [`Session`] for each connection.
+
+mod frames;
+mod session;
+
+use std::collections::HashMap;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use isinglass_core::camera::MAX_SIDE;
+use isinglass_core::ids::LookVersion;
+use isinglass_core::look::Look;
+use isinglass_core::session::admission::{Admission, ViewerId};
+use isinglass_core::session::server::{CONTROL_PRIORITY, MAX_POSES_PER_SECOND, violation};
+use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
+use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, SendStream, TokioRuntime};
+use tokio::sync::{Semaphore, mpsc};
+use tracing::Instrument;
+
+use crate::control_stream::{self, ReceiveError};
+use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
+use crate::link::Link;
+use crate::transport;
+
+pub use frames::FrameSender;
+pub use session::{ControlSender, Session, SessionClosed};
+
+/// A bound endpoint that lets viewers in.
+#[derive(Debug)]
+pub struct Server {
+    endpoint: Endpoint,
+    shared: Arc<Shared>,
+    sessions: mpsc::Receiver<Session>,
+    fingerprint: Fingerprint,
+}
+
+/// Limits of a server.
+#[derive(Clone, Debug)]
+pub struct ServerOptions {
+    /// Viewers at the same time.
+    pub max_viewers: u32,
+}
+
+impl Default for ServerOptions {
+    fn default() -> Self {
+        Self { max_viewers: 8 }
+    }
+}
+
+/// What every viewer is told when it is let in.
+#[derive(Clone, Debug)]
+pub struct Greeting {
+    /// The volume.
+    pub volume: VolumeDescription,
+    /// Number of the look.
+    pub look_version: LookVersion,
+    /// The look that a session begins with.
+    pub look: Look,
+}
+
+/// Why there is no server.
+#[derive(Debug, thiserror::Error)]
+pub enum BindError {
+    /// Another program has the port.
+    #[error("UDP port {} of {} is in use; choose another with --listen", .0.port(), .0.ip())]
+    InUse(SocketAddr),
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {source}")]
+    Io {
+        /// The address.
+        address: SocketAddr,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// There is no certificate, or no random numbers.
+    #[error(transparent)]
+    Identity(#[from] IdentityError),
+    /// Every place that a server can give has been given.
+    #[error("no more links can be made by this server; restart it")]
+    NoPlaces,
+}
+
+#[derive(Debug)]
+struct Shared {
+    options: ServerOptions,
+    greeting: Mutex<Arc<Greeting>>,
+    doors: Mutex<Doors>,
+    /// Connections that have not said who they are.
+    strangers: Semaphore,
+}
+
+/// Who may come in, and who is in.
+#[derive(Debug, Default)]
+struct Doors {
+    admission: Admission,
+    live: HashMap<ViewerId, (u64, Connection)>,
+    next_session: u64,
+}
+
+impl Server {
+    /// Listens on an address. Must be called within a tokio runtime, which then drives the server. Nobody is let in
+    /// before [`Server::mint_token`] or [`Server::mint_link`].
+    ///
+    /// # Errors
+    /// If the address is taken or cannot be used.
+    pub fn bind(
+        address: SocketAddr,
+        identity: &Identity,
+        options: ServerOptions,
+        greeting: Greeting,
+    ) -> Result<Self, BindError> {
+        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
+        config
+            .transport_config(Arc::new(transport::server()))
+            .max_incoming(MAX_STRANGERS)
+            .incoming_buffer_size(64 << 10)
+            .incoming_buffer_size_total(4 << 20);
+        let io_error = |source: io::Error| match source.kind() {
+            io::ErrorKind::AddrInUse => BindError::InUse(address),
+            _ => BindError::Io { address, source },
+        };
+        let socket = std::net::UdpSocket::bind(address).map_err(io_error)?;
+        let endpoint = Endpoint::new(EndpointConfig::default(), Some(config), socket, Arc::new(TokioRuntime))
+            .map_err(io_error)?;
+        let shared = Arc::new(Shared {
+            options,
+            greeting: Mutex::new(Arc::new(greeting)),
+            doors: Mutex::default(),
+            strangers: Semaphore::new(MAX_STRANGERS),
+        });
+        let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
+        tokio::spawn(accept_all(endpoint.clone(), shared.clone(), sender));
+        Ok(Self { endpoint, shared, sessions, fingerprint: identity.fingerprint() })
+    }
+
+    /// The address that is listened on, with its real port.
+    ///
+    /// # Errors
+    /// If the socket is gone.
+    pub fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.endpoint.local_addr()
+    }
+
+    /// A new token that lets in one viewer.
+    ///
+    /// # Errors
+    /// If there are no random numbers or no places.
+    pub fn mint_token(&self) -> Result<Token, BindError> {
+        let token = random_token()?;
+        self.shared.doors().admission.add(token.clone()).ok_or(BindError::NoPlaces)?;
+        Ok(token)
+    }
+
+    /// A new link that lets in one viewer, who reaches this server as `host`.
+    ///
+    /// # Errors
+    /// If there are no random numbers or no places.
+    pub fn mint_link(&self, host: &str) -> Result<Link, BindError> {
+        let address = self.local_addr();
+        let port =
+            address.map_err(|source| BindError::Io { address: ([0, 0, 0, 0], 0).into(), source })?.port();
+        Ok(Link { host: host.to_owned(), port, token: self.mint_token()?, fingerprint: self.fingerprint })
+    }
+
+    /// What viewers are told from now on when they are let in.
+    pub fn set_greeting(&self, greeting: Greeting) {
+        *self.shared.greeting.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(greeting);
+    }
+
+    /// Viewers that are connected.
+    pub fn num_viewers(&self) -> usize {
+        self.shared.doors().live.len()
+    }
+
+    /// The next viewer that was let in. `None` after [`Server::close`].
+    pub async fn accept(&mut self) -> Option<Session> {
+        self.sessions.recv().await
+    }
+
+    /// Ends all sessions and waits, for a short time, until the viewers know.
+    pub async fn close(&self) {
+        self.endpoint.close(transport::CLOSE_SESSION, b"the server was stopped");
+        let _ = tokio::time::timeout(Duration::from_millis(500), self.endpoint.wait_idle()).await;
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.endpoint.close(transport::CLOSE_SESSION, b"the server was stopped");
+    }
+}
+
+impl Shared {
+    fn doors(&self) -> MutexGuard<'_, Doors> {
+        // Doors are changed in single steps that cannot fail half-way.
+        self.doors.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+async fn accept_all(endpoint: Endpoint, shared: Arc<Shared>, sessions: mpsc::Sender<Session>) {
+    while let Some(incoming) = endpoint.accept().await {
+        let remote = incoming.remote_address();
+        // A round trip more proves the address; on this machine nobody can lie about it.
+        if !remote.ip().is_loopback() && !incoming.remote_address_validated() && incoming.may_retry() {
+            let _ = incoming.retry();
+            continue;
+        }
+        let shared = shared.clone();
+        let sessions = sessions.clone();
+        tokio::spawn(
+            async move {
+                let Ok(stranger) = shared.strangers.try_acquire() else {
+                    tracing::warn!("too many connections at once");
+                    return incoming.refuse();
+                };
+                match tokio::time::timeout(2 * transport::AUTH_DEADLINE, admit(&shared, incoming)).await {
+                    Ok(Some(admitted)) => {
+                        drop(stranger);
+                        session::run(shared.clone(), admitted, sessions).await;
+                    }
+                    Ok(None) => {}
+                    Err(_) => tracing::info!("no hello within {:?}", 2 * transport::AUTH_DEADLINE),
+                }
+            }
+            .instrument(tracing::info_span!("connection", %remote)),
+        );
+    }
+}
+
+/// A connection whose hello was accepted and answered.
+struct Admitted {
+    connection: Connection,
+    send: SendStream,
+    recv: RecvStream,
+    viewer: ViewerId,
+    session: u64,
+    name: String,
+}
+
+/// From the first packet to the welcome; `None` if the connection came to nothing, which is logged.
+async fn admit(shared: &Shared, incoming: Incoming) -> Option<Admitted> {
+    let greeted = async {
+        let connection = incoming.await.map_err(|e| e.to_string())?;
+        let guard = CloseUnlessKept(Some(connection.clone()));
+        let (send, mut recv) = connection.accept_bi().await.map_err(|e| e.to_string())?;
+        let _ = send.set_priority(CONTROL_PRIORITY);
+        let hello = control_stream::receive::<ClientMessage>(&mut recv).await;
+        Ok::<_, String>((connection, guard, send, recv, hello))
+    };
+    let (connection, mut guard, mut send, recv, hello) =
+        match tokio::time::timeout(transport::AUTH_DEADLINE, greeted).await {
+            Ok(Ok(greeted)) => greeted,
+            Ok(Err(e)) => {
+                tracing::info!("no viewer: {e}");
+                return None;
+            }
+            Err(_) => {
+                tracing::info!("no hello within {:?}", transport::AUTH_DEADLINE);
+                return None;
+            }
+        };
+    let decision = match hello {
+        Ok(ClientMessage::Hello { protocol, token, instance, name }) => {
+            welcome(shared, &connection, protocol, &token, &instance).map(|w| (w, name))
+        }
+        Ok(_) => Err(Refusal::Protocol("the first message is not a hello".into())),
+        Err(ReceiveError::Control(e)) => Err(violation(&e)),
+        Err(e @ ReceiveError::Ended(_)) => {
+            tracing::info!("no viewer: {e}");
+            return None;
+        }
+    };
+    let ((viewer, session, welcome), name) = match decision {
+        Ok(decision) => decision,
+        Err(refusal) => {
+            guard.0 = None;
+            refuse(&connection, &mut send, refusal).await;
+            return None;
+        }
+    };
+    if let Err(e) = control_stream::send(&mut send, &ServerMessage::Welcome(welcome)).await {
+        tracing::info!("no viewer: {e}");
+        shared.leave(viewer, session);
+        return None;
+    }
+    guard.0 = None;
+    Some(Admitted { connection, send, recv, viewer, session, name })
+}
+
+/// Decides on a hello and takes the place.
+fn welcome(
+    shared: &Shared,
+    connection: &Connection,
+    protocol: u32,
+    token: &Token,
+    instance: &Token,
+) -> Result<(ViewerId, u64, Box<Welcome>), Refusal> {
+    let ticket = random_token().map_err(|e| Refusal::Protocol(e.to_string()))?;
+    let mut doors = shared.doors();
+    let viewer = doors.admission.admit(protocol, token, instance, &ticket)?;
+    let others = doors.live.keys().filter(|v| **v != viewer).count();
+    if others >= shared.options.max_viewers as usize {
+        return Err(Refusal::Full(shared.options.max_viewers));
+    }
+    doors.next_session += 1;
+    let session = doors.next_session;
+    if let Some((_, old)) = doors.live.insert(viewer, (session, connection.clone())) {
+        old.close(transport::CLOSE_REPLACED, b"the viewer has connected again");
+    }
+    drop(doors);
+    let greeting = shared.greeting.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let welcome = Welcome {
+        ticket,
+        volume: greeting.volume.clone(),
+        look_version: greeting.look_version,
+        look: greeting.look.clone(),
+        max_side: MAX_SIDE,
+        max_poses_per_second: MAX_POSES_PER_SECOND,
+    };
+    Ok((viewer, session, Box::new(welcome)))
+}
+
+impl Shared {
+    /// The session is over; another one of the same viewer stays.
+    fn leave(&self, viewer: ViewerId, session: u64) {
+        let mut doors = self.doors();
+        if doors.live.get(&viewer).is_some_and(|(s, _)| *s == session) {
+            doors.live.remove(&viewer);
+        }
+    }
+}
+
+/// Tells a client why, and closes when it has heard or a short time has passed.
+async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) {
+    let reason = refusal.to_string();
+    tracing::warn!("refused: {reason}");
+    if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
+        let _ = send.finish();
+        let _ = tokio::time::timeout(REFUSAL_LINGER, connection.closed()).await;
+    }
+    connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
+}
+
+/// Closes a connection that no one took over.
+struct CloseUnlessKept(Option<Connection>);
+
+impl Drop for CloseUnlessKept {
+    fn drop(&mut self) {
+        if let Some(connection) = self.0.take() {
+            connection.close(transport::CLOSE_PROTOCOL, b"no hello in time");
+        }
+    }
+}
+
+/// Connections in handshake or before their hello.
+const MAX_STRANGERS: usize = 64;
+/// Sessions that wait for [`Server::accept`].
+const MAX_UNACCEPTED: usize = 16;
+/// How long a refused client may take to read why.
+const REFUSAL_LINGER: Duration = Duration::from_secs(1);

@@ -1,0 +1,235 @@
+//! One viewer's connection.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use isinglass_core::ids::LookVersion;
+use isinglass_core::look::Look;
+use isinglass_core::session::admission::ViewerId;
+use isinglass_core::session::server::{self, Request, violation};
+use isinglass_core::wire::control::one_line;
+use isinglass_core::wire::{PoseRequest, Refusal, ServerMessage, ServerStats};
+use quinn::{Connection, RecvStream, SendStream};
+use tokio::sync::{mpsc, watch};
+use tracing::Instrument;
+
+use super::frames::FrameSender;
+use super::{Admitted, Shared, refuse};
+use crate::clock::Clock;
+use crate::control_stream::{self, ReceiveError};
+use crate::transport;
+
+/// One viewer's connection, in parts that can go to different tasks. The connection closes when `frames` and
+/// `control` (and their clones) are dropped.
+#[derive(Debug)]
+pub struct Session {
+    /// Counts the sessions of the server.
+    pub id: u64,
+    /// The viewer, the same over its connections.
+    pub viewer: ViewerId,
+    /// What the viewer calls itself.
+    pub name: String,
+    /// Where it is.
+    pub remote: SocketAddr,
+    /// The newest pose: there is no queue. Its sender is dropped when the connection is over.
+    pub poses: watch::Receiver<Option<PoseRequest>>,
+    /// What the viewer asks for. The control stream is not read on while this is full.
+    pub requests: mpsc::Receiver<Request>,
+    /// Frames go here.
+    pub frames: FrameSender,
+    /// Messages go here.
+    pub control: ControlSender,
+}
+
+/// The connection is over.
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
+#[error("the viewer's connection is over")]
+pub struct SessionClosed;
+
+/// Sends messages to the viewer.
+#[derive(Clone, Debug)]
+pub struct ControlSender {
+    messages: mpsc::Sender<ServerMessage>,
+    close: Arc<CloseOnDrop>,
+}
+
+impl ControlSender {
+    /// Frames from now on have this look.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn look_changed(&self, version: LookVersion, look: Look) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::LookChanged { version, look }).await
+    }
+
+    /// One line for the person at the viewer.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn notice(&self, text: &str) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::Notice(one_line(text))).await
+    }
+
+    /// What the newest frame cost. Dropped if messages already wait: there will be newer ones.
+    pub fn stats(&self, stats: ServerStats) {
+        let _ = self.messages.try_send(ServerMessage::Stats(stats));
+    }
+
+    /// Ends this session; the viewer may come back.
+    pub fn close(&self, reason: &str) {
+        self.close.0.close(transport::CLOSE_SESSION, one_line(reason).as_bytes());
+    }
+
+    async fn send(&self, message: ServerMessage) -> Result<(), SessionClosed> {
+        self.messages.send(message).await.map_err(|_| SessionClosed)
+    }
+}
+
+/// The connection and the state that decides about it; closes when the last user is gone.
+#[derive(Debug)]
+pub(super) struct Link {
+    pub(super) connection: Connection,
+    state: Mutex<server::Session>,
+    /// Sent on whenever a chunk may have been superseded.
+    pub(super) progress: watch::Sender<()>,
+}
+
+impl Link {
+    pub(super) fn state(&self) -> MutexGuard<'_, server::Session> {
+        // Its methods change single numbers.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Owned by what the application holds, not by the tasks here.
+#[derive(Debug)]
+pub(super) struct CloseOnDrop(Connection);
+
+impl Drop for CloseOnDrop {
+    fn drop(&mut self) {
+        self.0.close(transport::CLOSE_SESSION, b"the server has ended the session");
+    }
+}
+
+/// Serves one connection until it is over.
+pub(super) async fn run(shared: Arc<Shared>, admitted: Admitted, sessions: mpsc::Sender<Session>) {
+    let Admitted { connection, mut send, recv, viewer, session: id, name } = admitted;
+    let span = tracing::info_span!("session", id, viewer = viewer.0);
+    let left = Leave { shared, viewer, id };
+    let clock = Clock::start();
+    let link = Arc::new(Link {
+        connection: connection.clone(),
+        state: Mutex::new(server::Session::new(clock.now_micros())),
+        progress: watch::Sender::new(()),
+    });
+    let close = Arc::new(CloseOnDrop(connection.clone()));
+    let max_viewers = left.shared.options.max_viewers;
+    let (poses_in, poses) = watch::channel(None);
+    let (requests_in, requests) = mpsc::channel(MAX_REQUESTS);
+    let (messages, messages_out) = mpsc::channel(MAX_MESSAGES);
+    let remote = connection.remote_address();
+    tracing::info!(parent: &span, %remote, name, "viewer connected");
+    let session = Session {
+        id,
+        viewer,
+        name,
+        remote,
+        poses,
+        requests,
+        frames: FrameSender::new(link.clone(), close.clone()),
+        control: ControlSender { messages, close },
+    };
+    // An unsent session is kept for the moment: dropping it closes the connection.
+    if let Err(_unsent) = sessions.try_send(session) {
+        return refuse(&connection, &mut send, Refusal::Full(max_viewers)).await;
+    }
+    let serving = async {
+        let violated = tokio::select! {
+            () = read_poses(&link, &clock, &poses_in) => None,
+            violated = read_requests(&link, &clock, recv, &requests_in) => violated,
+            () = write_messages(&mut send, messages_out) => None,
+        };
+        if let Some(refusal) = violated {
+            refuse(&connection, &mut send, refusal).await;
+        }
+        // Whatever ended, the rest ends with it; a connection that is closed stays closed for its own reason.
+        connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
+        let reason = connection.closed().await;
+        tracing::info!("viewer gone: {reason}");
+    };
+    serving.instrument(span).await;
+}
+
+async fn read_poses(link: &Link, clock: &Clock, poses: &watch::Sender<Option<PoseRequest>>) {
+    while let Ok(bytes) = link.connection.read_datagram().await {
+        let result = link.state().handle_datagram(clock.now_micros(), &bytes);
+        link.progress.send_replace(());
+        match result {
+            Ok(Some(request)) => {
+                tracing::trace!(pose = request.id.0, "pose");
+                poses.send_replace(Some(request));
+            }
+            Ok(None) => {}
+            Err(e) => tracing::debug!("ignored: {e}"),
+        }
+    }
+}
+
+/// Ends with what the client has done wrong, or with nothing when the connection is over.
+async fn read_requests(
+    link: &Link,
+    clock: &Clock,
+    mut stream: RecvStream,
+    requests: &mpsc::Sender<Request>,
+) -> Option<Refusal> {
+    loop {
+        let body = match control_stream::receive_body(&mut stream).await {
+            Ok(body) => body,
+            Err(ReceiveError::Control(e)) => return Some(violation(&e)),
+            Err(ReceiveError::Ended(_)) => {
+                link.connection.close(transport::CLOSE_BYE, b"");
+                return None;
+            }
+        };
+        let handled = link.state().handle_message(clock.now_micros(), &body);
+        match handled {
+            Ok(Request::Bye) => {
+                link.connection.close(transport::CLOSE_BYE, b"");
+                return None;
+            }
+            // An application that no longer listens does not end the session: frames may still be wanted.
+            Ok(request) => drop(requests.send(request).await),
+            Err(refusal) => return Some(refusal),
+        }
+    }
+}
+
+async fn write_messages(stream: &mut SendStream, mut messages: mpsc::Receiver<ServerMessage>) {
+    while let Some(message) = messages.recv().await {
+        match control_stream::send(stream, &message).await {
+            Ok(()) => {}
+            Err(control_stream::SendError::Control(e)) => tracing::error!("not sent: {e}"),
+            Err(control_stream::SendError::Ended(_)) => return,
+        }
+    }
+    // All senders are gone, which may happen long before the frames end.
+    std::future::pending::<()>().await;
+}
+
+/// Gives the place back however the task ends.
+struct Leave {
+    shared: Arc<Shared>,
+    viewer: ViewerId,
+    id: u64,
+}
+
+impl Drop for Leave {
+    fn drop(&mut self) {
+        self.shared.leave(self.viewer, self.id);
+    }
+}
+
+/// Requests that wait for the application.
+const MAX_REQUESTS: usize = 32;
+/// Messages that wait for the network.
+const MAX_MESSAGES: usize = 32;

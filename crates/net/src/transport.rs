@@ -1,0 +1,76 @@
+//! Settings of QUIC, and the codes that connections and streams are closed with.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::congestion::CubicConfig;
+use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
+
+use isinglass_core::wire::POSE_BYTES;
+
+/// A side leaves on its own will.
+pub(crate) const CLOSE_BYE: VarInt = VarInt::from_u32(0);
+/// The client is not let in, or sent away; the reason is one line of text.
+pub(crate) const CLOSE_REFUSED: VarInt = VarInt::from_u32(1);
+/// The peer broke the protocol.
+pub(crate) const CLOSE_PROTOCOL: VarInt = VarInt::from_u32(2);
+/// The same viewer has connected again.
+pub(crate) const CLOSE_REPLACED: VarInt = VarInt::from_u32(3);
+/// The server ends this session; the viewer may come back.
+pub(crate) const CLOSE_SESSION: VarInt = VarInt::from_u32(4);
+/// No packet has come for [`SILENCE_LIMIT`].
+pub(crate) const CLOSE_SILENT: VarInt = VarInt::from_u32(5);
+/// A stream's frame is superseded.
+pub(crate) const RESET_SUPERSEDED: VarInt = VarInt::from_u32(1);
+/// A stream holds something unusable.
+pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
+
+/// From the first packet to the welcome, for each of handshake and hello.
+pub(crate) const AUTH_DEADLINE: Duration = Duration::from_secs(5);
+/// A client gives a connection up when nothing has come for so long. Keep-alives are answered every
+/// [`KEEP_ALIVE`], so three of them and a long round trip must be lost for it.
+pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
+const KEEP_ALIVE: Duration = Duration::from_secs(2);
+const IDLE_MILLIS: u32 = 30_000;
+
+/// What both sides share. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
+fn common() -> TransportConfig {
+    let mut cubic = CubicConfig::default();
+    cubic.initial_window(32 * 1200);
+    let mut acks = AckFrequencyConfig::default();
+    acks.ack_eliciting_threshold(2u32.into()).max_ack_delay(Some(Duration::from_millis(5)));
+    let mut t = TransportConfig::default();
+    t.congestion_controller_factory(Arc::new(cubic))
+        .ack_frequency_config(Some(acks))
+        .initial_rtt(Duration::from_millis(100))
+        .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_MILLIS))));
+    t
+}
+
+/// The server takes one control stream and small datagrams.
+pub(crate) fn server() -> TransportConfig {
+    let mut t = common();
+    t.max_concurrent_bidi_streams(1u32.into())
+        .max_concurrent_uni_streams(0u32.into())
+        .stream_receive_window((256u32 << 10).into())
+        .receive_window((1u32 << 20).into())
+        .send_window(64 << 10)
+        .datagram_receive_buffer_size(Some(64 << 10))
+        .datagram_send_buffer_size(0);
+    t
+}
+
+/// The client takes frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
+pub(crate) fn client() -> TransportConfig {
+    let mut t = common();
+    t.max_concurrent_bidi_streams(0u32.into())
+        .max_concurrent_uni_streams(1024u32.into())
+        .stream_receive_window((32u32 << 20).into())
+        .receive_window((64u32 << 20).into())
+        // Servers send none, but quinn sends none either where it may receive none.
+        .datagram_receive_buffer_size(Some(2 * POSE_BYTES))
+        // Newest wins: quinn drops the oldest datagrams of a full buffer.
+        .datagram_send_buffer_size(2 * POSE_BYTES)
+        .keep_alive_interval(Some(KEEP_ALIVE));
+    t
+}

@@ -1,0 +1,151 @@
+//! A server with a generator of small frames, and what tests wait with.
+#![allow(dead_code, reason = "each test file uses another part")]
+
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::codec::{self, EncodedFrame, Settings};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
+use isinglass_core::look::Look;
+use isinglass_core::session::server::Request;
+use isinglass_core::space::Aabb;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::wire::{ServerStats, VolumeDescription};
+use isinglass_net::{Client, ClientOptions, Greeting, Identity, Link, Server, ServerOptions, Session};
+
+pub(crate) const INTRINSICS: Intrinsics = Intrinsics { width: 64, height: 64, fov_y: 0.6 };
+
+pub(crate) fn look() -> Look {
+    let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
+    Look {
+        transfer: TransferFunction {
+            name: "ramp".into(),
+            domain: Domain::Full,
+            unit_length: UnitLength::Voxel,
+            points: vec![p(0.0), p(1.0)],
+        },
+        shaded: false,
+        layering: Layering::VisibilityMerge,
+        k: 4,
+    }
+}
+
+pub(crate) fn greeting() -> Greeting {
+    let volume = VolumeDescription {
+        name: "test".into(),
+        dims: [8, 8, 8],
+        spacing: [1.0; 3],
+        unit: Some("mm".into()),
+        orientation: None,
+        value_range: (0.0, 1.0),
+        histogram: vec![1; 16],
+    };
+    Greeting { volume, look_version: LookVersion(1), look: look() }
+}
+
+pub(crate) fn pose(n: u32) -> Pose {
+    Pose::orbit(Vec3::ZERO, 0.01 * n as f32, 0.0, 30.0)
+}
+
+/// Lists of up to four segments whose colours are noise, so that they do not compress.
+pub(crate) fn frame(frame: FrameId, pose_id: PoseId, pose: Pose, intrinsics: Intrinsics) -> LayeredFrame {
+    let bounds = Aabb { min: Vec3::splat(-4.0), max: Vec3::splat(4.0) };
+    let camera = Camera::new(pose, intrinsics, &bounds);
+    let header = FrameHeader { frame, pose: pose_id, look: LookVersion(1), camera, k: 4 };
+    let mut out = LayeredFrame::empty(header);
+    let mut noise = frame.0.wrapping_mul(2_654_435_761) | 1;
+    for list in 0..intrinsics.num_pixels() {
+        for layer in 0..(list % 5) as u16 {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let c = Vec3::new((noise >> 24) as f32, (noise >> 16 & 255) as f32, (noise >> 8 & 255) as f32)
+                / 512.0;
+            let front = layer * 1000 + (noise >> 20 & 255) as u16;
+            out.push(&Segment { front, back: front + 100, c, tau: 0.8 });
+        }
+        out.offsets[list + 1] = out.depth.len() as u32;
+    }
+    out.validate().unwrap();
+    out
+}
+
+pub(crate) fn encoded(id: FrameId, pose_id: PoseId, pose: Pose, intrinsics: Intrinsics) -> EncodedFrame {
+    codec::encode(&frame(id, pose_id, pose, intrinsics), &Settings::default()).unwrap()
+}
+
+pub(crate) fn server() -> Server {
+    server_with(ServerOptions::default())
+}
+
+pub(crate) fn server_with(options: ServerOptions) -> Server {
+    Server::bind(([127, 0, 0, 1], 0).into(), &Identity::generate().unwrap(), options, greeting()).unwrap()
+}
+
+/// Accepts viewers for ever and answers every pose with a frame.
+pub(crate) fn serve(mut server: Server) {
+    tokio::spawn(async move {
+        while let Some(session) = server.accept().await {
+            tokio::spawn(answer(session));
+        }
+    });
+}
+
+/// Answers every pose of one viewer with a frame, and every look with the same look.
+pub(crate) async fn answer(mut session: Session) {
+    let mut id = FrameId(0);
+    let mut version = LookVersion(1);
+    loop {
+        tokio::select! {
+            changed = session.poses.changed() => {
+                if changed.is_err() {
+                    return;
+                }
+                let Some(request) = *session.poses.borrow_and_update() else { continue };
+                id = id.next();
+                let encoded = encoded(id, request.id, request.pose, request.intrinsics);
+                let bytes = encoded.num_bytes() as u64;
+                if session.frames.send(id, request.id, encoded.chunks).await.is_err() {
+                    return;
+                }
+                let pose_stamp_micros = request.stamp_micros;
+                let stats = ServerStats { frame: id, pose: request.id, pose_stamp_micros, bytes, ..Default::default() };
+                session.control.stats(stats);
+            }
+            Some(request) = session.requests.recv() => {
+                if let Request::SetLook(look) = request {
+                    version = version.next();
+                    if session.control.look_changed(version, look).await.is_err() {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(crate) fn connect(link: &Link) -> Client {
+    Client::connect(link, ClientOptions::default()).unwrap()
+}
+
+/// Waits until `probe` finds something. The limit only turns a hang into a failure.
+pub(crate) async fn until<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = probe() {
+            return found;
+        }
+        assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+/// Waits until the client has all of a frame that answers this pose.
+pub(crate) async fn until_answered(
+    client: &Client,
+    pose: PoseId,
+) -> std::sync::Arc<isinglass_net::ReceivedFrame> {
+    until("an answer", || client.latest_frame().filter(|f| f.is_complete && f.frame.header.pose == pose))
+        .await
+}

@@ -1,0 +1,272 @@
+//! Does a server survive its clients, and a client its server? Each peer here speaks raw QUIC.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod common;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use common::*;
+use isinglass_core::ids::{FrameId, PoseId};
+use isinglass_core::wire::control::{self, hello};
+use isinglass_core::wire::{ALPN, ClientMessage, Refusal, ServerMessage, Token};
+use isinglass_net::identity::pinned_tls;
+use isinglass_net::{
+    BindError, ConnectError, Fingerprint, Identity, Link, Server, ServerOptions, State, random_token,
+};
+use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
+
+type Mutation<'a> = &'a dyn Fn(&mut Vec<u8>);
+
+/// A client that can say anything.
+struct Raw {
+    _endpoint: Endpoint,
+    connection: Connection,
+    send: SendStream,
+    recv: RecvStream,
+}
+
+async fn raw(link: &Link) -> Raw {
+    let (tls, _) = pinned_tls(link.fingerprint).unwrap();
+    let endpoint = Endpoint::client(([127, 0, 0, 1], 0).into()).unwrap();
+    let address: SocketAddr = ([127, 0, 0, 1], link.port).into();
+    let config = quinn::ClientConfig::new(Arc::new(tls));
+    let connection = endpoint.connect_with(config, address, "isinglass").unwrap().await.unwrap();
+    let (send, recv) = connection.open_bi().await.unwrap();
+    Raw { _endpoint: endpoint, connection, send, recv }
+}
+
+impl Raw {
+    async fn answer(&mut self) -> ServerMessage {
+        let mut prefix = [0; 4];
+        self.recv.read_exact(&mut prefix).await.unwrap();
+        let mut body = vec![0; control::body_length(prefix).unwrap()];
+        self.recv.read_exact(&mut body).await.unwrap();
+        control::decode(&body).unwrap()
+    }
+
+    async fn is_refused(&mut self) -> Refusal {
+        match self.answer().await {
+            ServerMessage::Refused(refusal) => refusal,
+            other => panic!("expected a refusal, found {other:?}"),
+        }
+    }
+
+    async fn close_reason(&self) -> String {
+        match self.connection.closed().await {
+            ConnectionError::ApplicationClosed(close) => String::from_utf8(close.reason.to_vec()).unwrap(),
+            other => panic!("expected a reason, found {other}"),
+        }
+    }
+}
+
+fn t() -> Token {
+    random_token().unwrap()
+}
+
+/// The server still serves: a viewer gets a frame.
+async fn assert_serves(link: &Link) {
+    let client = connect(link);
+    let id = client.set_pose(pose(1), INTRINSICS);
+    until_answered(&client, id).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whatever_a_client_says_first_others_are_served() {
+    let server = server();
+    let bad_links = [0, 1, 2, 3].map(|_| server.mint_link("127.0.0.1").unwrap());
+    let links = [0, 1, 2, 3, 4, 5].map(|_| server.mint_link("127.0.0.1").unwrap());
+    serve(server);
+
+    // A wrong token, from a real client.
+    let wrong = Link { token: t(), ..links[0].clone() };
+    let refused = connect(&wrong).wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert_eq!(refused, ConnectError::Refused(Refusal::UnknownToken));
+    assert_serves(&links[0]).await;
+
+    // Another version behind the same ALPN.
+    let mut peer = raw(&bad_links[0]).await;
+    let other = ClientMessage::Hello { protocol: 99, token: t(), instance: t(), name: String::new() };
+    peer.send.write_all(&control::encode(&other).unwrap()).await.unwrap();
+    assert_eq!(peer.is_refused().await, Refusal::Version { server: 1, client: 99 });
+    assert!(peer.close_reason().await.contains("protocol version 1"));
+
+    // Garbage: of a good length, of a huge length, of length zero.
+    let garbage = [[&8u32.to_le_bytes()[..], &[0xee; 8]].concat(), vec![0xff; 64], vec![0; 4]];
+    for (bytes, link) in garbage.iter().zip(&links[1..]) {
+        let mut peer = raw(&bad_links[1]).await;
+        peer.send.write_all(bytes).await.unwrap();
+        let refusal = peer.is_refused().await;
+        assert!(matches!(&refusal, Refusal::Protocol(line) if !line.contains('\n')), "{refusal:?}");
+        assert_eq!(peer.close_reason().await, refusal.to_string());
+        assert_serves(link).await;
+    }
+
+    // A message that is not a hello.
+    let mut peer = raw(&bad_links[2]).await;
+    peer.send.write_all(&control::encode(&ClientMessage::Bye).unwrap()).await.unwrap();
+    assert!(matches!(peer.is_refused().await, Refusal::Protocol(_)));
+
+    // Half a message, and gone.
+    let mut peer = raw(&bad_links[3]).await;
+    peer.send.write_all(&[40, 0, 0, 0, 1, 2, 3]).await.unwrap();
+    peer.connection.close(0u32.into(), b"");
+    assert_serves(&links[4]).await;
+    // None of the bad ones has used up its token, and none of the good ones is left unused.
+    assert_serves(&bad_links[1]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn garbage_after_the_welcome_hurts_only_its_sender() {
+    let server = server();
+    let links = [0, 1, 2].map(|_| server.mint_link("127.0.0.1").unwrap());
+    serve(server);
+    let good = connect(&links[0]);
+    let id = good.set_pose(pose(1), INTRINSICS);
+    until_answered(&good, id).await;
+
+    let mut peer = raw(&links[1]).await;
+    let hello = hello(links[1].token.clone(), t(), "x");
+    peer.send.write_all(&control::encode(&hello).unwrap()).await.unwrap();
+    assert!(matches!(peer.answer().await, ServerMessage::Welcome(_)));
+    // Garbage datagrams are ignored: the session goes on.
+    for length in [1, 55, 56, 57, 1000] {
+        peer.connection.send_datagram(vec![0xa5; length].into()).unwrap();
+    }
+    // Streams that the server never asked for are not granted.
+    assert!(tokio::time::timeout(Duration::from_millis(100), peer.connection.open_uni()).await.is_err());
+    assert!(peer.connection.close_reason().is_none());
+    // A second hello is not ignored.
+    peer.send.write_all(&control::encode(&hello).unwrap()).await.unwrap();
+    let refusal = peer.is_refused().await;
+    assert_eq!(refusal, Refusal::Protocol("a second hello".into()));
+
+    let id = good.set_pose(pose(2), INTRINSICS);
+    until_answered(&good, id).await;
+    assert_serves(&links[2]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_certificate_is_never_trusted() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let other: Fingerprint = Identity::generate().unwrap().fingerprint();
+    let forged = Link { fingerprint: other, ..link.clone() };
+    let client = connect(&forged);
+    let error = client.wait_connected(Duration::from_secs(20)).unwrap_err();
+    match &error {
+        ConnectError::Certificate { expected, found, .. } => {
+            assert_eq!((*expected, *found), (other, link.fingerprint));
+        }
+        e => panic!("{e}"),
+    }
+    assert_eq!(client.state(), State::Refused(error));
+    // The token was not given away.
+    assert_serves(&link).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_port_in_use_is_named() {
+    let first = server();
+    let address = first.local_addr().unwrap();
+    let identity = Identity::generate().unwrap();
+    let second = Server::bind(address, &identity, ServerOptions::default(), greeting());
+    let error = second.unwrap_err();
+    assert!(matches!(error, BindError::InUse(a) if a == address));
+    assert!(error.to_string().contains(&address.port().to_string()));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_is_not_there_is_named_in_bounded_time() {
+    // Bound but silent: nothing is sent back, as behind a firewall.
+    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port();
+    let fingerprint = Identity::generate().unwrap().fingerprint();
+    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint };
+    let client = connect(&link);
+    let error = client.wait_connected(Duration::from_secs(60)).unwrap_err();
+    assert_eq!(error, ConnectError::NoAnswer { host: "127.0.0.1".into(), port });
+    assert!(matches!(client.state(), State::Connecting { attempt: 2, problem: Some(_) }));
+
+    let nowhere = Link { host: "no-such-host.invalid".into(), ..link };
+    let error = connect(&nowhere).wait_connected(Duration::from_secs(60)).unwrap_err();
+    assert!(
+        matches!(&error, ConnectError::Resolve { host, .. } if host == "no-such-host.invalid"),
+        "{error}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn mutated_chunks_cost_their_frame_and_nothing_else() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let client = connect(&link);
+    let session = server.accept().await.unwrap();
+    client.set_pose(pose(1), INTRINSICS);
+    let mut id = FrameId(0);
+    let good = encoded(FrameId(1), PoseId(1), pose(1), INTRINSICS).chunks;
+    let length = good[0].bytes.len();
+    // A flip at the start, in the header, in the payload and at the end; a cut; an extension; nothing at all.
+    let mutations: [Mutation<'_>; 7] = [
+        &|b| b[0] ^= 0x10,
+        &|b| b[5] ^= 0xff,
+        &|b| b[length / 2] ^= 0x55,
+        &|b| b[length - 1] ^= 0x80,
+        &|b| b.truncate(length / 2),
+        &|b| b.push(0),
+        &Vec::clear,
+    ];
+    for mutate in mutations {
+        id = id.next();
+        let mut chunks = encoded(id, PoseId(1), pose(1), INTRINSICS).chunks;
+        mutate(&mut chunks[0].bytes);
+        session.frames.send(id, PoseId(1), chunks).await.unwrap();
+        // A whole frame after each bad one arrives.
+        id = id.next();
+        session.frames.send(id, PoseId(1), encoded(id, PoseId(1), pose(1), INTRINSICS).chunks).await.unwrap();
+        until("the good frame", || {
+            client.latest_frame().filter(|f| f.is_complete && f.frame.header.frame == id)
+        })
+        .await;
+    }
+    assert_eq!(client.state(), State::Connected);
+    assert!(client.stats().broken_chunks > 0);
+    assert!(!client.last_problem().unwrap().contains('\n'));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_speaks_garbage_is_given_up() {
+    // A server with the right certificate that answers with an oversized message.
+    let identity = rcgen::KeyPair::generate().unwrap();
+    let certificate =
+        rcgen::CertificateParams::new(vec!["isinglass".into()]).unwrap().self_signed(&identity).unwrap();
+    let mut tls =
+        rustls::ServerConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .unwrap()
+            .with_no_client_auth()
+            .with_single_cert(vec![certificate.der().clone()], identity.into())
+            .unwrap();
+    tls.alpn_protocols = vec![ALPN.to_vec()];
+    let digest = ring::digest::digest(&ring::digest::SHA256, certificate.der());
+    let hex: String = digest.as_ref().iter().map(|b| format!("{b:02x}")).collect();
+    let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls).unwrap();
+    let config = quinn::ServerConfig::with_crypto(Arc::new(tls));
+    let endpoint = Endpoint::server(config, ([127, 0, 0, 1], 0).into()).unwrap();
+    let port = endpoint.local_addr().unwrap().port();
+    tokio::spawn(async move {
+        while let Some(incoming) = endpoint.accept().await {
+            let Ok(connection) = incoming.await else { continue };
+            let Ok((mut send, _recv)) = connection.accept_bi().await else { continue };
+            send.write_all(&[0xff; 4]).await.unwrap();
+            connection.closed().await;
+        }
+    });
+    let fingerprint = format!("sha256:{hex}").parse().unwrap();
+    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint };
+    let client = connect(&link);
+    let error = client.wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert!(matches!(&error, ConnectError::Protocol(line) if line.contains("4294967295")), "{error}");
+}

@@ -1,0 +1,202 @@
+//! Does a viewer get its frames, over a good link, a bad one, and after the connection was lost?
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod common;
+
+use std::time::Duration;
+
+use common::*;
+use isinglass_core::codec;
+use isinglass_core::ids::{FrameId, PoseId};
+use isinglass_core::wire::Refusal;
+use isinglass_net::{Client, ClientOptions, ConnectError, LinkModel, ServerOptions, State};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_gets_the_exact_frame_for_its_pose() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let client = connect(&link);
+    let id = client.set_pose(pose(3), INTRINSICS);
+    let received = until_answered(&client, id).await;
+    assert_eq!(client.state(), State::Connected);
+    assert_eq!(client.description().unwrap().volume, greeting().volume);
+    // What arrives is what the codec makes of it, and of no other pose.
+    let header = received.frame.header;
+    let expected = |n| codec::decode(&bytes(encoded(header.frame, id, pose(n), INTRINSICS))).unwrap();
+    assert_eq!(received.frame, expected(3));
+    assert_ne!(received.frame, expected(4));
+    // The ledger is in order, on one clock.
+    let t = received.times;
+    let stamps = [t.pose_set, Some(t.first_byte), t.base_complete, t.base_decoded, t.complete_decoded];
+    assert!(stamps.iter().all(Option::is_some) && stamps.is_sorted(), "{t:?}");
+    client.note_shown(header.frame);
+    assert!(client.ledger().iter().any(|t| t.frame == header.frame && t.first_shown.is_some()));
+    until("statistics", || (client.stats().server.pose == id).then_some(())).await;
+    assert_eq!(Some(client.stats().server.pose_stamp_micros), t.pose_set);
+}
+
+fn bytes(frame: codec::EncodedFrame) -> Vec<Vec<u8>> {
+    frame.chunks.into_iter().map(|c| c.bytes).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_look_reaches_the_server_and_comes_back() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let client = connect(&link);
+    let mut wanted = look();
+    wanted.shaded = true;
+    client.set_look(wanted.clone()).unwrap();
+    let (version, _) = until("the look", || client.look().filter(|(_, l)| **l == wanted)).await;
+    assert_eq!(version.0, 2);
+    wanted.k = 99;
+    assert!(client.set_look(wanted).is_err());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_newest_pose_wins() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let client = connect(&link);
+    let mut session = server.accept().await.unwrap();
+    let mut last = PoseId(0);
+    for n in 1..=40 {
+        last = client.set_pose(pose(n), INTRINSICS);
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    assert_eq!(last, PoseId(40));
+    assert_eq!(client.set_pose(pose(40), INTRINSICS), last, "the same pose is no new one");
+    let newest =
+        until("the last pose", || (*session.poses.borrow_and_update()).filter(|p| p.id == last)).await;
+    assert_eq!((newest.pose, newest.intrinsics), (pose(40), INTRINSICS));
+    // At rest the pose is repeated, and the repetition is not a new pose.
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert!(!session.poses.has_changed().unwrap());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_arrive_whole_over_a_lossy_link() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let ms = Duration::from_millis;
+    let model = LinkModel { rtt: ms(40), jitter: ms(5), loss: 0.05, reorder: true, ..Default::default() };
+    let options = ClientOptions { conditioner: Some(model), ..Default::default() };
+    let client = Client::connect(&link, options).unwrap();
+    // Small frames: a loss-based controller gets little through at this loss.
+    let small = isinglass_core::camera::Intrinsics { width: 32, height: 32, ..INTRINSICS };
+    let mut shown = FrameId(0);
+    for n in 1..=10 {
+        let id = client.set_pose(pose(n), small);
+        let received = until_answered(&client, id).await;
+        let header = received.frame.header;
+        assert!(header.frame > shown);
+        shown = header.frame;
+        assert_eq!(received.frame, codec::decode(&bytes(encoded(header.frame, id, pose(n), small))).unwrap());
+    }
+    let counters = client.link_counters();
+    assert!(counters.up.lost + counters.down.lost > 0, "the link has lost nothing: {counters:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn superseded_refinements_are_given_up_and_bases_are_not() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    // A frame of this size takes over 30 ms at 10 Mbit/s; the offer is a frame each 10 ms.
+    let size = isinglass_core::camera::Intrinsics { width: 128, height: 96, ..INTRINSICS };
+    let model = LinkModel {
+        rtt: Duration::from_millis(40),
+        bandwidth_mbit: Some(10.0),
+        queue: Duration::from_millis(100),
+        ..Default::default()
+    };
+    let client =
+        Client::connect(&link, ClientOptions { conditioner: Some(model), ..Default::default() }).unwrap();
+    let session = server.accept().await.unwrap();
+    client.set_pose(pose(1), INTRINSICS);
+    let (mut bases, mut wholes) = (0, 0);
+    let mut newest = FrameId(0);
+    for n in 1..=12 {
+        let encoded = encoded(FrameId(n), PoseId(n), pose(n), size);
+        let length = encoded.num_bytes();
+        assert!(length > 37_500, "{length} bytes do not take 30 ms");
+        session.frames.send(FrameId(n), PoseId(n), encoded.chunks).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    // The last frame is not superseded: it arrives whole.
+    let last = until("the last frame", || {
+        client.latest_frame().filter(|f| f.is_complete && f.frame.header.frame == FrameId(12))
+    });
+    last.await;
+    for life in client.ledger() {
+        assert!(life.frame > newest);
+        newest = life.frame;
+        bases += u32::from(life.base_decoded.is_some());
+        wholes += u32::from(life.complete.is_some());
+    }
+    assert!(bases >= 6, "{bases} of 12 bases: newer frames have starved the older");
+    assert!(wholes < bases, "{wholes} of {bases} frames are whole: nothing was given up");
+    assert_eq!(session.frames.newest_complete(), FrameId(12));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dropped_connection_keeps_the_picture_and_comes_back() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let client = connect(&link);
+    let id = client.set_pose(pose(1), INTRINSICS);
+    let session = server.accept().await.unwrap();
+    let control = session.control.clone();
+    let serving = tokio::spawn(answer(session));
+    let first = until_answered(&client, id).await;
+    control.close("a test");
+    until("the loss", || matches!(client.state(), State::Reconnecting { .. }).then_some(())).await;
+    if let State::Reconnecting { problem, .. } = client.state() {
+        assert_eq!(problem, ConnectError::Lost("a test".into()));
+    }
+    assert_eq!(client.latest_frame().unwrap().frame, first.frame);
+    serving.await.unwrap();
+    // The same viewer comes back with its ticket, and asks for its pose without being told to.
+    let session = server.accept().await.unwrap();
+    assert_eq!((session.id, session.viewer.0), (2, 0));
+    tokio::spawn(answer(session));
+    until("a frame of the second connection", || client.latest_frame().filter(|f| f.times.connection == 2))
+        .await;
+    let id = client.set_pose(pose(2), INTRINSICS);
+    until_answered(&client, id).await;
+    assert_eq!(client.state(), State::Connected);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_link_lets_in_one_viewer() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let other_link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let first = connect(&link);
+    first.wait_connected(Duration::from_secs(20)).unwrap();
+    let second = connect(&link);
+    let refused = second.wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert_eq!(refused, ConnectError::Refused(Refusal::TokenUsed));
+    assert_eq!(second.state(), State::Refused(refused));
+    // The first one is not disturbed, and another link works.
+    let id = first.set_pose(pose(1), INTRINSICS);
+    until_answered(&first, id).await;
+    connect(&other_link).wait_connected(Duration::from_secs(20)).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_server_says_so_and_lets_in_the_next_when_one_leaves() {
+    let server = server_with(ServerOptions { max_viewers: 1 });
+    let links = [0, 1].map(|_| server.mint_link("127.0.0.1").unwrap());
+    serve(server);
+    let first = connect(&links[0]);
+    first.wait_connected(Duration::from_secs(20)).unwrap();
+    let second = connect(&links[1]);
+    let full = second.wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert_eq!(full, ConnectError::Refused(Refusal::Full(1)));
+    drop(first);
+    until("a place", || (second.state() == State::Connected).then_some(())).await;
+}
