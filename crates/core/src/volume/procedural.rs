@@ -96,7 +96,7 @@ fn shells(p: Vec3) -> f32 {
     let mut value: f32 = 0.0;
     for i in 0..4 {
         let radius = 0.25 + 0.22 * i as f32;
-        let thickness = 0.022;
+        let thickness = 0.035;
         let shell = (1.0 - ((r - radius) / thickness).abs()).max(0.0);
         let f = 5.0 + 2.0 * i as f32;
         let holes = (f * p.x).sin() * (f * p.y + 1.0).sin() * (f * p.z + 2.0).sin();
