@@ -169,6 +169,20 @@ fn render_is_that_of_the_twin() {
     }
 }
 
+/// 36 MiB of voxels: more than one slab of the upload, the last one not full.
+#[test]
+fn volumes_are_uploaded_to_the_last_slice() {
+    let Some(gpu) = gpu() else { return };
+    let scene = scene(Builtin::Cubus.volume(336), false, None);
+    let mut renderer = GpuRenderer::new(gpu, scene.clone()).unwrap();
+    // Azimuth 0 sees the last slices in front, 180 the first.
+    for azimuth in [0.0, 180.0] {
+        let camera = camera(&scene, azimuth, (48, 48));
+        let found = renderer.render(&camera).unwrap();
+        Difference::of(&found, &march::render(&scene, &camera)).assert_tolerable("several slabs");
+    }
+}
+
 #[test]
 fn the_look_can_change_without_another_upload() {
     let Some(gpu) = gpu() else { return };
