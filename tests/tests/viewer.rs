@@ -160,7 +160,7 @@ impl StillSource {
         };
         let frame: LayeredFrame = generate(&self.scene, header, Layering::VisibilityMerge);
         let times = FrameTimes::default();
-        Arc::new(ReceivedFrame { frame, is_complete: true, connection: 1, times })
+        Arc::new(ReceivedFrame { frame, is_complete: true, times })
     }
 }
 

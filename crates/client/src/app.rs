@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use egui::{Key, Modifiers, Sense};
+use egui::{Key, Modifiers};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
@@ -15,7 +15,7 @@ use crate::meters::RefreshMeter;
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
 use crate::picture::{PicturePaint, PictureStatus};
-use crate::pointer::control_input;
+use crate::pointer::Pointer;
 use crate::viewing::{FrameSize, Refresh, Standing, Viewing};
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
 
@@ -33,6 +33,7 @@ pub(crate) struct ViewerApp<S> {
     shows_overlay: bool,
     shows_help: bool,
     shows_look: bool,
+    pointer: Pointer,
     title: String,
     notice: Option<(String, Duration)>,
     reported_at: Duration,
@@ -61,6 +62,7 @@ impl<S: FrameSource> ViewerApp<S> {
             picture_status,
             shows_help: false,
             shows_look: true,
+            pointer: Pointer::default(),
             title: String::new(),
             notice: None,
             reported_at: Duration::ZERO,
@@ -164,9 +166,11 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         }
 
         let rect = ui.max_rect();
-        let response = ui.allocate_rect(rect, Sense::click_and_drag());
         let picture = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
-        let mut input = control_input(&response, &picture, keys_are_free);
+        let is_free = |at| ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background);
+        let events = ctx.input(|i| i.events.clone());
+        let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), is_free);
+        input.reset = keys_are_free && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::R));
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
             auto_orbit / 180.0 * picture.width.min(picture.height) as f32 * elapsed.as_secs_f32();
@@ -204,7 +208,7 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());
 
-        if auto_orbit != 0.0 || response.dragged() && is_active {
+        if auto_orbit != 0.0 {
             ctx.request_repaint();
         } else if let Some(wait) = self.rest(refresh.as_ref(), &state) {
             ctx.request_repaint_after(wait);

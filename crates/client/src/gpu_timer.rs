@@ -30,10 +30,12 @@ impl GpuTime {
     }
 }
 
-/// The features that timing inside a pass needs; none if the adapter has not all of them.
+/// The features that timing inside a pass needs; none if the adapter has not all of them, or is a program on the CPU:
+/// that one draws when the pass has ended, and its timestamps would flatter.
 pub(crate) fn timer_features(adapter: &wgpu::Adapter) -> wgpu::Features {
     let wanted = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES;
-    if adapter.features().contains(wanted) { wanted } else { wgpu::Features::empty() }
+    let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+    if adapter.features().contains(wanted) && !is_software { wanted } else { wgpu::Features::empty() }
 }
 
 impl GpuTimer {

@@ -23,7 +23,7 @@ pub struct DisplayRecord {
     pub frame: Option<Arc<ReceivedFrame>>,
     /// How the picture stood to the server's.
     pub standing: Standing,
-    /// Time since the camera left the pose that the frame answers.
+    /// Time since the camera was last at the pose that the frame answers.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera.
     pub turned_degrees: Option<f32>,

@@ -15,7 +15,7 @@ pub struct OverlayModel {
     pub standing: Standing,
     /// Round-trip time of the connection.
     pub round_trip: Option<Duration>,
-    /// Time since the viewer set the pose that the frame on screen answers; at rest on that pose it has no meaning.
+    /// Time since the camera was last at the pose that the frame on screen answers.
     pub frame_age: Option<Duration>,
     /// Angle between the pose of the frame on screen and the camera, around the volume's centre.
     pub turned_degrees: Option<f32>,
@@ -49,7 +49,7 @@ impl OverlayModel {
     /// The lines under the badge, in a fixed order, so that a number stays in its place.
     pub fn rows(&self) -> Vec<Row> {
         let duration = |d: Option<Duration>| d.map_or_else(dash, format_duration);
-        let at_rest = matches!(self.standing, Standing::Exact | Standing::Settled);
+        let is_current = self.frame_age == Some(Duration::ZERO);
         let view = match self.view_time {
             ViewTime::Gpu(d) => ("novel view", format_duration(d)),
             ViewTime::FrameInterval(d) => ("frame interval", format_duration(d)),
@@ -58,7 +58,7 @@ impl OverlayModel {
         vec![
             ("link", state_word(&self.state).to_owned()),
             ("round trip", duration(self.round_trip)),
-            ("frame age", if at_rest { "current".to_owned() } else { duration(self.frame_age) }),
+            ("frame age", if is_current { "current".to_owned() } else { duration(self.frame_age) }),
             ("turned by", self.turned_degrees.map_or_else(dash, |d| format!("{d:.1}°"))),
             view,
             ("server frame", duration(self.generate)),
@@ -236,11 +236,9 @@ mod tests {
     }
 
     #[test]
-    fn at_rest_the_frame_is_current_however_old() {
-        for standing in [Standing::Exact, Standing::Settled] {
-            assert_eq!(row(&OverlayModel { standing, ..model() }, "frame age"), "current");
-        }
-        assert_eq!(row(&OverlayModel { standing: Standing::Refining, ..model() }, "frame age"), "268 ms");
+    fn a_frame_of_the_present_pose_is_current() {
+        let m = OverlayModel { frame_age: Some(Duration::ZERO), ..model() };
+        assert_eq!(row(&m, "frame age"), "current");
     }
 
     #[test]

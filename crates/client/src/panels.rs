@@ -28,6 +28,7 @@ pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel) {
                 // A fixed width: changing digits must not make the pane tremble.
                 ui.set_width(OVERLAY_WIDTH);
                 ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
+                ui.spacing_mut().interact_size.y = 0.0;
                 if !title.is_empty() {
                     ui.add(egui::Label::new(RichText::new(title).color(BRIGHT).size(12.0)).truncate());
                 }
@@ -64,24 +65,20 @@ fn row(ui: &mut Ui, name: &str, value: &str) {
     });
 }
 
-/// One line at the top, while something is wrong with the connection.
+/// One line at the bottom, clear of the other panes, while something is wrong with the connection.
 pub(crate) fn banner(ctx: &egui::Context, text: &str) {
-    egui::Area::new(egui::Id::unique("banner"))
-        .anchor(Align2::CENTER_TOP, vec2(0.0, 10.0))
-        .interactable(false)
-        .show(ctx, |ui| {
-            pane().fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
-                // Keeps clear of the panes in the corners.
-                let width = ctx.content_rect().width() - 2.0 * (OVERLAY_WIDTH + 50.0);
-                ui.set_max_width(width.clamp(180.0, 620.0));
-                ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
-            });
+    let area = egui::Area::new(egui::Id::unique("banner")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
+    area.interactable(false).show(ctx, |ui| {
+        pane().fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
+            ui.set_max_width((ctx.content_rect().width() - 60.0).max(200.0));
+            ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
         });
+    });
 }
 
 /// The keys and buttons, in the middle.
 pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
-    egui::Window::new("Keys and mouse")
+    egui::Window::new(RichText::new("Keys and mouse").size(14.0))
         .open(open)
         .anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0))
         .resizable(false)
@@ -110,12 +107,10 @@ pub(crate) struct LookChoice {
 pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSize) -> LookChoice {
     let mut choice = LookChoice::default();
     let mut changed = look.clone();
-    egui::Window::new("Look")
-        .anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0))
-        .frame(pane())
-        .resizable(false)
-        .default_open(false)
-        .show(ctx, |ui| {
+    let area = egui::Area::new(egui::Id::unique("look")).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
+    let in_pane = |ui: &mut Ui| {
+        let title = RichText::new("Look").color(BRIGHT).size(12.0);
+        egui::CollapsingHeader::new(title).show(ui, |ui| {
             egui::Grid::new("look").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
                 ui.label("transfer function");
                 egui::ComboBox::from_id_salt("transfer").selected_text(&look.transfer.name).show_ui(
@@ -156,6 +151,8 @@ pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSiz
                 ui.end_row();
             });
         });
+    };
+    area.show(ctx, |ui| pane().show(ui, in_pane));
     choice.look = (changed != *look).then_some(changed);
     choice
 }

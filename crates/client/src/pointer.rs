@@ -1,51 +1,200 @@
 //! From egui's events to [`ControlInput`].
+//!
+//! The events themselves are read, not egui's summary of a refresh: a drag that begins and ends between two slow
+//! refreshes still counts, and the wheel acts at once instead of being smoothed over several refreshes.
 
-use egui::{Key, MouseWheelUnit, PointerButton, Response};
-use isinglass_core::camera::Intrinsics;
+use egui::{Event, MouseWheelUnit, PointerButton, Pos2, Rect};
 
 use crate::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
 
-/// What the pointer did over the picture since the last refresh.
-pub(crate) fn control_input(response: &Response, picture: &Intrinsics, keys_are_free: bool) -> ControlInput {
-    let ctx = &response.ctx;
-    let mut input = ControlInput::default();
-    let pixels_per_point = ctx.pixels_per_point();
-    let moved = response.drag_delta() * pixels_per_point;
-    let shift = ctx.input(|i| i.modifiers.shift);
-    if response.dragged_by(PointerButton::Middle) || response.dragged_by(PointerButton::Primary) && shift {
-        input.pan = moved.into();
-    } else if response.dragged_by(PointerButton::Primary) {
-        input.orbit = moved.into();
-    } else if response.dragged_by(PointerButton::Secondary) {
-        input.zoom -= moved.y / picture.height.max(1) as f32 * ZOOM_PER_HEIGHT;
-    }
-    // The wheel's own events, not egui's smoothed scrolling: that would answer several refreshes late.
-    if let Some(position) = response.hover_pos().filter(|_| response.contains_pointer()) {
-        let zoom: f32 = ctx.input(|i| {
-            let one = |event: &egui::Event| match event {
-                egui::Event::MouseWheel { unit, delta, .. } => {
-                    let notches = match unit {
-                        MouseWheelUnit::Line => delta.y,
-                        MouseWheelUnit::Point => delta.y / POINTS_PER_NOTCH,
-                        MouseWheelUnit::Page => delta.y * NOTCHES_PER_PAGE,
-                    };
-                    notches * ZOOM_PER_NOTCH
+/// The pointer from refresh to refresh.
+#[derive(Debug, Default)]
+pub(crate) struct Pointer {
+    position: Option<Pos2>,
+    drag: Option<Drag>,
+}
+
+/// A button held down that was pressed over the picture.
+#[derive(Debug)]
+struct Drag {
+    button: PointerButton,
+    action: Action,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Action {
+    Orbit,
+    Pan,
+    Zoom,
+}
+
+impl Pointer {
+    /// What the events of a refresh mean for a picture in `rect`. `is_free`: no panel lies at a point.
+    pub(crate) fn control_input(
+        &mut self,
+        events: &[Event],
+        rect: Rect,
+        pixels_per_point: f32,
+        is_free: impl Fn(Pos2) -> bool,
+    ) -> ControlInput {
+        let mut input = ControlInput::default();
+        for event in events {
+            match event {
+                Event::PointerMoved(to) => self.move_to(*to, rect, pixels_per_point, &mut input),
+                Event::PointerButton { pos, button, pressed, modifiers } => {
+                    self.move_to(*pos, rect, pixels_per_point, &mut input);
+                    if !pressed && self.drag.as_ref().is_some_and(|d| d.button == *button) {
+                        self.drag = None;
+                    } else if *pressed && self.drag.is_none() && rect.contains(*pos) && is_free(*pos) {
+                        let action = match button {
+                            PointerButton::Primary if modifiers.shift => Action::Pan,
+                            PointerButton::Primary => Action::Orbit,
+                            PointerButton::Middle => Action::Pan,
+                            PointerButton::Secondary => Action::Zoom,
+                            PointerButton::Extra1 | PointerButton::Extra2 => continue,
+                        };
+                        self.drag = Some(Drag { button: *button, action });
+                    }
                 }
-                egui::Event::Zoom(factor) if *factor > 0.0 => factor.ln(),
-                _ => 0.0,
-            };
-            i.events.iter().map(one).sum()
-        });
-        if zoom != 0.0 {
-            input.zoom += zoom;
-            input.zoom_at = ((position - response.rect.center()) * pixels_per_point).into();
+                // The release of the button may never be told.
+                Event::WindowFocused(false) => self.drag = None,
+                Event::MouseWheel { .. } | Event::Zoom(_) => {
+                    let Some(at) = self.position.filter(|p| rect.contains(*p) && is_free(*p)) else {
+                        continue;
+                    };
+                    input.zoom += zoom_of(event);
+                    input.zoom_at = ((at - rect.center()) * pixels_per_point).into();
+                }
+                _ => {}
+            }
+        }
+        input
+    }
+
+    fn move_to(&mut self, to: Pos2, rect: Rect, pixels_per_point: f32, input: &mut ControlInput) {
+        let moved = (to - self.position.unwrap_or(to)) * pixels_per_point;
+        self.position = Some(to);
+        match self.drag.as_ref().map(|d| d.action) {
+            Some(Action::Orbit) => input.orbit = [input.orbit[0] + moved.x, input.orbit[1] + moved.y],
+            Some(Action::Pan) => input.pan = [input.pan[0] + moved.x, input.pan[1] + moved.y],
+            Some(Action::Zoom) => {
+                input.zoom -= moved.y / (rect.height() * pixels_per_point).max(1.0) * ZOOM_PER_HEIGHT;
+            }
+            None => {}
         }
     }
-    input.reset = keys_are_free && ctx.input(|i| i.modifiers.is_none() && i.key_pressed(Key::R));
-    input
+}
+
+/// Magnification, natural logarithm.
+fn zoom_of(event: &Event) -> f32 {
+    match event {
+        Event::MouseWheel { unit, delta, .. } => {
+            let notches = match unit {
+                MouseWheelUnit::Line => delta.y,
+                MouseWheelUnit::Point => delta.y / POINTS_PER_NOTCH,
+                MouseWheelUnit::Page => delta.y * NOTCHES_PER_PAGE,
+            };
+            notches * ZOOM_PER_NOTCH
+        }
+        Event::Zoom(factor) if *factor > 0.0 => factor.ln(),
+        _ => 0.0,
+    }
 }
 
 /// Touch pads scroll in points; about so many feel like a notch of a wheel (egui's own line height for scrolling).
 const POINTS_PER_NOTCH: f32 = 40.0;
 /// A page is a bold step: twice the size.
 const NOTCHES_PER_PAGE: f32 = 5.0;
+
+#[cfg(test)]
+mod tests {
+    use egui::{Modifiers, MouseWheelSource, TouchPhase, pos2, vec2};
+
+    use super::*;
+
+    fn button(x: f32, y: f32, button: PointerButton, pressed: bool, modifiers: Modifiers) -> Event {
+        Event::PointerButton { pos: pos2(x, y), button, pressed, modifiers }
+    }
+
+    fn wheel(lines: f32) -> Event {
+        Event::MouseWheel {
+            unit: MouseWheelUnit::Line,
+            delta: vec2(0.0, lines),
+            phase: TouchPhase::Move,
+            source: MouseWheelSource::Unknown,
+            modifiers: Modifiers::NONE,
+        }
+    }
+
+    fn rect() -> Rect {
+        Rect::from_min_size(pos2(0.0, 0.0), vec2(200.0, 100.0))
+    }
+
+    /// Everything but a panel of 50×50 at the top left.
+    fn is_free(p: Pos2) -> bool {
+        p.x > 50.0 || p.y > 50.0
+    }
+
+    /// The drag 10 right, 20 down with a button, all in one refresh at two pixels a point.
+    fn drag(with: PointerButton, modifiers: Modifiers) -> ControlInput {
+        let events = [
+            button(100.0, 50.0, with, true, modifiers),
+            Event::PointerMoved(pos2(104.0, 60.0)),
+            Event::PointerMoved(pos2(110.0, 70.0)),
+            button(110.0, 70.0, with, false, modifiers),
+            Event::PointerMoved(pos2(190.0, 90.0)),
+        ];
+        Pointer::default().control_input(&events, rect(), 2.0, is_free)
+    }
+
+    #[test]
+    fn each_button_has_its_action_in_pixels() {
+        let none = ControlInput::default();
+        let left = drag(PointerButton::Primary, Modifiers::NONE);
+        assert_eq!(left, ControlInput { orbit: [20.0, 40.0], ..none });
+        for pan in
+            [drag(PointerButton::Middle, Modifiers::NONE), drag(PointerButton::Primary, Modifiers::SHIFT)]
+        {
+            assert_eq!(pan, ControlInput { pan: [20.0, 40.0], ..none });
+        }
+        let right = drag(PointerButton::Secondary, Modifiers::NONE);
+        assert!((right.zoom + 0.2 * ZOOM_PER_HEIGHT).abs() < 1e-6, "down moves away: {right:?}");
+        assert!(drag(PointerButton::Extra1, Modifiers::NONE).is_idle());
+    }
+
+    #[test]
+    fn a_drag_goes_on_over_refreshes_and_beyond_the_picture_until_its_own_release() {
+        let mut pointer = Pointer::default();
+        let mut step = |events: &[Event]| pointer.control_input(events, rect(), 1.0, is_free);
+        let none = Modifiers::NONE;
+        assert!(step(&[button(100.0, 50.0, PointerButton::Primary, true, none)]).is_idle());
+        assert_eq!(step(&[Event::PointerMoved(pos2(10.0, 10.0))]).orbit, [-90.0, -40.0]);
+        assert_eq!(step(&[Event::PointerMoved(pos2(-30.0, 10.0))]).orbit, [-40.0, 0.0]);
+        assert!(step(&[button(-30.0, 10.0, PointerButton::Secondary, true, none)]).is_idle());
+        assert!(step(&[button(-30.0, 10.0, PointerButton::Secondary, false, none)]).is_idle());
+        assert_eq!(step(&[Event::PointerMoved(pos2(-30.0, 11.0))]).orbit, [0.0, 1.0]);
+        assert!(step(&[button(-30.0, 11.0, PointerButton::Primary, false, none)]).is_idle());
+        assert!(step(&[Event::PointerMoved(pos2(100.0, 50.0))]).is_idle());
+    }
+
+    #[test]
+    fn panels_keep_their_presses_and_their_wheel() {
+        let mut pointer = Pointer::default();
+        let events = [
+            button(10.0, 10.0, PointerButton::Primary, true, Modifiers::NONE),
+            wheel(1.0),
+            Event::PointerMoved(pos2(100.0, 80.0)),
+        ];
+        assert!(pointer.control_input(&events, rect(), 1.0, is_free).is_idle());
+    }
+
+    #[test]
+    fn the_wheel_zooms_at_the_pointer() {
+        let events = [Event::PointerMoved(pos2(150.0, 30.0)), wheel(2.0), Event::Zoom(2.0)];
+        let input = Pointer::default().control_input(&events, rect(), 2.0, is_free);
+        assert!((input.zoom - 2.0 * ZOOM_PER_NOTCH - 2f32.ln()).abs() < 1e-6);
+        assert_eq!(input.zoom_at, [100.0, -40.0]);
+        let mut never_seen = Pointer::default();
+        assert!(never_seen.control_input(&[wheel(1.0)], rect(), 1.0, is_free).is_idle());
+    }
+}

@@ -1,6 +1,7 @@
 //! What a viewer does at every refresh, with or without a window: ask for the camera's frame, take the newest one
 //! there is, and know how the two stand to each other. Nothing here waits, draws or reads a clock.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -67,7 +68,7 @@ pub struct Refresh {
     pub frame: Option<Arc<ReceivedFrame>>,
     /// How picture and server stand.
     pub standing: Standing,
-    /// Time since the pose that the frame answers was set.
+    /// Time since the camera was last at the pose that the frame answers: zero as long as it rests there.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera's.
     pub turned_degrees: Option<f32>,
@@ -81,15 +82,27 @@ pub struct Viewing<S> {
     /// How large the frames are.
     pub frame_size: FrameSize,
     asked: Option<(Pose, Intrinsics)>,
+    /// Poses the camera has left, and when it was last there.
+    left: VecDeque<(Pose, Duration)>,
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
     moved_at: Duration,
+    refreshed_at: Duration,
     wanted_look: Option<(Arc<Look>, Duration)>,
 }
 
 impl<S: FrameSource> Viewing<S> {
     /// Shows what `source` brings.
     pub fn new(source: S, frame_size: FrameSize) -> Self {
-        Self { source, frame_size, asked: None, last: None, moved_at: Duration::ZERO, wanted_look: None }
+        Self {
+            source,
+            frame_size,
+            asked: None,
+            left: VecDeque::new(),
+            last: None,
+            moved_at: Duration::ZERO,
+            refreshed_at: Duration::ZERO,
+            wanted_look: None,
+        }
     }
 
     /// Whoever brings the frames.
@@ -108,12 +121,16 @@ impl<S: FrameSource> Viewing<S> {
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
         let wish = (pose, self.frame_size.frame_for(picture, max_side));
         if self.asked != Some(wish) {
-            if self.asked.is_some() {
+            if let Some((left, _)) = self.asked.replace(wish) {
                 self.moved_at = now;
+                if self.left.len() == MAX_LEFT {
+                    self.left.pop_front();
+                }
+                self.left.push_back((left, self.refreshed_at));
             }
-            self.asked = Some(wish);
             self.source.set_pose(wish.0, wish.1);
         }
+        self.refreshed_at = now;
         let frame = self.source.latest_frame();
         let is_same = |(last_camera, last_frame): &(Camera, Option<Arc<ReceivedFrame>>)| {
             *last_camera == camera
@@ -130,7 +147,7 @@ impl<S: FrameSource> Viewing<S> {
         let header = frame.as_ref().map(|f| f.frame.header);
         Refresh {
             standing: self.standing(now, frame.as_deref(), wish, picture),
-            frame_age: frame.as_ref().and_then(|f| now.checked_sub(Duration::from_micros(f.times.pose_set?))),
+            frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
             turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
             camera,
             bounds: *bounds,
@@ -175,12 +192,25 @@ impl<S: FrameSource> Viewing<S> {
             Standing::Refining
         }
     }
+
+    fn age(&self, now: Duration, frame: &ReceivedFrame, pose: &Pose) -> Option<Duration> {
+        let of_frame = &frame.frame.header.camera.pose;
+        if of_frame == pose {
+            return Some(Duration::ZERO);
+        }
+        let left = self.left.iter().rev().find(|(p, _)| p == of_frame).map(|(_, at)| *at);
+        // A pose that is forgotten is older than all that are not.
+        let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
+        now.checked_sub(since)
+    }
 }
 
 /// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
 const REST: Duration = Duration::from_millis(150);
 /// How long a wish for a look is shown as if granted.
 const LOOK_PATIENCE: Duration = Duration::from_secs(3);
+/// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
+const MAX_LEFT: usize = 256;
 
 #[cfg(test)]
 pub(crate) mod tests {
@@ -275,7 +305,7 @@ pub(crate) mod tests {
             };
             let times = FrameTimes { pose_set: Some(pose_set.as_micros() as u64), ..Default::default() };
             let frame = LayeredFrame::empty(header);
-            self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, connection: 1, times }));
+            self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, times }));
         }
     }
 
@@ -337,6 +367,7 @@ pub(crate) mod tests {
         v.source.answer(2, ms(0), true);
         let r = v.refresh(ms(190), at(5.0), PICTURE, &BOUNDS);
         assert_eq!(r.standing, Standing::Exact);
+        assert_eq!(r.frame_age, Some(Duration::ZERO));
         // What "exact" promises: the frame's camera is the picture's.
         assert_eq!(r.frame.unwrap().frame.header.camera, r.camera);
         assert_eq!(v.source.asked.len(), 2, "a resting camera asks for nothing");

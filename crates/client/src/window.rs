@@ -146,7 +146,12 @@ fn viewer_error(error: eframe::Error) -> ViewerError {
             Err(e) => ViewerError::Device(one_line(&e)),
         },
         eframe::Error::Wgpu(e) => ViewerError::Adapter(one_line(&e)),
-        other => ViewerError::Window(one_line(&other)),
+        other => {
+            // winit puts the place in its own source in front of the cause.
+            let text = one_line(&other);
+            let cause = text.rsplit(": ").next().unwrap_or(&text).trim_end_matches('.');
+            ViewerError::Window(cause.to_owned())
+        }
     }
 }
 
