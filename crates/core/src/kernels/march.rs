@@ -227,8 +227,10 @@ impl<'a, T: Texels> Marcher<'a, T> {
         while i < n {
             let s_front = s0 + i as f32 * h;
             let p_front = origin + dir * s_front;
-            let brick = (p_front * (1.0 / BRICK as f32)).floor().clamp(Vec3::ZERO, self.max_brick);
-            if !self.scene.occupancy.get(brick.x as u32, brick.y as u32, brick.z as u32) {
+            let brick = (p_front * (1.0 / BRICK as f32)).clamp(Vec3::ZERO, self.max_brick);
+            let [x, y, z] = [brick.x as u32, brick.y as u32, brick.z as u32];
+            if !self.scene.occupancy.get(x, y, z) {
+                let brick = Vec3::new(x as f32, y as f32, z as f32);
                 let exit = ((brick * BRICK as f32 + leaves_high - origin) * inv_dir).min_element();
                 // The last lattice point inside the brick.
                 let j = ((exit - s0) / h).floor().clamp(0.0, n as f32) as u32;
@@ -364,9 +366,11 @@ fn render_with<T: Texels>(marcher: &Marcher<'_, T>, camera: &Camera) -> Picture 
 
 /// Cell and position inside of it of a point of voxel space; the corners of the cell are voxel centres.
 fn cell(p: Vec3) -> ([i32; 3], Vec3) {
-    let u = p - 0.5;
-    let f = u.floor();
-    ([f.x as i32, f.y as i32, f.z as i32], u - f)
+    // Truncation is the floor above zero, and cheaper where the processor has no instruction for the floor; the march
+    // stays within half a voxel of the box.
+    let up = p + 0.5;
+    let i = [up.x as i32, up.y as i32, up.z as i32];
+    (i.map(|i| i - 1), up - Vec3::new(i[0] as f32, i[1] as f32, i[2] as f32))
 }
 
 /// Linear interpolation in a table over [0, 1].
