@@ -9,7 +9,7 @@ use common::*;
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::wire::Refusal;
-use isinglass_net::{Client, ClientOptions, ConnectError, LinkModel, ServerOptions, State};
+use isinglass_net::{Client, ClientOptions, ConnectError, Identity, LinkModel, Server, ServerOptions, State};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_viewer_gets_the_exact_frame_for_its_pose() {
@@ -138,7 +138,22 @@ async fn superseded_refinements_are_given_up_and_bases_are_not() {
     }
     assert!(bases >= 6, "{bases} of 12 bases: newer frames have starved the older");
     assert!(wholes < bases, "{wholes} of {bases} frames are whole: nothing was given up");
-    assert_eq!(session.frames.newest_complete(), FrameId(12));
+    let known = || (session.frames.newest_complete() == FrameId(12)).then_some(());
+    until("the acknowledgement of the last frame", known).await;
+    // The control: when each frame may finish before the next, all are whole, so it was the newer ones that ended the
+    // others.
+    for n in 13..=16 {
+        session
+            .frames
+            .send(FrameId(n), PoseId(n), encoded(FrameId(n), PoseId(n), pose(n), size).chunks)
+            .await
+            .unwrap();
+        until("each frame", || {
+            client.latest_frame().filter(|f| f.is_complete && f.frame.header.frame == FrameId(n))
+        })
+        .await;
+    }
+    assert_eq!(client.ledger().iter().filter(|t| t.frame > FrameId(12) && t.complete.is_some()).count(), 4);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -167,6 +182,27 @@ async fn a_dropped_connection_keeps_the_picture_and_comes_back() {
     let id = client.set_pose(pose(2), INTRINSICS);
     until_answered(&client, id).await;
     assert_eq!(client.state(), State::Connected);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_was_started_again_is_another_server() {
+    let first = server();
+    let address = first.local_addr().unwrap();
+    let client = connect(&first.mint_link("127.0.0.1").unwrap());
+    client.wait_connected(Duration::from_secs(20)).unwrap();
+    first.close().await;
+    drop(first);
+    let identity = Identity::generate().unwrap();
+    let again =
+        until("the port", || Server::bind(address, &identity, ServerOptions::default(), greeting()).ok());
+    let _again = again.await;
+    let refused = until("the verdict", || match client.state() {
+        State::Refused(problem) => Some(problem),
+        _ => None,
+    });
+    assert!(
+        matches!(refused.await, ConnectError::Certificate { found, .. } if found == identity.fingerprint())
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
