@@ -27,7 +27,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(e) => return report::usage(&e),
     };
-    report::start_log();
+    report::start_log(cli.command.log_level());
     match cli.command.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => report::failure(&e),

@@ -57,9 +57,9 @@ pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Sends the log to standard error: warnings, or what `RUST_LOG` names.
-pub(crate) fn start_log() {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+/// Sends the log to standard error: what is at least at `level`, or what `RUST_LOG` names.
+pub(crate) fn start_log(level: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     // A second subscriber cannot be installed, and there is none before this one.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -10,7 +10,7 @@ mod plot;
 mod report;
 mod script;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
@@ -23,11 +23,10 @@ use isinglass_server::{ServeOptions, start};
 
 use crate::error::BenchError;
 use crate::quality::march_settings;
-use crate::scenes::open_scene;
+use crate::scenes::{OpenedScene, open_scene};
 use crate::view::Orbit;
 
 pub use report::Report;
-pub use script::Script;
 
 /// What to play.
 #[derive(Clone, Debug)]
@@ -75,7 +74,7 @@ impl Default for DemoOptions {
             link: LinkModel::default(),
             degrees_per_second: 30.0,
             refresh_hz: 30.0,
-            max_evaluated: 90,
+            max_evaluated: 64,
         }
     }
 }
@@ -92,22 +91,55 @@ pub struct Outcome {
 /// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
 /// which is made if it is not there; without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
-    if let Some(out) = out {
-        std::fs::create_dir_all(out).map_err(BenchError::io(out))?;
-    }
     let open = OpenOptions { raw: options.raw, ..OpenOptions::default() };
     let opened =
         open_scene(&options.source, options.transfer.as_deref(), march_settings(options.shaded), &open)?;
     let backend = Backend::open(options.backend)?;
-    let look =
-        Look { transfer: opened.transfer, shaded: options.shaded, layering: options.layering, k: options.k };
-    let script = Script::new(options.orbit, options.degrees_per_second, options.link.rtt);
-    let failed = |what: &str, e: &dyn std::fmt::Display| BenchError::Demo(format!("{what}: {e}"));
+    let Some(out) = out else { return run_opened(options, opened, &backend, None) };
+    // Before playing: nobody wants to wait for a report that cannot be written.
+    let is_new = !out.exists();
+    std::fs::create_dir_all(out).map_err(BenchError::io(out))?;
+    run_opened(options, opened, &backend, Some(out)).inspect_err(|_| {
+        if is_new {
+            // Goes only if it is empty; the first error is the one to tell.
+            let _ = std::fs::remove_dir(out);
+        }
+    })
+}
 
+fn run_opened(
+    options: &DemoOptions,
+    opened: OpenedScene,
+    backend: &Backend,
+    out: Option<&Path>,
+) -> Result<Outcome, BenchError> {
+    let played = serve_and_play(options, &opened, backend)?;
+    let evaluation = evaluate::evaluate(backend, opened.scene, options, &played)?;
+    let report = Report::of(options, backend, &played, &evaluation);
+    let files = match out {
+        Some(out) => report::write(out, &report, &played.script, &evaluation)?,
+        None => Vec::new(),
+    };
+    let text = report::text(options, &report, &played, &evaluation, &files);
+    Ok(Outcome { report, text })
+}
+
+fn serve_and_play(
+    options: &DemoOptions,
+    opened: &OpenedScene,
+    backend: &Backend,
+) -> Result<play::Played, BenchError> {
+    let failed = |what: &str, e: &dyn std::fmt::Display| BenchError::Demo(format!("{what}: {e}"));
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
         .map_err(|e| failed("no threads for the server", &e))?;
+    let look = Look {
+        transfer: opened.transfer.clone(),
+        shaded: options.shaded,
+        layering: options.layering,
+        k: options.k,
+    };
     let serve = ServeOptions {
         volume: opened.scene.volume.clone(),
         look,
@@ -121,19 +153,9 @@ pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome
         let link = server.mint_link(None).await.map_err(|e| failed("server", &e))?;
         Ok::<_, BenchError>((server, link))
     })?;
-    let played = play::play(&link, options, &script);
+    let played = play::play(&link, options);
     runtime.block_on(server.close());
-    drop(runtime);
-    let played = played?;
-
-    let evaluation = evaluate::evaluate(&backend, opened.scene, options, &played)?;
-    let report = Report::of(options, &script, &backend, &played, &evaluation);
-    let mut files: Vec<PathBuf> = Vec::new();
-    if let Some(out) = out {
-        files = report::write(out, &report, &script, &evaluation)?;
-    }
-    let text = report::text(options, &script, &report, &played, &evaluation, &files);
-    Ok(Outcome { report, text })
+    played
 }
 
 /// The volume if none is named: translucent and detailed, small enough for the CPU.

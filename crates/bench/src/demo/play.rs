@@ -40,12 +40,14 @@ pub(crate) struct Tick {
 #[derive(Clone, Debug)]
 pub(crate) struct Played {
     pub(crate) ticks: Vec<Tick>,
+    /// The camera path.
+    pub(crate) script: Script,
     /// Measured by the transport at the end.
     pub(crate) round_trip: Duration,
 }
 
 /// Connects, waits for the first settled picture, and plays.
-pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Result<Played, BenchError> {
+pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchError> {
     let failed = |what: String| BenchError::Demo(what);
     let client = ClientOptions { conditioner: Some(options.link.clone()), ..ClientOptions::default() };
     let client = Client::connect(link, client).map_err(|e| failed(format!("viewer: {e}")))?;
@@ -58,7 +60,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Resul
     let patience = FIRST_FRAME_TIMEOUT + options.link.rtt * 10;
     loop {
         let settled = viewer.bounds().is_some_and(|bounds| {
-            let pose = script.orbit_at(Duration::ZERO).pose(&options.intrinsics, &bounds);
+            let pose = options.orbit.pose(&options.intrinsics, &bounds);
             let record = viewer.tick(now(), pose);
             record.is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled))
         });
@@ -77,6 +79,9 @@ pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Resul
         std::thread::sleep(interval);
     }
     viewer.take_records();
+    // At a stop a frame for an older pose may be in the making; the rest's own comes after it.
+    let settle = asked.elapsed().min(MAX_SETTLE) * 2;
+    let script = Script::new(options.orbit, options.degrees_per_second, settle);
 
     let num_ticks = (script.duration().as_secs_f32() * options.refresh_hz).ceil() as usize;
     let stride = num_ticks.div_ceil(options.max_evaluated.max(1)).max(1);
@@ -93,7 +98,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Resul
         viewer.tick(now(), input);
         // Frames are kept for the refreshes that are compared only: a long path at a large size would not fit.
         for record in viewer.take_records() {
-            let kept = number % stride == 0 || ends_rest(script, at, interval);
+            let kept = number % stride == 0 || ends_rest(&script, at, interval);
             ticks.extend(tick(record, at, orbit.azimuth_degrees, input, kept));
         }
         progress.advance(1, "");
@@ -103,7 +108,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions, script: &Script) -> Resul
     if ticks.is_empty() {
         return Err(failed("nothing was shown".into()));
     }
-    Ok(Played { ticks, round_trip })
+    Ok(Played { ticks, script, round_trip })
 }
 
 /// Whether this is the last refresh, or the one before, of a rest.
@@ -128,3 +133,5 @@ fn tick(record: DisplayRecord, at: Duration, azimuth_degrees: f32, input: Pose, 
 
 /// A first frame of a large volume on a slow machine, shader compilation included.
 const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(60);
+/// Nobody waits longer for a picture to settle.
+const MAX_SETTLE: Duration = Duration::from_secs(5);

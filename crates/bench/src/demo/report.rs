@@ -14,8 +14,8 @@ use super::{DemoOptions, plot};
 use crate::error::BenchError;
 use crate::output::{Rgb8, write_whole};
 
-/// The figures: the object in `report.json`. Means are over the pictures compared, from the moment the camera began to
-/// move; the first frame was on the screen by then.
+/// The figures: the object in `report.json`. Means of DSSIM are over the pictures compared while the camera moved and
+/// for 1.5 s after each stop; the first frame was on the screen before it began to move.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Delay of the link, there and back.
@@ -52,14 +52,15 @@ pub struct Report {
 impl Report {
     pub(super) fn of(
         options: &DemoOptions,
-        script: &Script,
         backend: &Backend,
         played: &Played,
         evaluation: &Evaluation,
     ) -> Self {
-        let pictures = &evaluation.pictures;
+        let script = &played.script;
+        let counted: Vec<&Evaluated> =
+            evaluation.pictures.iter().filter(|p| script.is_counted(p.at)).collect();
         let mean = |of: &dyn Fn(&Evaluated) -> f64| {
-            pictures.iter().map(of).sum::<f64>() / pictures.len().max(1) as f64
+            counted.iter().map(|p| of(p)).sum::<f64>() / counted.len().max(1) as f64
         };
         let moving = played.ticks.iter().filter(|t| script.is_moving(t.at));
         let ages: Vec<f64> = moving.filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
@@ -72,13 +73,13 @@ impl Report {
             backend: backend.description(),
             frames_shown: played.ticks.len(),
             dssim_shown_mean: mean(&|p| p.shown.dssim),
-            dssim_shown_p95: percentile(pictures.iter().map(|p| p.shown.dssim).collect(), 0.95),
+            dssim_shown_p95: percentile(counted.iter().map(|p| p.shown.dssim).collect(), 0.95),
             dssim_last_image_mean: mean(&|p| p.last_image.dssim),
             pose_lag_frames_max: pose_lag(&played.ticks),
             frame_age_ms_mean: ages.iter().sum::<f64>() / ages.len().max(1) as f64,
             bytes_per_frame_mean: bytes_per_frame(&played.ticks),
             freezes: freezes(script, &played.ticks),
-            rest_max_abs_255: rest_pictures(script, pictures)
+            rest_max_abs_255: rest_pictures(script, &evaluation.pictures)
                 .map(|p| p.frame_max_abs_255)
                 .max()
                 .unwrap_or(u8::MAX),
@@ -115,7 +116,6 @@ pub(super) fn write(
 /// A few lines for people.
 pub(super) fn text(
     options: &DemoOptions,
-    script: &Script,
     report: &Report,
     played: &Played,
     evaluation: &Evaluation,
@@ -123,7 +123,7 @@ pub(super) fn text(
 ) -> String {
     let ratio = report.dssim_last_image_mean / report.dssim_shown_mean.max(1e-9);
     let measured = played.round_trip.as_secs_f64() * 1e3;
-    let settled = settle_times(script, &played.ticks)
+    let settled = settle_times(&played.script, &played.ticks)
         .map(|t| t.map_or("never".to_owned(), |t| format!("{:.0} ms", t.as_secs_f64() * 1e3)))
         .collect::<Vec<_>>()
         .join(" and ");
@@ -260,4 +260,68 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let at = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len().max(1)) - 1;
     values.get(at).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use isinglass_core::camera::{Camera, Intrinsics};
+    use isinglass_core::ids::FrameId;
+    use isinglass_core::space::Aabb;
+
+    use super::*;
+    use crate::view::Orbit;
+
+    /// A refresh every 0.1 s; each shows `frame` and is off the input by `late` refreshes.
+    fn ticks(frames: &[u32], late: usize) -> Vec<Tick> {
+        let bounds = Aabb { min: -Vec3::ONE, max: Vec3::ONE };
+        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let camera = |i: usize| -> Camera { Orbit::default().turned(i as f32).camera(intrinsics, &bounds) };
+        let tick = |(i, &frame): (usize, &u32)| Tick {
+            at: Duration::from_millis(100 * i as u64),
+            azimuth_degrees: i as f32,
+            input: camera(i).pose,
+            camera: camera(i.saturating_sub(late)),
+            frame: FrameId(frame),
+            frame_bytes: u64::from(frame) * 100,
+            kept: None,
+            standing: Standing::Moving,
+            frame_age: None,
+        };
+        frames.iter().enumerate().map(tick).collect()
+    }
+
+    #[test]
+    fn lag_is_measured_and_not_assumed() {
+        assert_eq!(pose_lag(&ticks(&[1, 2, 3, 4], 0)), 0);
+        assert_eq!(pose_lag(&ticks(&[1, 2, 3, 4], 2)), 2);
+    }
+
+    #[test]
+    fn a_gap_among_steady_frames_is_a_freeze() {
+        let script = Script::new(Orbit::default(), 30.0, Duration::ZERO);
+        let steady: Vec<u32> = (1..20).collect();
+        assert_eq!(freezes(&script, &ticks(&steady, 0)), 0);
+        let mut stuck = steady.clone();
+        stuck[8..13].fill(8);
+        assert_eq!(freezes(&script, &ticks(&stuck, 0)), 1);
+        // A server that is slow all the time does not freeze.
+        let slow: Vec<u32> = (1..20).map(|i| i / 4).collect();
+        assert_eq!(freezes(&script, &ticks(&slow, 0)), 0);
+    }
+
+    #[test]
+    fn each_frame_counts_once() {
+        // Frames of 100, 200 and 400 bytes.
+        assert!((bytes_per_frame(&ticks(&[1, 1, 1, 2, 4, 4], 0)) - 700.0 / 3.0).abs() < 1e-9);
+        assert_eq!(bytes_per_frame(&[]), 0.0);
+    }
+
+    #[test]
+    fn percentiles_are_values_that_occur() {
+        let values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(percentile(values.clone(), 0.95), 95.0);
+        assert_eq!(percentile(values, 1.0), 100.0);
+        assert_eq!(percentile(vec![], 0.95), 0.0);
+    }
 }

@@ -40,6 +40,11 @@ pub(crate) enum Command {
 }
 
 impl Command {
+    /// What the log tells if nothing else is asked for. Only a server has trouble that is told nowhere else.
+    pub(crate) fn log_level(&self) -> &'static str {
+        if matches!(self, Self::Serve(_)) { "warn" } else { "error" }
+    }
+
     /// Does it.
     pub(crate) fn run(self) -> Result<()> {
         match self {

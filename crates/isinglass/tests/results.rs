@@ -1,0 +1,174 @@
+//! Does each command do what it says, and do its JSON objects have the fields that other programs read?
+
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+mod common;
+
+use common::{Bench, assert_has, files_in, keys};
+
+const RENDER: &str = "--backend cpu --size 64x64";
+
+#[test]
+fn a_picture_equals_itself_and_no_other() {
+    let bench = Bench::new();
+    bench.ok(&format!("render builtin:shells@32 --orbit -30,20 -o a.png {RENDER}"));
+    bench.ok(&format!("render builtin:shells@32 --orbit -30,20 -o again.png {RENDER}"));
+    bench.ok(&format!("render builtin:shells@32 --orbit 30,20,3 -o other.png {RENDER}"));
+    let same = bench.json("compare a.png again.png --json");
+    assert_eq!(keys(&same), ["dssim", "dssim_object", "max_abs_255", "psnr_db", "ssim"]);
+    assert_eq!((same["dssim"].as_f64(), same["max_abs_255"].as_u64()), (Some(0.0), Some(0)));
+    let other = bench.json("compare a.png other.png --json");
+    assert!(other["dssim"].as_f64() > Some(0.01) && other["max_abs_255"].as_u64() > Some(20), "{other}");
+    assert!(bench.ok("compare a.png other.png").contains("PSNR"));
+    assert_eq!(bench.files(), ["a.png", "again.png", "other.png"]);
+}
+
+/// Through the file, hence through the wire payload. The bound is the one that the work is for; a frame seen from
+/// another side does not pass for the same.
+#[test]
+fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
+    let bench = Bench::new();
+    for volume in ["cloud", "cubus", "shells"] {
+        for layering in ["visibility-merge", "equal-transmittance"] {
+            let from = "--orbit 25,-15";
+            bench.ok(&format!("render builtin:{volume}@48 {from} -o a.png {RENDER}"));
+            let facts = bench.json(&format!(
+                "layers builtin:{volume}@48 {from} -o a.iglf --layering {layering} --k 6 --json {RENDER}"
+            ));
+            assert_has(&facts, "output size backend tf layering k segments bytes generate_ms");
+            for view in ["", from] {
+                bench.ok(&format!("reproject a.iglf {view} -o b.png --backend cpu"));
+                let error = bench.json("compare a.png b.png --json");
+                assert!(error["dssim"].as_f64() <= Some(0.001), "{volume} {layering}: {error}");
+            }
+            bench.ok("reproject a.iglf --orbit 55,-15 -o b.png --backend cpu");
+            let error = bench.json("compare a.png b.png --json");
+            assert!(error["dssim"].as_f64() > Some(0.001), "{volume} {layering}: {error}");
+        }
+    }
+    let facts = bench.json("info a.iglf --json");
+    assert_has(&facts, "size fov_deg eye near far k lists segments segments_mean");
+    assert_eq!(facts["size"], serde_json::json!([64, 64]));
+}
+
+/// A frame seen from 90 and 180 degrees aside, from within the volume and in another size is a picture too.
+#[test]
+fn a_stored_frame_can_be_seen_from_anywhere() {
+    let bench = Bench::new();
+    bench.ok(&format!("layers builtin:cloud@32 --orbit 0,0 -o a.iglf {RENDER}"));
+    for view in ["90,0", "180,0", "0,90", "10,10,0.2", "0,0,0", "-5,0,9"] {
+        bench.ok(&format!("reproject a.iglf --orbit {view} -o b.png --size 40x30 --fov 70 --backend cpu"));
+        assert!(bench.path("b.png").metadata().unwrap().len() > 0);
+    }
+}
+
+#[test]
+fn info_has_the_promised_fields() {
+    let bench = Bench::new();
+    let facts = bench.json("info builtin:shells@16 --json");
+    let promised =
+        ["bytes_in_memory", "dims", "dtype", "orientation", "percentiles", "range", "spacing", "warnings"];
+    assert_eq!(keys(&facts), promised);
+    bench.write("a.raw", [0u8; 10 + 2 * 24]);
+    let raw = "a.raw --dims 2,3,4 --dtype uint16 --endian big --offset 10 --spacing 1,1,2.5";
+    let facts = bench.json(&format!("info {raw} --json"));
+    assert_eq!(facts["dims"], serde_json::json!([2, 3, 4]));
+    assert_eq!(facts["spacing"], serde_json::json!([1.0, 1.0, 2.5]));
+    assert!(bench.ok(&format!("info {raw}")).contains("2 × 3 × 4"));
+}
+
+#[test]
+fn background_and_shading_can_be_chosen() {
+    let bench = Bench::new();
+    bench.ok(&format!("render builtin:cloud@16 -o a.png {RENDER}"));
+    bench.ok(&format!("render builtin:cloud@16 --background #204060 -o b.png {RENDER}"));
+    bench.ok(&format!("render builtin:cloud@16 --shading off -o c.png {RENDER}"));
+    bench.ok(&format!("render builtin:cloud@16 --tf ct -o d.png {RENDER}"));
+    for other in ["b.png", "c.png", "d.png"] {
+        let error = bench.json(&format!("compare a.png {other} --json"));
+        assert!(error["max_abs_255"].as_u64() > Some(2), "{other}: {error}");
+    }
+}
+
+#[test]
+fn quality_tells_rules_and_turns_apart() {
+    let bench = Bench::new();
+    let report = bench.json(
+        "bench quality builtin:cubus@48 --size 64x64 --backend cpu --k 8 --angles 0,10 --json -o table.json",
+    );
+    assert_eq!(keys(&report), ["conditions", "rows"]);
+    assert_has(&report["conditions"], "version size fov_deg orbit_deg backend shading");
+    let rows = report["rows"].as_array().unwrap();
+    // Two rules at two turns, and the last image at one.
+    assert_eq!(rows.len(), 5);
+    let dssim = |method: &str, angle: f64| {
+        let row = rows.iter().find(|r| r["method"] == method && r["angle_deg"] == angle).unwrap();
+        assert_has(
+            row,
+            "scene method k angle_deg dssim dssim_object psnr_db generate_ms novel_view_ms bytes segments_mean",
+        );
+        row["dssim"].as_f64().unwrap()
+    };
+    assert!(dssim("visibility-merge", 0.0) <= 1e-3 && dssim("equal-transmittance", 0.0) <= 1e-3);
+    assert!(dssim("visibility-merge", 10.0) > dssim("visibility-merge", 0.0));
+    assert!(dssim("visibility-merge", 10.0) < dssim("last-image", 10.0));
+    assert_eq!(bench.files(), ["table.json"]);
+    let written: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(bench.path("table.json")).unwrap()).unwrap();
+    assert_eq!(written, report);
+}
+
+#[test]
+fn speed_has_a_row_for_each_scene() {
+    let bench = Bench::new();
+    let report = bench
+        .json("bench speed builtin:cloud@16 builtin:shells@16 --size 32x32 --repeats 1 --backend cpu --json");
+    let rows = report["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 2);
+    assert_has(&rows[0], "scene backend render_ms generate_ms encode_ms decode_ms novel_view_ms bytes");
+}
+
+#[test]
+fn doctor_looks_at_everything() {
+    let report = Bench::new().json("doctor --json");
+    let names: Vec<_> =
+        report["checks"].as_array().unwrap().iter().map(|c| c["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["processors", "GPU", "Vulkan loader", "display", "UDP loopback"]);
+}
+
+/// The whole path: server, link, viewer, comparison. What was shown beats the last image, which a demonstration
+/// without movement could not.
+#[test]
+fn the_headless_demo_reports_what_was_shown() {
+    let bench = Bench::new();
+    let line = "demo builtin:cloud@32 --headless --out out --backend cpu --size 64x64 --rtt 60ms --jitter 2ms --json";
+    let report = bench.json(line);
+    let promised = [
+        "backend",
+        "bandwidth_mbit",
+        "bytes_per_frame_mean",
+        "dssim_last_image_mean",
+        "dssim_shown_mean",
+        "dssim_shown_p95",
+        "frame_age_ms_mean",
+        "frames_shown",
+        "freezes",
+        "jitter_ms",
+        "loss",
+        "pose_lag_frames_max",
+        "rest_max_abs_255",
+        "rtt_ms",
+    ];
+    assert_eq!(keys(&report), promised);
+    assert_eq!((report["rtt_ms"].as_f64(), report["jitter_ms"].as_f64()), (Some(60.0), Some(2.0)));
+    assert!(report["pose_lag_frames_max"].as_u64() <= Some(1), "{report}");
+    assert!(report["rest_max_abs_255"].as_u64() <= Some(1), "{report}");
+    assert!(report["dssim_shown_mean"].as_f64() < report["dssim_last_image_mean"].as_f64(), "{report}");
+    // No frame can be younger than the way there and back.
+    assert!(report["frame_age_ms_mean"].as_f64() >= Some(60.0), "{report}");
+    let files = files_in(&bench.path("out"));
+    assert!(files.contains(&"report.json".into()) && files.contains(&"dssim.svg".into()), "{files:?}");
+    assert!(files.iter().filter(|f| f.ends_with(".png")).count() >= 4, "{files:?}");
+    assert!(files.iter().all(|f| !f.starts_with('.')), "{files:?}");
+    let written = std::fs::read(bench.path("out/report.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), report);
+}
