@@ -1,6 +1,8 @@
 //! Does everything bad that can be given to a command end in one line and the right exit code, with nothing half
 //! written?
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 

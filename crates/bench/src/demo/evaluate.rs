@@ -53,7 +53,8 @@ pub(crate) fn evaluate(
     let mut renderer = backend.renderer(scene)?;
     let kept: Vec<_> = played.ticks.iter().filter_map(|t| Some((t, t.kept.as_ref()?))).collect();
     let mut progress = Progress::new("comparing", kept.len() as u64);
-    let sample_stride = kept.len().div_ceil(NUM_SAMPLES).max(1);
+    let num_counted = kept.iter().filter(|(tick, _)| played.script.is_counted(tick.at)).count();
+    let sample_stride = num_counted.div_ceil(NUM_SAMPLES).max(1);
     let mut evaluation = Evaluation::default();
     let (width, height) = (options.intrinsics.width as usize, options.intrinsics.height as usize);
     for (number, (tick, frame)) in kept.into_iter().enumerate() {
@@ -78,7 +79,7 @@ pub(crate) fn evaluate(
             frame_age: tick.frame_age,
         });
         // From the middle of each stretch: the first picture is the settled one.
-        if number % sample_stride == sample_stride / 2 {
+        if number % sample_stride == sample_stride / 2 && played.script.is_counted(tick.at) {
             let pictures = [shown, truth, last];
             evaluation.samples.push(Sample { at: tick.at, azimuth_degrees: tick.azimuth_degrees, pictures });
         }

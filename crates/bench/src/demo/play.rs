@@ -80,11 +80,14 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
     }
     viewer.take_records();
     // At a stop a frame for an older pose may be in the making; the rest's own comes after it.
-    let settle = asked.elapsed().min(MAX_SETTLE) * 2;
+    let settle = asked.elapsed().min(MAX_SETTLE).mul_f32(1.5);
     let script = Script::new(options.orbit, options.degrees_per_second, settle);
 
     let num_ticks = (script.duration().as_secs_f32() * options.refresh_hz).ceil() as usize;
-    let stride = num_ticks.div_ceil(options.max_evaluated.max(1)).max(1);
+    let is_counted = |number: usize| script.is_counted(interval * number as u32);
+    let num_counted = (0..num_ticks).filter(|&number| is_counted(number)).count();
+    let stride = num_counted.div_ceil(options.max_evaluated.max(1)).max(1);
+    let mut num_counted = 0;
     let mut progress = Progress::new("playing", num_ticks as u64);
     let mut ticks: Vec<Tick> = Vec::with_capacity(num_ticks);
     let bounds = viewer.bounds().ok_or_else(|| failed("the volume is gone".into()))?;
@@ -97,8 +100,10 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
         let input = orbit.pose(&options.intrinsics, &bounds);
         viewer.tick(now(), input);
         // Frames are kept for the refreshes that are compared only: a long path at a large size would not fit.
+        let is_chosen = is_counted(number) && num_counted % stride == 0;
+        num_counted += usize::from(is_counted(number));
         for record in viewer.take_records() {
-            let kept = number % stride == 0 || ends_rest(&script, at, interval);
+            let kept = is_chosen || ends_rest(&script, at, interval);
             ticks.extend(tick(record, at, orbit.azimuth_degrees, input, kept));
         }
         progress.advance(1, "");
