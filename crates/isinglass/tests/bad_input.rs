@@ -132,6 +132,11 @@ fn bad_pictures_and_tables_are_code_1() {
     bench.fails("bench quality bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
     bench.fails("demo builtin:cloud@8 --headless --out out.png --backend cpu", 1, &["out.png", "folder"]);
     bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 1, &["loss", "1.5"]);
+    if cfg!(unix) {
+        bench.fails("layers builtin:cloud@8 --backend cpu -o /dev/null", 1, &["/dev/null", "regular file"]);
+        bench.ok("render builtin:cloud@8 --backend cpu --size 8x8 -o /dev/null");
+        assert!(!std::fs::metadata("/dev/null").unwrap().is_file());
+    }
     bench.fails("demo builtin:fog --headless --out new --backend cpu", 1, &["fog"]);
 }
 

@@ -38,6 +38,7 @@ fn draw(text: &mut String, script: &Script, evaluation: &Evaluation) -> Result<(
     chart
         .configure_mesh()
         .disable_x_mesh()
+        .max_light_lines(1)
         .x_desc("seconds (grey: the camera rests)")
         .y_desc("DSSIM")
         .draw()

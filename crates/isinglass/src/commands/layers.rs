@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
@@ -21,7 +21,7 @@ pub(crate) struct LayersArgs {
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// File to write, by custom ending in .iglf
+    /// File to write, such as a.iglf
     #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
     output: PathBuf,
     #[command(flatten)]
@@ -38,6 +38,9 @@ pub(crate) struct LayersArgs {
 }
 
 pub(crate) fn run(args: &LayersArgs) -> Result<()> {
+    if args.output.exists() && !args.output.is_file() {
+        bail!("{}: found a device or pipe, expected a regular file", args.output.display());
+    }
     let opened = open_volume(&args.volume, &args.look)?;
     let backend = args.backend.open()?;
     let camera = args.orbit.camera(args.view.intrinsics(), &opened.scene.volume.bounds());
