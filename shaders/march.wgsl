@@ -2,8 +2,9 @@
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
 // The part after this one defines what becomes of the steps:
-//   fn sink_step(step: Step) -> bool
-// takes the visible steps of a ray, front to back, and returns whether the march shall go on.
+//   fn sink_step(step: Step) -> u32
+// takes the visible steps of a ray, front to back, and returns how the march goes on (Pace): the lattice points to
+// the next end of a step, 1 or STRIDE; 0 for not at all.
 
 @group(0) @binding(0) var<uniform> scene: Scene;
 @group(0) @binding(1) var<storage, read> table: TransferTable;
@@ -41,6 +42,11 @@ fn scene_lattice(ray: Ray, near: f32) -> Lattice {
     return Lattice(s0, (s1 - s0) / n, u32(n));
 }
 
+// STRIDE behind matter that nothing can be seen through.
+fn pace_behind(transmittance: f32) -> u32 {
+    return select(1u, STRIDE, transmittance < TRANSMITTANCE_HIDDEN);
+}
+
 fn occupied(brick: vec3u) -> bool {
     let i = (brick.z * scene.brick_dims.y + brick.y) * scene.brick_dims.x + brick.x;
     return ((occupancy[i / 32u] >> (i % 32u)) & 1u) != 0u;
@@ -56,6 +62,7 @@ fn march(ray: Ray, lattice: Lattice) {
     let leaves_high = select(vec3f(0.0), vec3f(f32(BRICK)), dir > vec3f(0.0));
     let max_brick = vec3f(scene.brick_dims) - 1.0;
     var i = 0u;
+    var stride = 1u;
     // Position x in the domain of the last sample, if it was lattice point i.
     var x_front = 0.0;
     var has_x_front = false;
@@ -78,20 +85,22 @@ fn march(ray: Ray, lattice: Lattice) {
         if (!has_x_front) {
             x0 = domain_at(p_front);
         }
-        let s_back = s0 + f32(i + 1u) * h;
+        let next = min(i + stride, n);
+        let s_back = s0 + f32(next) * h;
         let x1 = domain_at(origin + dir * s_back);
-        let classified = classify(x0, x1, h);
+        let classified = classify(x0, x1, s_back - s_front);
         let tau = classified.w;
         if (tau > TAU_MIN) {
             let alpha = opacity(tau);
-            let c = classified.xyz * (shade(origin + dir * (s_front + 0.5 * h)) * alpha);
-            if (!sink_step(Step(c, tau, s_front, s_back, alpha))) {
+            let c = classified.xyz * (shade(origin + dir * (0.5 * (s_front + s_back))) * alpha);
+            stride = sink_step(Step(c, tau, s_front, s_back, alpha));
+            if (stride == 0u) {
                 return;
             }
         }
         x_front = x1;
         has_x_front = true;
-        i += 1u;
+        i = next;
     }
 }
 
@@ -204,5 +213,9 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
 
 // Steps at or below this optical depth are dropped.
 const TAU_MIN: f32 = 1e-7;
+// Matter behind this transmittance is marched by strides.
+const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
+// Lattice points of a stride.
+const STRIDE: u32 = 2;
 // Bound on the steps of one ray.
 const MAX_STEPS: f32 = 65536.0;

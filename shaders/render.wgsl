@@ -8,10 +8,10 @@
 
 var<private> over_sink: Over;
 
-fn sink_step(step: Step) -> bool {
+fn sink_step(step: Step) -> u32 {
     over_sink.c += step.c * over_sink.transmittance;
     over_sink.transmittance *= 1.0 - step.alpha;
-    return over_sink.transmittance > TRANSMITTANCE_MIN;
+    return select(0u, 1u, over_sink.transmittance > TRANSMITTANCE_MIN);
 }
 
 @compute @workgroup_size(8, 8)

@@ -35,17 +35,17 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     }
 }
 
-fn sink_step(step: Step) -> bool {
+fn sink_step(step: Step) -> u32 {
     if (cutting) {
         return cuts_step(step);
     }
     return profile_step(step);
 }
 
-fn profile_step(step: Step) -> bool {
+fn profile_step(step: Step) -> u32 {
     profile.transmittance *= 1.0 - step.alpha;
     profile.s_last = step.s1;
-    return profile.transmittance > TRANSMITTANCE_MIN;
+    return select(0u, pace_behind(profile.transmittance), profile.transmittance > TRANSMITTANCE_MIN);
 }
 
 // Optical depth at which the share i/K is reached; out of reach for the last.
@@ -69,7 +69,7 @@ fn extend(s0: f32, s1: f32, c: vec3f, tau: f32) {
     cuts.open.s1 = s1;
 }
 
-fn cuts_step(step: Step) -> bool {
+fn cuts_step(step: Step) -> u32 {
     var s0 = step.s0;
     let s1 = step.s1;
     var c = step.c;
@@ -91,7 +91,7 @@ fn cuts_step(step: Step) -> bool {
     }
     extend(s0, s1, c, tau);
     cuts.tau_total += tau;
-    return s1 < profile.s_last;
+    return select(0u, pace_behind(exp(-cuts.tau_total)), s1 < profile.s_last);
 }
 
 // More than any optical depth.

@@ -42,7 +42,7 @@ fn merge(i: u32) {
     }
 }
 
-fn sink_step(step: Step) -> bool {
+fn sink_step(step: Step) -> u32 {
     let n = list.len;
     list.segments[n] = step;
     sink.visibility[n] = max(sink.transmittance, VISIBILITY_FLOOR);
@@ -60,7 +60,7 @@ fn sink_step(step: Step) -> bool {
         }
         merge(least);
     }
-    return true;
+    return pace_behind(sink.transmittance);
 }
 
 // The homogeneous segment with the composite of a over b, from the front of a to the back of b.

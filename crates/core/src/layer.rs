@@ -156,7 +156,10 @@ impl LayeredFrame {
                 }
                 let sane = |x: f32| (0.0..=HALF_MAX).contains(&x);
                 if !(sane(s.c.x) && sane(s.c.y) && sane(s.c.z) && (0.0..=TAU_MAX).contains(&s.tau)) {
-                    return Err(format!("list {i}: colour {:?} or optical depth {} out of range", s.c, s.tau));
+                    return Err(format!(
+                        "list {i}: colour {:?} or optical depth {} out of range",
+                        s.c, s.tau
+                    ));
                 }
                 last_back = s.back;
             }
@@ -237,7 +240,9 @@ mod tests {
 
     #[test]
     fn halves_round_to_nearest_and_never_misbehave() {
-        for (x, expect) in [(0.0, 0.0), (1.0, 1.0), (0.5, 0.5), (65504.0, 65504.0), (1e9, 65504.0), (-3.0, 0.0)] {
+        for (x, expect) in
+            [(0.0, 0.0), (1.0, 1.0), (0.5, 0.5), (65504.0, 65504.0), (1e9, 65504.0), (-3.0, 0.0)]
+        {
             assert_eq!(unpack_halves(pack_halves(x, 0.0)).0, expect);
         }
         assert_eq!(unpack_halves(pack_halves(f32::NAN, f32::INFINITY)), (0.0, HALF_MAX));

@@ -148,13 +148,13 @@ fn skipping_empty_bricks_changes_nothing() {
     let everything = Scene { occupancy: Occupancy::full(scene.occupancy.dims), ..scene.clone() };
     for azimuth in [0.0, 0.5, 1.57, 3.0] {
         let camera = camera(&scene, azimuth);
-        assert_eq!(render(&scene, &camera), render(&everything, &camera), "azimuth {azimuth}");
+        assert!(render(&scene, &camera) == render(&everything, &camera), "azimuth {azimuth}");
     }
     // Negative control: a brick wrongly called empty shows.
     let mut holes = scene.clone();
     holes.occupancy.words.iter_mut().for_each(|w| *w &= 0x5555_5555);
     let camera = camera(&scene, 0.5);
-    assert_ne!(render(&scene, &camera), render(&holes, &camera));
+    assert!(render(&scene, &camera) != render(&holes, &camera));
 }
 
 #[test]

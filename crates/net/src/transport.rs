@@ -36,7 +36,7 @@ const IDLE_MILLIS: u32 = 30_000;
 /// What both sides share. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
 fn common() -> TransportConfig {
     let mut cubic = CubicConfig::default();
-    cubic.initial_window(32 * 1200);
+    cubic.initial_window(64 * 1200);
     let mut acks = AckFrequencyConfig::default();
     acks.ack_eliciting_threshold(2u32.into()).max_ack_delay(Some(Duration::from_millis(5)));
     let mut t = TransportConfig::default();

@@ -37,11 +37,14 @@ impl Generator {
     /// # Errors
     /// If the scene does not fit the backend, or there is no thread to be had.
     pub fn start(backend: &Backend, scene: Scene, look: Look) -> Result<Self, ServeError> {
-        let renderer = backend.renderer(scene)?;
-        let (jobs, receiver) = mpsc::channel(MAX_JOBS);
+        let mut renderer = backend.renderer(scene)?;
+        // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
+        let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
+        let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
+        let work = move || work(&mut renderer, look, &mut receiver);
         std::thread::Builder::new()
             .name("generator".into())
-            .spawn(move || work(renderer, look, receiver))
+            .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
         Ok(Self { jobs })
     }
@@ -57,13 +60,13 @@ impl Generator {
     }
 }
 
-fn work(mut renderer: Renderer, mut look: Look, mut jobs: mpsc::Receiver<Job>) {
+fn work(renderer: &mut Renderer, mut look: Look, jobs: &mut mpsc::Receiver<Job>) {
     while let Some(job) = jobs.blocking_recv() {
         // Nobody waits any more: the viewer has left while its frame was in the queue.
         if job.reply.is_closed() {
             continue;
         }
-        let result = generate(&mut renderer, &mut look, &job);
+        let result = generate(renderer, &mut look, &job);
         let _ = job.reply.send(result);
     }
 }

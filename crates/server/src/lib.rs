@@ -55,6 +55,9 @@ pub enum ServeError {
     /// The thread of the renderer could not be started.
     #[error("cannot start the rendering thread: {0}")]
     Thread(std::io::Error),
+    /// Nor those that help it.
+    #[error("cannot start the rendering threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
 /// A server at work. It stops when this is dropped; [`RunningServer::close`] also tells the viewers.

@@ -69,9 +69,8 @@ impl Field {
     pub fn volume(&self, n: u32) -> Volume {
         let spacing = 2.0 / n as f32;
         let at = |i: u32| (i as f32 + 0.5) * spacing - 1.0;
-        let voxels = (0..n * n * n)
-            .map(|i| self.sigma(Vec3::new(at(i % n), at(i / n % n), at(i / n / n))))
-            .collect();
+        let voxels =
+            (0..n * n * n).map(|i| self.sigma(Vec3::new(at(i % n), at(i / n % n), at(i / n / n)))).collect();
         let info = VolumeInfo { name: format!("{self:?}"), dtype: "float".into(), ..Default::default() };
         Volume::new([n; 3], Vec3::splat(spacing), Voxels::F32(voxels), (1.0, 0.0), info)
             .expect("a field makes finite voxels of the right number")

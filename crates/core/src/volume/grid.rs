@@ -128,7 +128,8 @@ impl Volume {
             return Err(VolumeError::Count { dims, expected, found: voxels.len() as u64 });
         }
         let spacing_ok = spacing.is_finite() && spacing.min_element() > 0.0;
-        if !spacing_ok || spacing.max_element() > spacing.min_element() * 1e4 || spacing.max_element() > 1e12 {
+        if !spacing_ok || spacing.max_element() > spacing.min_element() * 1e4 || spacing.max_element() > 1e12
+        {
             return Err(VolumeError::Spacing(spacing));
         }
         if let Voxels::F32(v) = &voxels {
@@ -190,7 +191,8 @@ impl Volume {
 
     /// Least and greatest physical value.
     pub fn value_range(&self) -> (f32, f32) {
-        let (a, b) = (self.value_from_stored(self.stored_range.0), self.value_from_stored(self.stored_range.1));
+        let (a, b) =
+            (self.value_from_stored(self.stored_range.0), self.value_from_stored(self.stored_range.1));
         (a.min(b), a.max(b))
     }
 

@@ -1,9 +1,9 @@
 //! Scalar volumes: the grid of voxels, min/max bricks over it, closed-form fields and the built-in volumes.
 
 mod bricks;
+pub mod fields;
 mod grid;
 mod histogram;
-pub mod fields;
 pub mod procedural;
 
 pub use bricks::{BRICK, Bricks, Occupancy};

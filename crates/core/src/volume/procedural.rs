@@ -118,9 +118,7 @@ fn value_noise(p: Vec3) -> f32 {
     let [x, y, z] = [cell.x as i32, cell.y as i32, cell.z as i32];
     let v = |dx: i32, dy: i32, dz: i32| hash(x + dx, y + dy, z + dz);
     let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
-    let plane = |dz: i32| {
-        lerp(lerp(v(0, 0, dz), v(1, 0, dz), w.x), lerp(v(0, 1, dz), v(1, 1, dz), w.x), w.y)
-    };
+    let plane = |dz: i32| lerp(lerp(v(0, 0, dz), v(1, 0, dz), w.x), lerp(v(0, 1, dz), v(1, 1, dz), w.x), w.y);
     lerp(plane(0), plane(1), w.z)
 }
 

@@ -8,7 +8,7 @@
 use glam::Vec3;
 
 use super::{OpenSegment, SegmentList};
-use crate::kernels::march::{Sink, Step, TRANSMITTANCE_MIN, opacity};
+use crate::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN, opacity};
 
 /// March 1: transmittance of the whole ray and the end of its content.
 #[derive(Clone, Copy, Debug)]
@@ -24,10 +24,10 @@ impl Default for Profile {
 }
 
 impl Sink for Profile {
-    fn step(&mut self, step: Step) -> bool {
+    fn step(&mut self, step: Step) -> Pace {
         self.transmittance *= 1.0 - step.alpha;
         self.s_last = step.s1;
-        self.transmittance > TRANSMITTANCE_MIN
+        if self.transmittance > TRANSMITTANCE_MIN { Pace::behind(self.transmittance) } else { Pace::Stop }
     }
 }
 
@@ -80,7 +80,7 @@ impl Cuts {
 }
 
 impl Sink for Cuts {
-    fn step(&mut self, step: Step) -> bool {
+    fn step(&mut self, step: Step) -> Pace {
         let Step { mut s0, s1, mut c, mut tau, .. } = step;
         while self.tau_total + tau > self.tau_cut && self.list.len + 1 < self.k {
             let part = ((self.tau_cut - self.tau_total) / tau).clamp(0.0, 1.0);
@@ -100,6 +100,6 @@ impl Sink for Cuts {
         }
         self.extend(s0, s1, c, tau);
         self.tau_total += tau;
-        s1 < self.profile.s_last
+        if s1 < self.profile.s_last { Pace::behind((-self.tau_total).exp()) } else { Pace::Stop }
     }
 }

@@ -2,7 +2,7 @@
 //! pair that costs least is merged (ours). Twin of `shaders/layering/visibility_merge.wgsl`.
 
 use super::{OpenSegment, SegmentList};
-use crate::kernels::march::{Sink, Step};
+use crate::kernels::march::{Pace, Sink, Step};
 use crate::layer::MAX_K;
 
 /// The open segments of one ray.
@@ -67,7 +67,7 @@ impl VisibilityMerge {
 }
 
 impl Sink for VisibilityMerge {
-    fn step(&mut self, step: Step) -> bool {
+    fn step(&mut self, step: Step) -> Pace {
         let n = self.len;
         self.open[n] = step;
         self.visibility[n] = self.transmittance.max(VISIBILITY_FLOOR);
@@ -85,7 +85,7 @@ impl Sink for VisibilityMerge {
             }
             self.merge(least);
         }
-        true
+        Pace::behind(self.transmittance)
     }
 }
 
