@@ -84,25 +84,38 @@ fn clip(ray: Ray) -> Line {
     return line;
 }
 
-// Walks the lists along the line.
+// Walks the columns of lists along the line.
 fn walk(line: Line, acc: ptr<function, Over>) {
-    let width = i32(caster.basis.width);
-    let height = i32(caster.basis.height);
-    var x = clamp(i32(floor(line.p0.x)), 0, width - 1);
-    var y = clamp(i32(floor(line.p0.y)), 0, height - 1);
-    let axis_x = axis(line.p0.x, line.d.x, x);
-    let axis_y = axis(line.p0.y, line.d.y, y);
-    var t_x = axis_x.t;
-    var t_y = axis_y.t;
-    let forward = line.w0_minus_w1 <= 0.0;
-    var hint = 0u;
-    var enter = at(line, 0.0);
+    let size = vec2i(i32(caster.basis.width), i32(caster.basis.height));
+    let along = select(0u, 1u, abs(line.d.x) + AXIS_BIAS < abs(line.d.y));
+    let across = 1u - along;
+    var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
+    let columns = axis(line.p0[along], line.d[along], column);
+    var t_next = columns.t;
+    var hints = vec2u(0u);
+    var t_in = 0.0;
+    var enter = at(line, t_in);
     loop {
-        let t_out = min(min(t_x, t_y), 1.0);
+        let t_out = min(t_next, 1.0);
         let leave = at(line, t_out);
-        let length = leave.distance - enter.distance;
-        if (length > 0.0) {
-            hint = cross_list(x, y, enter.depth, leave.depth, length, forward, hint, acc);
+        if (leave.distance > enter.distance) {
+            let crossing = crossing_between(line, enter, leave);
+            let at_across = line.p0[across] + line.d[across] * (0.5 * (t_in + t_out)) - 0.5;
+            let first = floor(at_across);
+            let nearness = vec2f(1.0 - (at_across - first), at_across - first);
+            var mixed = vec4f(0.0);
+            for (var side = 0u; side < 2u; side++) {
+                if (nearness[side] < MIN_NEARNESS) {
+                    continue;
+                }
+                let row = clamp(i32(first) + i32(side), 0, size[across] - 1);
+                let xy = select(vec2i(row, column), vec2i(column, row), along == 0u);
+                var list = over_identity();
+                hints[side] = cross_list(xy.x, xy.y, crossing, hints[side], &list);
+                mixed += vec4f(list.c, 1.0 - list.transmittance) * nearness[side];
+            }
+            (*acc).c += mixed.xyz * (*acc).transmittance;
+            (*acc).transmittance *= 1.0 - mixed.w;
             if ((*acc).transmittance < TRANSMITTANCE_MIN) {
                 return;
             }
@@ -110,15 +123,11 @@ fn walk(line: Line, acc: ptr<function, Over>) {
         if (t_out >= 1.0) {
             return;
         }
+        t_in = t_out;
         enter = leave;
-        if (t_x <= t_y) {
-            x += axis_x.step;
-            t_x += axis_x.dt;
-        } else {
-            y += axis_y.step;
-            t_y += axis_y.dt;
-        }
-        if (x < 0 || x >= width || y < 0 || y >= height) {
+        column += columns.step;
+        t_next += columns.dt;
+        if (column < 0 || column >= size[along]) {
             return;
         }
     }
@@ -135,37 +144,44 @@ fn at(line: Line, t: f32) -> Point {
     return Point((line.w0_w1 * r - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
 }
 
-// Composites the segments of list (x, y) between two depths, `length` of world apart. Returns the hint for the next
-// list.
-fn cross_list(
-    x: i32,
-    y: i32,
-    depth_in: f32,
-    depth_out: f32,
-    length: f32,
-    forward: bool,
-    hint: u32,
-    acc: ptr<function, Over>,
-) -> u32 {
+// The part of a ray inside a column of lists.
+struct Crossing {
+    // Least and greatest depth, in units.
+    lo: f32,
+    hi: f32,
+    // World length of the ray for each unit of depth.
+    length_per_unit: f32,
+    // Whether the ray runs away from the old eye.
+    is_forward: bool,
+}
+
+fn crossing_between(line: Line, enter: Point, leave: Point) -> Crossing {
+    let lo = min(enter.depth, leave.depth);
+    // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+    let hi = max(max(enter.depth, leave.depth), lo + MIN_CROSSING);
+    return Crossing(lo, hi, (leave.distance - enter.distance) / (hi - lo), line.w0_minus_w1 <= 0.0);
+}
+
+// Composites the segments of list (x, y) that the crossing meets. `hint` is the index at which the list before was
+// left; returns that for the next list.
+fn cross_list(x: i32, y: i32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
     let list = u32(y) * u32(caster.basis.width) + u32(x);
     let start = offsets[list];
     let end = offsets[list + 1u];
     if (start >= end) {
         return hint;
     }
-    let lo = min(depth_in, depth_out);
-    // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
-    let hi = max(max(depth_in, depth_out), lo + MIN_CROSSING);
-    let length_per_unit = length / (hi - lo);
+    let lo = crossing.lo;
+    let hi = crossing.hi;
     // World length of one depth unit along the centre of this list.
     let nx = (2.0 * f32(x) + 1.0) / caster.basis.width - 1.0;
     let ny = 1.0 - (2.0 * f32(y) + 1.0) / caster.basis.height;
     let center = caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny;
-    let ratio = length_per_unit * caster.units_per_depth / length_of(center);
+    let ratio = crossing.length_per_unit * caster.units_per_depth / length_of(center);
     // Previous-index search (Gupta 2022, algorithm 1): neighbouring lists are alike, so start where the last list was
     // left and walk to the first segment that the ray meets.
     var i = start + min(hint, end - start - 1u);
-    if (forward) {
+    if (crossing.is_forward) {
         while (i > start && ends(i - 1u).y > lo) {
             i -= 1u;
         }
@@ -241,6 +257,10 @@ fn axis(p: f32, d: f32, index: i32) -> Axis {
 
 // Shortest depth interval that is divided by, in depth units.
 const MIN_CROSSING: f32 = 1e-2;
+// A list with less weight than this is left out.
+const MIN_NEARNESS: f32 = 1e-3;
+// A row must win by so many pixels.
+const AXIS_BIAS: f32 = 1e-2;
 // A line that moves less than this many pixels in all crosses no border worth a division.
 const MIN_SLOPE: f32 = 1e-6;
 // The parameter of a crossing that does not come: far beyond the end of the line at 1.

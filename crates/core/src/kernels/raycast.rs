@@ -8,10 +8,15 @@
 //!
 //!   depth(t) = w0·w1/(w1 + t(w0 − w1)),    distance(t) = S·t·w0/(w1 + t(w0 − w1)),
 //!
-//! so one division a list gives both, by three constants a ray (S·w0, w1, w0 − w1). A DDA walks the lists that the
-//! line crosses (Amanatides & Woo 1987). In each list the segments that the ray's depth interval overlaps are
-//! composited in the ray's order, front to back or, if the ray runs towards the old eye, back to front. A segment
-//! crossed over a length l of its own length z gives opacity 1 − (1 − α)^(l/z).
+//! so one division a list gives both, by three constants a ray (S·w0, w1, w0 − w1). In each list the segments that
+//! the ray's depth interval overlaps are composited in the ray's order, front to back or, if the ray runs towards
+//! the old eye, back to front. A segment crossed over a length l of its own length z gives opacity 1 − (1 − α)^(l/z).
+//!
+//! A DDA (Amanatides & Woo 1987) walks along the axis on which the line runs faster, from one column (or row) of
+//! lists to the next. Across it the line lies between the centres of two lists: both are composited over the same
+//! interval and mixed by nearness. Along the line lists have their exact shares of it; across it this removes the
+//! stair-steps of the nearest list. A ray of the frame's own pose runs through a centre, where the nearest list has
+//! all of the weight, so the own pose stays exact (ours; the sources take the nearest list).
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -41,6 +46,29 @@ struct Line {
     w1: f32,
     w0_minus_w1: f32,
     w0_w1: f32,
+}
+
+/// The part of a ray inside a column of lists.
+struct Crossing {
+    /// Least depth, in units.
+    lo: f32,
+    /// Greatest depth, in units.
+    hi: f32,
+    /// World length of the ray for each unit of depth.
+    length_per_unit: f32,
+    /// Whether the ray runs away from the old eye.
+    is_forward: bool,
+}
+
+impl Crossing {
+    /// Between two points of the line, each a depth in units and a distance.
+    fn new(line: &Line, enter: (f32, f32), leave: (f32, f32)) -> Self {
+        let lo = enter.0.min(leave.0);
+        // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+        let hi = enter.0.max(leave.0).max(lo + MIN_CROSSING);
+        let is_forward = line.w0_minus_w1 <= 0.0;
+        Self { lo, hi, length_per_unit: (leave.1 - enter.1) / (hi - lo), is_forward }
+    }
 }
 
 impl<'a> Raycaster<'a> {
@@ -108,22 +136,38 @@ impl<'a> Raycaster<'a> {
         })
     }
 
-    /// Walks the lists along the line.
+    /// Walks the columns of lists along the line.
     fn walk(&self, line: &Line, acc: &mut Over) {
-        let (width, height) = (self.basis.width as i32, self.basis.height as i32);
-        let mut x = (line.p0[0].floor() as i32).clamp(0, width - 1);
-        let mut y = (line.p0[1].floor() as i32).clamp(0, height - 1);
-        let (step_x, mut t_x, dt_x) = axis(line.p0[0], line.d[0], x);
-        let (step_y, mut t_y, dt_y) = axis(line.p0[1], line.d[1], y);
-        let forward = line.w0_minus_w1 <= 0.0;
-        let mut hint = 0;
-        let (mut depth_in, mut distance_in) = self.at(line, 0.0);
+        let size = [self.basis.width as i32, self.basis.height as i32];
+        let along = usize::from(line.d[0].abs() + AXIS_BIAS < line.d[1].abs());
+        let across = 1 - along;
+        let mut column = (line.p0[along].floor() as i32).clamp(0, size[along] - 1);
+        let (step, mut t_next, dt) = axis(line.p0[along], line.d[along], column);
+        let mut hints = [0; 2];
+        let mut t_in = 0.0;
+        let mut enter = self.at(line, t_in);
         loop {
-            let t_out = t_x.min(t_y).min(1.0);
-            let (depth_out, distance_out) = self.at(line, t_out);
-            let length = distance_out - distance_in;
-            if length > 0.0 {
-                self.cross_list(x, y, (depth_in, depth_out), length, forward, &mut hint, acc);
+            let t_out = t_next.min(1.0);
+            let leave = self.at(line, t_out);
+            if leave.1 > enter.1 {
+                let crossing = Crossing::new(line, enter, leave);
+                let at_across = line.p0[across] + line.d[across] * (0.5 * (t_in + t_out)) - 0.5;
+                let first = at_across.floor();
+                let nearness = [1.0 - (at_across - first), at_across - first];
+                let mut mixed = (Vec3::ZERO, 0.0);
+                for side in 0..2 {
+                    if nearness[side] < MIN_NEARNESS {
+                        continue;
+                    }
+                    let row = (first as i32 + side as i32).clamp(0, size[across] - 1);
+                    let (x, y) = if along == 0 { (column, row) } else { (row, column) };
+                    let mut list = Over::default();
+                    self.cross_list(x, y, &crossing, &mut hints[side], &mut list);
+                    mixed.0 += list.c * nearness[side];
+                    mixed.1 += (1.0 - list.transmittance) * nearness[side];
+                }
+                acc.c += mixed.0 * acc.transmittance;
+                acc.transmittance *= 1.0 - mixed.1;
                 if acc.transmittance < TRANSMITTANCE_MIN {
                     return;
                 }
@@ -131,15 +175,10 @@ impl<'a> Raycaster<'a> {
             if t_out >= 1.0 {
                 return;
             }
-            (depth_in, distance_in) = (depth_out, distance_out);
-            if t_x <= t_y {
-                x += step_x;
-                t_x += dt_x;
-            } else {
-                y += step_y;
-                t_y += dt_y;
-            }
-            if x < 0 || x >= width || y < 0 || y >= height {
+            (t_in, enter) = (t_out, leave);
+            column += step;
+            t_next += dt;
+            if column < 0 || column >= size[along] {
                 return;
             }
         }
@@ -151,27 +190,15 @@ impl<'a> Raycaster<'a> {
         ((line.w0_w1 * r - self.near) * self.units_per_depth, line.s_w0 * t * r)
     }
 
-    /// Composites the segments of list (`x`, `y`) between two depths, `length` of world apart.
-    #[expect(clippy::too_many_arguments, reason = "the state of one ray; the shader has the same list")]
-    fn cross_list(
-        &self,
-        x: i32,
-        y: i32,
-        (depth_in, depth_out): (f32, f32),
-        length: f32,
-        forward: bool,
-        hint: &mut usize,
-        acc: &mut Over,
-    ) {
+    /// Composites the segments of list (`x`, `y`) that the crossing meets. `hint` is the index at which the list before
+    /// was left.
+    fn cross_list(&self, x: i32, y: i32, crossing: &Crossing, hint: &mut usize, acc: &mut Over) {
         let list =
             self.frame.list(y as usize * self.frame.header.camera.intrinsics.width as usize + x as usize);
         if list.is_empty() {
             return;
         }
-        let (lo, hi) = (depth_in.min(depth_out), depth_in.max(depth_out));
-        // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
-        let hi = hi.max(lo + MIN_CROSSING);
-        let length_per_unit = length / (hi - lo);
+        let &Crossing { lo, hi, length_per_unit, is_forward } = crossing;
         // World length of one depth unit along the centre of this list.
         let nx = (2.0 * x as f32 + 1.0) / self.basis.width - 1.0;
         let ny = 1.0 - (2.0 * y as f32 + 1.0) / self.basis.height;
@@ -184,7 +211,7 @@ impl<'a> Raycaster<'a> {
         // Previous-index search (Gupta 2022, algorithm 1): neighbouring lists are alike, so start where the last
         // list was left and walk to the first segment that the ray meets.
         let mut i = list.start + (*hint).min(list.len() - 1);
-        if forward {
+        if is_forward {
             while i > list.start && ends(i - 1).1 > lo {
                 i -= 1;
             }
@@ -264,5 +291,9 @@ pub fn raycast(frame: &LayeredFrame, bounds: &Aabb, camera: &Camera) -> Picture 
 
 /// Shortest depth interval that is divided by, in depth units: far below the rounding of a segment's ends.
 const MIN_CROSSING: f32 = 1e-2;
+/// A list with less weight than this is left out: a quarter of one step of 1/255.
+const MIN_NEARNESS: f32 = 1e-3;
+/// A row must win by so many pixels: where the eye has not moved and no line moves, rounding must not choose.
+const AXIS_BIAS: f32 = 1e-2;
 /// A line that moves less than this many pixels in all crosses no border worth a division.
 const MIN_SLOPE: f32 = 1e-6;
