@@ -43,7 +43,7 @@ pub struct HeadlessViewer<S> {
 impl<S: FrameSource> HeadlessViewer<S> {
     /// Pictures of the size `picture`, frames of the same.
     pub fn new(source: S, picture: Intrinsics) -> Self {
-        let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, scale: 1.0 };
+        let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, ..FrameSize::default() };
         Self { viewing: Viewing::new(source, frame_size), picture, records: Vec::new() }
     }
 

@@ -37,11 +37,14 @@ pub struct FrameSize {
     pub max_height: u32,
     /// Size of a frame in units of the picture's, at most 1.
     pub scale: f32,
+    /// While the camera moves, frames are made so much smaller that the server needs no longer than this for one: a
+    /// coarser frame that is fresh beats a fine one that is late. At rest they have their full size again.
+    pub moving_budget: Option<Duration>,
 }
 
 impl Default for FrameSize {
     fn default() -> Self {
-        Self { max_width: 1920, max_height: 1200, scale: 1.0 }
+        Self { max_width: 1920, max_height: 1200, scale: 1.0, moving_budget: None }
     }
 }
 
@@ -54,6 +57,23 @@ impl FrameSize {
         let scale = self.scale.min(fit(self.max_width, width)).min(fit(self.max_height, height)).min(1.0);
         let scaled = |x: f32| (x * scale).round().max(1.0) as u32;
         Intrinsics { width: scaled(width), height: scaled(height), ..picture }
+    }
+
+    /// The same while the camera moves, if a list costs the server `micros_per_list`.
+    fn moving_frame_for(
+        &self,
+        picture: Intrinsics,
+        max_side: u32,
+        micros_per_list: Option<f32>,
+    ) -> Intrinsics {
+        let full = self.frame_for(picture, max_side);
+        let (Some(budget), Some(micros_per_list)) = (self.moving_budget, micros_per_list) else {
+            return full;
+        };
+        let cost = full.num_pixels() as f32 * micros_per_list;
+        let affordable = (budget.as_micros() as f32 / cost).sqrt();
+        let step = MOVING_SCALES.into_iter().find(|s| *s <= affordable).unwrap_or(LEAST_MOVING_SCALE);
+        Self { scale: self.scale * step, ..*self }.frame_for(picture, max_side)
     }
 }
 
@@ -87,6 +107,8 @@ pub struct Viewing<S> {
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
     moved_at: Duration,
     refreshed_at: Duration,
+    /// What a list costs the server to generate and encode, as it last said.
+    micros_per_list: Option<f32>,
     wanted_look: Option<(Arc<Look>, Duration)>,
 }
 
@@ -101,6 +123,7 @@ impl<S: FrameSource> Viewing<S> {
             last: None,
             moved_at: Duration::ZERO,
             refreshed_at: Duration::ZERO,
+            micros_per_list: None,
             wanted_look: None,
         }
     }
@@ -119,19 +142,25 @@ impl<S: FrameSource> Viewing<S> {
     pub fn refresh(&mut self, now: Duration, pose: Pose, picture: Intrinsics, bounds: &Aabb) -> Refresh {
         let camera = Camera::new(pose, picture, bounds);
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
-        let wish = (pose, self.frame_size.frame_for(picture, max_side));
-        if self.asked != Some(wish) {
-            if let Some((left, _)) = self.asked.replace(wish) {
-                self.moved_at = now;
-                if self.left.len() == MAX_LEFT {
-                    self.left.pop_front();
-                }
-                self.left.push_back((left, self.refreshed_at));
+        let frame = self.source.latest_frame();
+        self.note_cost(frame.as_deref());
+        if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != pose) {
+            self.moved_at = now;
+            if self.left.len() == MAX_LEFT {
+                self.left.pop_front();
             }
-            self.source.set_pose(wish.0, wish.1);
+            self.left.push_back((left, self.refreshed_at));
+        }
+        let size = if self.is_moving(now) {
+            self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list)
+        } else {
+            self.frame_size.frame_for(picture, max_side)
+        };
+        let wish = (pose, size);
+        if self.asked.replace(wish) != Some(wish) {
+            self.source.set_pose(pose, size);
         }
         self.refreshed_at = now;
-        let frame = self.source.latest_frame();
         let is_same = |(last_camera, last_frame): &(Camera, Option<Arc<ReceivedFrame>>)| {
             *last_camera == camera
                 && match (last_frame, &frame) {
@@ -171,6 +200,19 @@ impl<S: FrameSource> Viewing<S> {
         self.wanted_look = Some((Arc::new(look), now));
     }
 
+    fn is_moving(&self, now: Duration) -> bool {
+        self.moved_at > Duration::ZERO && now < self.moved_at + REST
+    }
+
+    /// Learns what a list costs when the server has spoken of the frame that is shown.
+    fn note_cost(&mut self, frame: Option<&ReceivedFrame>) {
+        let cost = self.source.stats().server;
+        if let Some(header) = frame.map(|f| &f.frame.header).filter(|h| h.frame == cost.frame) {
+            let micros = (cost.generate_micros + cost.encode_micros) as f32;
+            self.micros_per_list = Some(micros / header.camera.intrinsics.num_pixels() as f32);
+        }
+    }
+
     fn standing(
         &self,
         now: Duration,
@@ -186,7 +228,7 @@ impl<S: FrameSource> Viewing<S> {
         let is_own = header.camera.pose == pose && header.camera.intrinsics == asked;
         if is_own && frame.is_complete && look_is_current {
             if asked == picture { Standing::Exact } else { Standing::Settled }
-        } else if self.moved_at > Duration::ZERO && now < self.moved_at + REST {
+        } else if self.is_moving(now) {
             Standing::Moving
         } else {
             Standing::Refining
@@ -207,6 +249,9 @@ impl<S: FrameSource> Viewing<S> {
 
 /// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
 const REST: Duration = Duration::from_millis(150);
+/// Sizes of frames while the camera moves: few, so that they do not change all the time.
+const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
+const LEAST_MOVING_SCALE: f32 = 0.25;
 /// How long a wish for a look is shown as if granted.
 const LOOK_PATIENCE: Duration = Duration::from_secs(3);
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
@@ -220,7 +265,7 @@ pub(crate) mod tests {
     use isinglass_core::layer::{FrameHeader, LayeredFrame};
     use isinglass_core::session::client::FrameTimes;
     use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-    use isinglass_core::wire::{ClientStats, Token, VolumeDescription, Welcome};
+    use isinglass_core::wire::{ClientStats, ServerStats, Token, VolumeDescription, Welcome};
     use isinglass_net::{LinkStats, State};
 
     use super::*;
@@ -234,6 +279,7 @@ pub(crate) mod tests {
         pub(crate) wanted_looks: Vec<Look>,
         pub(crate) shown: Vec<FrameId>,
         pub(crate) max_side: Option<u32>,
+        pub(crate) stats: LinkStats,
     }
 
     impl FrameSource for FakeSource {
@@ -250,7 +296,7 @@ pub(crate) mod tests {
         }
 
         fn stats(&self) -> LinkStats {
-            LinkStats::default()
+            self.stats.clone()
         }
 
         fn description(&self) -> Option<Arc<Welcome>> {
@@ -380,6 +426,35 @@ pub(crate) mod tests {
         assert_eq!(v.source.asked[0].1, Intrinsics { width: 30, height: 20, fov_y: 0.7 });
         v.source.answer(1, ms(0), true);
         assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Settled);
+    }
+
+    #[test]
+    fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
+        let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
+        let mut v = Viewing::new(FakeSource::default(), size);
+        v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
+        v.source.answer(1, ms(1), true);
+        v.source.stats.server =
+            ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
+        assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        // A quarter of the lists costs 147.5 ms.
+        let half = Intrinsics { width: 30, height: 20, fov_y: 0.7 };
+        v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS);
+        assert_eq!(v.source.asked[1], (at(5.0), half));
+        v.source.answer(2, ms(20), true);
+        assert_eq!(v.refresh(ms(30), at(5.0), PICTURE, &BOUNDS).standing, Standing::Settled);
+        // At rest the full size is asked for, once, and then shown as exact.
+        assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        assert_eq!(v.source.asked[2], (at(5.0), PICTURE));
+        v.source.answer(3, ms(171), true);
+        assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        assert_eq!(v.refresh(ms(999), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+        assert_eq!(v.source.asked.len(), 3);
+        // A fast server is asked for full frames throughout.
+        v.source.stats.server =
+            ServerStats { frame: FrameId(3), generate_micros: 40_000, ..Default::default() };
+        v.refresh(ms(1000), at(9.0), PICTURE, &BOUNDS);
+        assert_eq!(v.source.asked[3], (at(9.0), PICTURE));
     }
 
     #[test]

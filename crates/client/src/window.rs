@@ -39,7 +39,7 @@ impl Default for WindowOptions {
             size: [1100, 760],
             initial_orbit: InitialOrbit::default(),
             fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
-            frame_size: FrameSize::default(),
+            frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             shows_overlay: true,
             auto_orbit_degrees_per_second: 0.0,
             script: None,
@@ -172,6 +172,8 @@ fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
         .with_surface_config(egui_wgpu::SurfaceConfig::LOW_LATENCY)
 }
 
+/// Longest time the server may need for a frame while the camera moves: about that of a long round trip.
+const MOVING_BUDGET: Duration = Duration::from_millis(150);
 /// Vertical field of view if none is named, degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;
 
