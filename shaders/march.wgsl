@@ -57,7 +57,7 @@ fn march(ray: Ray, lattice: Lattice) {
     let h = lattice.h;
     let n = lattice.n;
     let origin = ray.origin * scene.voxel_from_world + scene.half_dims;
-    let dir = safe_dir(ray.dir * scene.voxel_from_world);
+    let dir = safe_dir(ray.dir) * scene.voxel_from_world;
     let inv_dir = 1.0 / dir;
     let leaves_high = select(vec3f(0.0), vec3f(f32(BRICK)), dir > vec3f(0.0));
     let max_brick = vec3f(scene.brick_dims) - 1.0;
@@ -162,7 +162,7 @@ fn shade(p: vec3f) -> f32 {
         lerp(row_z(c, 0, 1, t.z), row_z(c, 1, 1, t.z), t.x),
         t.y,
     );
-    let per_voxel = vec3f(gx, gy, gz) * (0.5 * scene.x_scale);
+    let per_voxel = clamp(vec3f(gx, gy, gz) * (0.5 * scene.x_scale), vec3f(-GRADIENT_MAX), vec3f(GRADIENT_MAX));
     let strength = dot(per_voxel, per_voxel);
     let normal = per_voxel * scene.voxel_from_world;
     let length_squared = dot(normal, normal);
@@ -215,6 +215,8 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
 const TAU_MIN: f32 = 1e-7;
 // Matter behind this transmittance is marched by strides.
 const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
+// Steepest gradient, in domain positions a voxel.
+const GRADIENT_MAX: f32 = 1e6;
 // Lattice points of a stride.
 const STRIDE: u32 = 2;
 // Bound on the steps of one ray.

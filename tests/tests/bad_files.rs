@@ -173,10 +173,15 @@ fn voxels_that_are_not_finite() {
         let bytes: Vec<u8> = voxels.iter().flat_map(|v| v.to_le_bytes()).collect();
         write(&folder, "a.nrrd", &[header.as_bytes(), &bytes].concat())
     };
-    open(file(2.0).to_str().unwrap(), &OpenOptions::default()).unwrap();
-    for voxel in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+    for voxel in [2.0, -1e37] {
+        open(file(voxel).to_str().unwrap(), &OpenOptions::default()).unwrap();
+    }
+    for voxel in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -1.1e37] {
         let message = refusal(&file(voxel), &OpenOptions::default());
-        assert!(message.contains("1 voxels are NaN or infinite, the first at [1, 1, 1]"), "{message}");
+        assert!(
+            message.contains("1 voxels are NaN or infinite or too large, the first at [1, 1, 1]"),
+            "{message}"
+        );
     }
 }
 

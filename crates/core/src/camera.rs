@@ -100,7 +100,9 @@ impl Camera {
         let center_depth = (bounds.center() - pose.eye).dot(pose.forward());
         let least = radius * 1e-3;
         let near = (center_depth - radius).max(least);
-        Self { pose, intrinsics, near, far: (center_depth + radius).max(near + least) }
+        // Seen from so far away that rounding swallows the volume, the planes still differ.
+        let far = (center_depth + radius).max(near + least).max(near * (1.0 + 1e-6));
+        Self { pose, intrinsics, near, far }
     }
 
     /// The vectors that make rays, in the form every kernel uses.
@@ -221,7 +223,8 @@ mod tests {
         let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 1.0 };
         let outside = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 10.0), intrinsics, &bounds);
         assert!((outside.near - (10.0 - 3f32.sqrt())).abs() < 1e-4);
-        for distance in [0.0, -0.5, -10.0] {
+        // The farthest that a pose datagram may name, and everything nearer.
+        for distance in [0.0, -0.5, -10.0, 1e6, 1e9, 1e15, -1e15] {
             let c = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, distance), intrinsics, &bounds);
             assert!(c.is_valid(), "{c:?}");
         }

@@ -60,7 +60,7 @@ impl Aabb {
     }
 }
 
-/// `dir` with every component at least 1e-9 away from zero, so that it can be inverted.
+/// The unit vector `dir` with every component at least 1e-9 away from zero, so that it can be inverted.
 pub fn safe_dir(dir: Vec3) -> Vec3 {
     let fix = |c: f32| if c.abs() < TINY_DIR { TINY_DIR.copysign(c) } else { c };
     Vec3::new(fix(dir.x), fix(dir.y), fix(dir.z))

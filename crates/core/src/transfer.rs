@@ -157,8 +157,11 @@ impl TransferFunction {
             UnitLength::Radius(r) => r * volume.bounds().radius(),
         };
         let (scale, offset) = volume.value_map();
-        let span = if hi > lo { hi - lo } else { 1.0 };
-        self.tabulate(unit_length, (scale / span, (offset - lo) / span))
+        // In double precision: the span may be shorter than the inverse of the greatest float.
+        let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });
+        let finite = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
+        let x_map = (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span));
+        self.tabulate(unit_length, x_map)
     }
 
     /// The table for stored numbers s at position x = s·`x_map.0` + `x_map.1`, `unit_length` in world units.

@@ -236,7 +236,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
-        let dir = safe_dir(ray.dir * self.voxel_from_world);
+        let dir = safe_dir(ray.dir) * self.voxel_from_world;
         let inv_dir = dir.recip();
         let leaves_high = Vec3::select(dir.cmpgt(Vec3::ZERO), Vec3::splat(BRICK as f32), Vec3::ZERO);
         let mut i = 0;
@@ -328,7 +328,8 @@ impl<'a, T: Texels> Marcher<'a, T> {
         let gx = mix(mix(row_x(1, 1), row_x(2, 1), t.y), mix(row_x(1, 2), row_x(2, 2), t.y), t.z);
         let gy = mix(mix(row_y(1, 1), row_y(2, 1), t.x), mix(row_y(1, 2), row_y(2, 2), t.x), t.z);
         let gz = mix(mix(row_z(1, 1), row_z(2, 1), t.x), mix(row_z(1, 2), row_z(2, 2), t.x), t.y);
-        let per_voxel = Vec3::new(gx, gy, gz) * (0.5 * self.scene.table.x_scale);
+        let per_voxel = (Vec3::new(gx, gy, gz) * (0.5 * self.scene.table.x_scale))
+            .clamp(Vec3::splat(-GRADIENT_MAX), Vec3::splat(GRADIENT_MAX));
         let strength = per_voxel.length_squared();
         let normal = per_voxel * self.voxel_from_world;
         let length_squared = normal.length_squared();
@@ -344,7 +345,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     fn neighbours<const N: usize>(&self, corner: [i32; 3], first: i32) -> [[usize; N]; 3] {
         std::array::from_fn(|axis| {
             std::array::from_fn(|i| {
-                let at = corner[axis] + first + i as i32;
+                let at = corner[axis].saturating_add(first + i as i32);
                 at.clamp(0, self.dims[axis] - 1) as usize * self.strides[axis]
             })
         })
@@ -392,7 +393,8 @@ fn cell(p: Vec3) -> ([i32; 3], Vec3) {
     // stays within half a voxel of the box.
     let up = p + 0.5;
     let i = [up.x as i32, up.y as i32, up.z as i32];
-    (i.map(|i| i - 1), up - Vec3::new(i[0] as f32, i[1] as f32, i[2] as f32))
+    // Saturating: an eye that is very far away puts its points anywhere.
+    (i.map(|i| i.saturating_sub(1)), up - Vec3::new(i[0] as f32, i[1] as f32, i[2] as f32))
 }
 
 /// Linear interpolation in a table over [0, 1].
@@ -418,6 +420,9 @@ pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 /// Matter behind this transmittance is marched by strides. The pre-integrated classification loses no matter by them, and
 /// what they change in its colour is seen at most a thousandth from here.
 pub const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
+/// Steepest gradient, in domain positions a voxel: its square in world space is finite at the least spacing. Steeper
+/// ones are of domains far narrower than the values, where the surface is a face of voxels in any case.
+pub const GRADIENT_MAX: f32 = 1e6;
 /// Lattice points of a stride: the step is then a voxel, at the default.
 pub const STRIDE: u32 = 2;
 /// Bound on the steps of one ray: eight diagonals of the largest volume at the default step.

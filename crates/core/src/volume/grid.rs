@@ -95,10 +95,15 @@ pub enum VolumeError {
         found: u64,
     },
     /// A spacing is not a positive number, or the three differ beyond reason.
-    #[error("spacing is {0}, expected three positive numbers")]
+    #[error(
+        "spacing is {0}, expected three positive numbers from 1e-12 to 1e12, at most a factor of 1e4 apart"
+    )]
     Spacing(Vec3),
-    /// A voxel is NaN or infinite.
-    #[error("{count} voxels are NaN or infinite, the first at {first:?}; expected finite values")]
+    /// A voxel is NaN, infinite or so large that differences would be.
+    #[error(
+        "{count} voxels are NaN or infinite or too large, the first at {first:?}; expected finite values within ±{max:e}",
+        max = Volume::MAX_MAGNITUDE
+    )]
     NotFinite {
         /// How many.
         count: u64,
@@ -110,6 +115,9 @@ pub enum VolumeError {
 impl Volume {
     /// Largest number of voxels along an axis: wgpu's default limit for 3-D textures.
     pub const MAX_SIDE: u32 = 2048;
+    /// Largest magnitude of a voxel: sums of the differences that interpolation and gradients take stay finite. Above
+    /// the usual marks for missing values (netCDF: 9.97e36) but one, the greatest float.
+    pub const MAX_MAGNITUDE: f32 = 1e37;
 
     /// A volume of `dims` voxels, `spacing` apart (world units). Stored numbers mean `value_scale·stored +
     /// value_offset`.
@@ -127,14 +135,16 @@ impl Volume {
         if expected != voxels.len() as u64 {
             return Err(VolumeError::Count { dims, expected, found: voxels.len() as u64 });
         }
-        let spacing_ok = spacing.is_finite() && spacing.min_element() > 0.0;
-        if !spacing_ok || spacing.max_element() > spacing.min_element() * 1e4 || spacing.max_element() > 1e12
-        {
+        let (least, greatest) = (spacing.min_element(), spacing.max_element());
+        // Squares of the volume's sides, and of their inverses, are finite single-precision numbers.
+        let is_good = least >= 1e-12 && greatest <= 1e12 && greatest <= least * 1e4;
+        if !is_good || !spacing.is_finite() {
             return Err(VolumeError::Spacing(spacing));
         }
         if let Voxels::F32(v) = &voxels {
-            let count = v.iter().filter(|x| !x.is_finite()).count() as u64;
-            if let Some(i) = v.iter().position(|x| !x.is_finite()) {
+            let is_bad = |x: &f32| x.is_nan() || x.abs() > Self::MAX_MAGNITUDE;
+            let count = v.iter().filter(|x| is_bad(x)).count() as u64;
+            if let Some(i) = v.iter().position(is_bad) {
                 let (nx, ny) = (dims[0] as usize, dims[1] as usize);
                 let first = [(i % nx) as u32, (i / nx % ny) as u32, (i / nx / ny) as u32];
                 return Err(VolumeError::NotFinite { count, first });

@@ -26,9 +26,11 @@ impl Histogram {
             Voxels::U8(v) => v.iter().for_each(|&x| counts[x as usize - stored_lo as usize] += 1),
             Voxels::U16(v) => v.iter().for_each(|&x| counts[x as usize - stored_lo as usize] += 1),
             Voxels::F32(v) => {
-                let scale = num_bins as f32 / (stored_hi - stored_lo).max(f32::MIN_POSITIVE);
-                for x in v {
-                    counts[(((x - stored_lo) * scale) as usize).min(num_bins - 1)] += 1;
+                // In double precision: the range may be shorter than the inverse of the greatest float.
+                let lo = f64::from(stored_lo);
+                let scale = num_bins as f64 / (f64::from(stored_hi) - lo).max(f64::MIN_POSITIVE);
+                for &x in v {
+                    counts[(((f64::from(x) - lo) * scale) as usize).min(num_bins - 1)] += 1;
                 }
             }
         }
@@ -44,13 +46,44 @@ impl Histogram {
         let total: u64 = self.counts.iter().sum();
         let wanted = (f64::from(percent.clamp(0.0, 100.0)) / 100.0 * total as f64).ceil().max(1.0) as u64;
         let mut seen = 0;
-        let last = (self.counts.len() - 1).max(1) as f32;
+        let last = (self.counts.len() - 1).max(1) as f64;
+        let (lo, hi) = (f64::from(self.lo), f64::from(self.hi));
         for (i, n) in self.counts.iter().enumerate() {
             seen += n;
             if seen >= wanted {
-                return self.lo + (self.hi - self.lo) * (i as f32 / last);
+                return (lo + (hi - lo) * (i as f64 / last)) as f32;
             }
         }
         self.hi
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::VolumeInfo;
+    use glam::Vec3;
+
+    const MAX: f32 = Volume::MAX_MAGNITUDE;
+
+    fn percentiles(voxels: [f32; 4]) -> [f32; 3] {
+        let dims = [4, 1, 1];
+        let volume =
+            Volume::new(dims, Vec3::ONE, Voxels::F32(voxels.into()), (1.0, 0.0), VolumeInfo::default());
+        let histogram = Histogram::of(&volume.unwrap());
+        assert_eq!(histogram.counts.iter().sum::<u64>(), 4);
+        [0.0, 50.0, 100.0].map(|p| histogram.percentile(p))
+    }
+
+    #[test]
+    fn percentiles_of_any_finite_range_are_in_it() {
+        let [lo, half, hi] = percentiles([0.0, 1.0, 2.0, 3.0]);
+        // A bin is 3/65536 wide.
+        assert!(lo == 0.0 && (half - 1.0).abs() < 1e-4 && hi == 3.0, "{lo} {half} {hi}");
+        assert_eq!(percentiles([5.0; 4]), [5.0; 3]);
+        let [lo, half, hi] = percentiles([-MAX, 0.0, 1.0, MAX]);
+        assert!(lo == -MAX && half.abs() < 1e33 && hi == MAX, "{lo} {half} {hi}");
+        let [lo, half, hi] = percentiles([0.0, 1e-40, 2e-40, 3e-40]);
+        assert!(lo == 0.0 && (half / 1e-40 - 1.0).abs() < 1e-2 && hi == 3e-40, "{lo} {half} {hi}");
     }
 }

@@ -1,0 +1,80 @@
+//! Do the kernels stay whole on all that a file or a peer may name: voxels from one end of the floats to the other, eyes
+//! from inside the volume to where rounding swallows it?
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::codec;
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::picture::Picture;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::{Volume, VolumeInfo, Voxels};
+
+fn scene(voxels: [f32; 8], domain: Domain, spacing: f32) -> Scene {
+    let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.2], opacity: x };
+    let (name, unit_length) = ("ramp".into(), UnitLength::Voxel);
+    let transfer = TransferFunction { name, domain, unit_length, points: vec![p(0.0), p(1.0)] };
+    let voxels = Voxels::F32(voxels.into());
+    let volume =
+        Volume::new([2; 3], Vec3::splat(spacing), voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+    Scene::new(Arc::new(volume), &transfer, MarchSettings::default())
+}
+
+fn is_finite(picture: &Picture) -> bool {
+    picture.pixels.iter().flatten().all(|x| x.is_finite())
+}
+
+/// All kernels, the codec between them. Returns the rendered picture.
+fn through_everything(scene: &Scene, pose: Pose) -> Picture {
+    let bounds = scene.volume.bounds();
+    let camera = Camera::new(pose, Intrinsics { width: 20, height: 20, fov_y: 0.7 }, &bounds);
+    assert!(camera.is_valid(), "{camera:?}");
+    let picture = render(scene, &camera);
+    assert!(is_finite(&picture), "{pose:?}");
+    for layering in Layering::ALL {
+        let (frame, look) = (FrameId(1), LookVersion(1));
+        let header = FrameHeader { frame, pose: PoseId(1), look, camera, k: 3 };
+        let made = generate(scene, header, layering);
+        made.validate().unwrap();
+        let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();
+        let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes).collect();
+        let decoded = codec::decode(&chunks).unwrap();
+        assert!(is_finite(&raycast(&decoded, &bounds, &camera)), "{layering} {pose:?}");
+    }
+    picture
+}
+
+const MAX: f32 = Volume::MAX_MAGNITUDE;
+
+#[test]
+fn voxels_of_any_size_are_pictures() {
+    for (lo, hi) in [(-MAX, MAX), (0.0, MAX), (0.0, 1e-37), (1.0, 1.0), (0.0, 1.0)] {
+        let half = lo * 0.5 + hi * 0.5;
+        let voxels = [lo, hi, half, half, hi, lo, half, hi];
+        for domain in [Domain::Full, Domain::Percentiles(1.0, 99.0), Domain::Values(0.0, 1e-40)] {
+            for spacing in [1e-12, 1.0, 1e12] {
+                let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.3, 6.0 * spacing);
+                let picture = through_everything(&scene(voxels, domain, spacing), pose);
+                // What has a range is seen through its own domain, however large or small the numbers.
+                let is_seen = picture.pixels.iter().any(|p| p[3] > 0.1);
+                assert!(is_seen || lo == hi || domain != Domain::Full, "{lo} to {hi}, {spacing}");
+            }
+        }
+    }
+}
+
+#[test]
+fn eyes_from_any_distance_see_pictures() {
+    let scene = scene([0.0, 1.0, 0.5, 0.2, 0.9, 0.1, 0.7, 1.0], Domain::Full, 1.0);
+    // 1e15 is the farthest that a pose datagram may name.
+    for distance in [0.0, 1e-6, 1.0, 1e3, 1e6, 1e8, 1e11, 1e15] {
+        for sign in [1.0, -1.0] {
+            through_everything(&scene, Pose::orbit(Vec3::ZERO, 0.4, 0.3, sign * distance));
+        }
+    }
+}
