@@ -5,8 +5,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use crate::codec::MAX_CHUNKS;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
-use crate::wire::MAX_CHUNKS;
 
 /// Where a chunk belongs, as its own header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

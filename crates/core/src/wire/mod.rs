@@ -23,5 +23,3 @@ pub const PROTOCOL_VERSION: u32 = 1;
 pub const ALPN: &[u8] = b"isinglass/1";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;
-/// Chunks a frame may have.
-pub const MAX_CHUNKS: usize = 16;
