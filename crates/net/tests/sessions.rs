@@ -8,6 +8,8 @@ use std::time::Duration;
 use common::*;
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, PoseId};
+use isinglass_core::look::Look;
+use isinglass_core::session::server::Request;
 use isinglass_core::wire::Refusal;
 use isinglass_net::{Client, ClientOptions, ConnectError, Identity, LinkModel, Server, ServerOptions, State};
 
@@ -53,6 +55,25 @@ async fn a_look_reaches_the_server_and_comes_back() {
     assert_eq!(version.0, 2);
     wanted.k = 99;
     assert!(client.set_look(wanted).is_err());
+}
+
+/// On a long way the look in force is still the first when the second thought comes; here no answer comes at all.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_look_that_is_taken_back_at_once_is_taken_back() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let client = connect(&link);
+    let mut session = server.accept().await.unwrap();
+    until("the welcome", || (client.state() == State::Connected).then_some(())).await;
+    for wanted in [Look { shaded: true, ..look() }, look()] {
+        client.set_look(wanted.clone()).unwrap();
+        let asked = until("the look", || session.requests.try_recv().ok()).await;
+        assert_eq!(asked, Request::SetLook(wanted));
+    }
+    // The same once more is nothing to ask for.
+    client.set_look(look()).unwrap();
+    let nothing = tokio::time::timeout(Duration::from_millis(300), session.requests.recv()).await;
+    assert!(nothing.is_err(), "{nothing:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

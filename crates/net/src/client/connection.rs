@@ -389,6 +389,8 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
     let mut reports = shared.report.subscribe();
     // A look that was asked for over a connection that is gone is asked for again.
     looks.mark_changed();
+    // Once one was asked for over this connection, what is in force is on its way to that one.
+    let mut asked = shared.status().look.as_ref().map(|(_, in_force)| in_force.as_ref().clone());
     let mut next_report = Instant::now() + REPORT_INTERVAL;
     loop {
         let message = tokio::select! {
@@ -397,8 +399,9 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
                 if changed.is_err() {
                     return;
                 }
-                let in_force = shared.status().look.clone();
-                wanted.filter(|w| in_force.is_none_or(|(_, l)| *l != *w)).map(ClientMessage::SetLook)
+                let wanted = wanted.filter(|w| asked.as_ref() != Some(w));
+                asked = wanted.clone().or(asked);
+                wanted.map(ClientMessage::SetLook)
             }
             () = tokio::time::sleep_until(next_report) => {
                 next_report += REPORT_INTERVAL;

@@ -218,7 +218,7 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<Shared>, sessions: mpsc::Sen
                 match tokio::time::timeout(2 * transport::AUTH_DEADLINE, admit(&shared, incoming)).await {
                     Ok(Some(admitted)) => {
                         drop(stranger);
-                        session::run(shared.clone(), admitted, sessions).await;
+                        session::run(admitted, sessions).await;
                     }
                     Ok(None) => {}
                     Err(_) => tracing::info!("no hello within {:?}", 2 * transport::AUTH_DEADLINE),
@@ -234,13 +234,25 @@ struct Admitted {
     connection: Connection,
     send: SendStream,
     recv: RecvStream,
-    viewer: ViewerId,
-    session: u64,
+    place: Place,
     name: String,
 }
 
+/// A viewer's place among those connected, given back however its task ends.
+struct Place {
+    shared: Arc<Shared>,
+    viewer: ViewerId,
+    session: u64,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.shared.leave(self.viewer, self.session);
+    }
+}
+
 /// From the first packet to the welcome; `None` if the connection came to nothing, which is logged.
-async fn admit(shared: &Shared, incoming: Incoming) -> Option<Admitted> {
+async fn admit(shared: &Arc<Shared>, incoming: Incoming) -> Option<Admitted> {
     let greeted = async {
         let connection = incoming.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
@@ -280,13 +292,13 @@ async fn admit(shared: &Shared, incoming: Incoming) -> Option<Admitted> {
             return None;
         }
     };
+    let place = Place { shared: shared.clone(), viewer, session };
     if let Err(e) = control_stream::send(&mut send, &ServerMessage::Welcome(welcome)).await {
         tracing::info!("no viewer: {e}");
-        shared.leave(viewer, session);
         return None;
     }
     guard.0 = None;
-    Some(Admitted { connection, send, recv, viewer, session, name })
+    Some(Admitted { connection, send, recv, place, name })
 }
 
 /// Decides on a hello and takes the place.
@@ -336,10 +348,14 @@ impl Shared {
 async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) {
     let reason = refusal.to_string();
     tracing::warn!("refused: {reason}");
-    if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
-        let _ = send.finish();
-        let _ = tokio::time::timeout(REFUSAL_LINGER, connection.closed()).await;
-    }
+    let told = async {
+        if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
+            let _ = send.finish();
+            connection.closed().await;
+        }
+    };
+    // A client that gives no room to write never hears why.
+    let _ = tokio::time::timeout(REFUSAL_LINGER, told).await;
     connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
 }
 

@@ -14,7 +14,7 @@ use tokio::sync::{mpsc, watch};
 use tracing::Instrument;
 
 use super::frames::FrameSender;
-use super::{Admitted, Shared, refuse};
+use super::{Admitted, refuse};
 use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
 use crate::transport;
@@ -112,10 +112,10 @@ impl Drop for CloseOnDrop {
 }
 
 /// Serves one connection until it is over.
-pub(super) async fn run(shared: Arc<Shared>, admitted: Admitted, sessions: mpsc::Sender<Session>) {
-    let Admitted { connection, mut send, recv, viewer, session: id, name } = admitted;
+pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
+    let Admitted { connection, mut send, recv, place, name } = admitted;
+    let (id, viewer) = (place.session, place.viewer);
     let span = tracing::info_span!("session", id, viewer = viewer.0);
-    let left = Leave { shared, viewer, id };
     let clock = Clock::start();
     let link = Arc::new(Link {
         connection: connection.clone(),
@@ -123,7 +123,7 @@ pub(super) async fn run(shared: Arc<Shared>, admitted: Admitted, sessions: mpsc:
         progress: watch::Sender::new(()),
     });
     let close = Arc::new(CloseOnDrop(connection.clone()));
-    let max_viewers = left.shared.options.max_viewers;
+    let max_viewers = place.shared.options.max_viewers;
     let (poses_in, poses) = watch::channel(None);
     let (requests_in, requests) = mpsc::channel(MAX_REQUESTS);
     let (messages, messages_out) = mpsc::channel(MAX_MESSAGES);
@@ -214,19 +214,6 @@ async fn write_messages(stream: &mut SendStream, mut messages: mpsc::Receiver<Se
     }
     // All senders are gone, which may happen long before the frames end.
     std::future::pending::<()>().await;
-}
-
-/// Gives the place back however the task ends.
-struct Leave {
-    shared: Arc<Shared>,
-    viewer: ViewerId,
-    id: u64,
-}
-
-impl Drop for Leave {
-    fn drop(&mut self) {
-        self.shared.leave(self.viewer, self.id);
-    }
 }
 
 /// Requests that wait for the application.
