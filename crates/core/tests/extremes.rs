@@ -1,6 +1,8 @@
 //! Do the kernels stay whole on all that a file or a peer may name: voxels from one end of the floats to the other, eyes
 //! from inside the volume to where rounding swallows it?
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::sync::Arc;
 
 use glam::Vec3;

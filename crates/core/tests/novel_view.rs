@@ -1,6 +1,8 @@
 //! Layered frames and their novel views: exact at their own pose, and from anywhere equal to a brute-force reference
 //! that intersects every segment.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::sync::Arc;
 
 use glam::{DVec3, Quat, Vec3};
@@ -186,7 +188,7 @@ fn poses_from_anywhere() -> Vec<(&'static str, Pose)> {
     let back = Vec3::Z;
     vec![
         ("10 degrees on", Pose::orbit(Vec3::ZERO, 0.475, 0.2, 4.0)),
-        ("90 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + 1.5708, 0.21, 4.0)),
+        ("90 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + std::f32::consts::FRAC_PI_2, 0.21, 4.0)),
         ("180 degrees on", Pose::orbit(Vec3::ZERO, 0.31 + std::f32::consts::PI, -0.21, 4.0)),
         ("inside the volume", Pose::orbit(Vec3::ZERO, 1.3, 0.4, 0.3)),
         ("inside, looking at the old eye", Pose::look_at(Vec3::new(0.01, 0.02, 0.0), eye.eye, Vec3::Y)),
@@ -202,7 +204,7 @@ fn poses_from_anywhere() -> Vec<(&'static str, Pose)> {
         ("at the old eye, turned", turned(eye, Quat::from_rotation_y(0.3) * Quat::from_rotation_z(0.7))),
         (
             "along the old image plane",
-            turned(Pose::orbit(Vec3::ZERO, 0.3 + 1.5708, 0.01, 1.2), Quat::IDENTITY),
+            turned(Pose::orbit(Vec3::ZERO, 0.3 + std::f32::consts::FRAC_PI_2, 0.01, 1.2), Quat::IDENTITY),
         ),
     ]
 }
