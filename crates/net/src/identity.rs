@@ -158,6 +158,11 @@ impl Mismatch {
     pub fn found(&self) -> Option<Fingerprint> {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// Forgets it: the expected server has been found, perhaps at another of its addresses.
+    pub fn forget(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
 }
 
 #[derive(Debug)]

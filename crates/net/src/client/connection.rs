@@ -199,7 +199,10 @@ impl Dialer {
         let mut problem = self.no_answer();
         while let Some(attempt) = attempts.join_next().await {
             match attempt {
-                Ok(Ok(connected)) => return Ok(connected),
+                Ok(Ok(connected)) => {
+                    self.mismatch.forget();
+                    return Ok(connected);
+                }
                 Ok(Err(Failure::Quic(e))) => problem = self.explain(&e),
                 // An answer from one address says more than silence or a missing route at another.
                 Ok(Err(Failure::Socket(e))) if problem == self.no_answer() => {
