@@ -1,5 +1,7 @@
 //! Does a volume reach the viewer's picture: renderer, codec, QUIC, client, novel view?
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};

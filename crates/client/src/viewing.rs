@@ -296,7 +296,7 @@ pub(crate) mod tests {
         }
 
         fn stats(&self) -> LinkStats {
-            self.stats.clone()
+            self.stats
         }
 
         fn description(&self) -> Option<Arc<Welcome>> {

@@ -1,7 +1,7 @@
 //! Closed-form extinction fields with exact ray integrals: what the kernels are proved against.
 //!
-//! Each field fills the box of a volume; its value *is* its extinction in inverse world units, to be classified by
-//! [`identity_transfer`]-like tables whose σ(x) is linear.
+//! Each field fills the box of a volume; its value *is* its extinction in inverse world units, to be classified by a
+//! table whose σ(x) is linear.
 
 use glam::Vec3;
 

@@ -4,7 +4,7 @@
 //! | what | direction | carrier |
 //! |---|---|---|
 //! | [`ClientMessage`], [`ServerMessage`] | both | one bidirectional stream that the client opens; see [`control`] |
-//! | [`PoseRequest`] | client to server | datagram; see [`pose`] |
+//! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
 
 pub mod control;
