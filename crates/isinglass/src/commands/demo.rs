@@ -28,7 +28,7 @@ pub(crate) struct DemoArgs {
     #[command(flatten)]
     raw: RawArgs,
     /// Round-trip time between server and viewer
-    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "0ms")]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "200ms")]
     rtt: Duration,
     #[command(flatten)]
     link: LinkArgs,
