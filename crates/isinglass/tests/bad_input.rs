@@ -185,6 +185,8 @@ fn a_port_in_use_is_told() {
     );
 }
 
+/// Elsewhere there is always a display.
+#[cfg(all(unix, not(target_os = "macos")))]
 #[test]
 fn without_a_display_the_viewer_says_so() {
     let bench = Bench::new();
