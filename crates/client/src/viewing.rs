@@ -151,10 +151,11 @@ impl<S: FrameSource> Viewing<S> {
             }
             self.left.push_back((left, self.refreshed_at));
         }
+        let full = self.frame_size.frame_for(picture, max_side);
         let size = if self.is_moving(now) {
             self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list)
         } else {
-            self.frame_size.frame_for(picture, max_side)
+            full
         };
         let wish = (pose, size);
         if self.asked.replace(wish) != Some(wish) {
@@ -175,7 +176,7 @@ impl<S: FrameSource> Viewing<S> {
         self.last = Some((camera, frame.clone()));
         let header = frame.as_ref().map(|f| f.frame.header);
         Refresh {
-            standing: self.standing(now, frame.as_deref(), wish, picture),
+            standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
             turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
             camera,
@@ -217,7 +218,7 @@ impl<S: FrameSource> Viewing<S> {
         &self,
         now: Duration,
         frame: Option<&ReceivedFrame>,
-        (pose, asked): (Pose, Intrinsics),
+        (pose, full): (Pose, Intrinsics),
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
@@ -225,9 +226,10 @@ impl<S: FrameSource> Viewing<S> {
         let server_look = self.source.look();
         let look_is_current = server_look.as_ref().is_none_or(|(version, _)| *version == header.look)
             && self.look(now) == server_look.map(|(_, look)| look);
-        let is_own = header.camera.pose == pose && header.camera.intrinsics == asked;
+        // A smaller frame, asked for while the camera moved, settles nothing: the full one has yet to be asked for.
+        let is_own = header.camera.pose == pose && header.camera.intrinsics == full;
         if is_own && frame.is_complete && look_is_current {
-            if asked == picture { Standing::Exact } else { Standing::Settled }
+            if full == picture { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
         } else {
@@ -442,7 +444,7 @@ pub(crate) mod tests {
         v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS);
         assert_eq!(v.source.asked[1], (at(5.0), half));
         v.source.answer(2, ms(20), true);
-        assert_eq!(v.refresh(ms(30), at(5.0), PICTURE, &BOUNDS).standing, Standing::Settled);
+        assert_eq!(v.refresh(ms(30), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
         // At rest the full size is asked for, once, and then shown as exact.
         assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
         assert_eq!(v.source.asked[2], (at(5.0), PICTURE));
