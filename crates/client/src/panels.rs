@@ -152,7 +152,9 @@ pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSiz
             });
         });
     };
-    area.show(ctx, |ui| pane().show(ui, in_pane));
+    // The area is as wide as the unfolded panel; the folded one belongs to its right.
+    let at_the_right = egui::Layout::top_down(egui::Align::Max);
+    area.show(ctx, |ui| ui.with_layout(at_the_right, |ui| pane().show(ui, in_pane)));
     choice.look = (changed != *look).then_some(changed);
     choice
 }

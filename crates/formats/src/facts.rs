@@ -66,7 +66,9 @@ impl fmt::Display for VolumeFacts {
             PERCENTILES.iter().zip(self.percentiles).map(|(p, value)| format!("{p} %: {value}")).collect();
         writeln!(f, "  percentiles  {}", pairs.join("   "))?;
         writeln!(f, "  orientation  {}", self.orientation.as_deref().unwrap_or("unknown"))?;
-        writeln!(f, "  memory       {:.1} MB", self.bytes_in_memory as f64 / 1e6)?;
+        let bytes = self.bytes_in_memory as f64;
+        let (amount, unit) = if bytes < 1e6 { (bytes / 1e3, "kB") } else { (bytes / 1e6, "MB") };
+        writeln!(f, "  memory       {amount:.1} {unit}")?;
         self.warnings.iter().try_for_each(|warning| writeln!(f, "  note: {warning}"))
     }
 }

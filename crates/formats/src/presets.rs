@@ -173,7 +173,7 @@ mod tests {
     fn degenerate_volumes_get_some_preset() {
         for (dims, voxels) in [
             ([1, 1, 1], Voxels::U8(vec![7])),
-            ([2, 1, 2], Voxels::F32(vec![-1e30, 3e38, 0.0, 1.0])),
+            ([2, 1, 2], Voxels::F32(vec![-1e30, 1e37, 0.0, 1.0])),
             ([3, 3, 3], Voxels::U16(vec![9; 27])),
         ] {
             let volume = Volume::new(dims, Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();

@@ -1,5 +1,6 @@
 //! The thread that owns the renderer.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
 use isinglass_core::kernels::march::Scene;
@@ -25,10 +26,21 @@ pub struct Generated {
     pub generate_micros: u64,
 }
 
+/// Why there is no frame. The next one may succeed.
+#[derive(Debug, thiserror::Error)]
+pub enum GenerateError {
+    /// What the GPU could not do.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// A defect. Frames are made on the CPU from then on.
+    #[error("the renderer failed on this frame")]
+    Panicked,
+}
+
 struct Job {
     look: Look,
     header: FrameHeader,
-    reply: oneshot::Sender<Result<Generated, GpuError>>,
+    reply: oneshot::Sender<Result<Generated, GenerateError>>,
 }
 
 impl Generator {
@@ -52,8 +64,12 @@ impl Generator {
     /// The frame for `header` under a valid look. `None` if the thread has ended.
     ///
     /// # Errors
-    /// Whatever the GPU could not do.
-    pub async fn generate(&self, look: Look, header: FrameHeader) -> Option<Result<Generated, GpuError>> {
+    /// If this frame cannot be made.
+    pub async fn generate(
+        &self,
+        look: Look,
+        header: FrameHeader,
+    ) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
         self.jobs.send(Job { look, header, reply }).await.ok()?;
         answer.await.ok()
@@ -66,12 +82,18 @@ fn work(renderer: &mut Renderer, mut look: Look, jobs: &mut mpsc::Receiver<Job>)
         if job.reply.is_closed() {
             continue;
         }
-        let result = generate(renderer, &mut look, &job);
+        // A defect in one frame must not end the service of everyone.
+        let attempt = catch_unwind(AssertUnwindSafe(|| generate(renderer, &mut look, &job)));
+        let result = attempt.unwrap_or(Err(GenerateError::Panicked));
+        if matches!(result, Err(GenerateError::Panicked | GenerateError::Gpu(GpuError::Lost { .. }))) {
+            tracing::error!("rendering on the CPU from now on: the renderer is lost");
+            *renderer = Renderer::Cpu(Box::new(renderer.scene().clone()));
+        }
         let _ = job.reply.send(result);
     }
 }
 
-fn generate(renderer: &mut Renderer, look: &mut Look, job: &Job) -> Result<Generated, GpuError> {
+fn generate(renderer: &mut Renderer, look: &mut Look, job: &Job) -> Result<Generated, GenerateError> {
     let started = Instant::now();
     if job.look.transfer != look.transfer || job.look.shaded != look.shaded {
         renderer.set_look(&job.look.transfer, march_settings(&job.look))?;

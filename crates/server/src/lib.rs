@@ -22,7 +22,7 @@ use isinglass_net::{BindError, Greeting, Identity, Link, Server};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-pub use generator::{Generated, Generator};
+pub use generator::{GenerateError, Generated, Generator};
 
 /// What to serve, and how.
 pub struct ServeOptions {

@@ -1,7 +1,7 @@
 //! The task of the server, and one task for each viewer.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
@@ -141,10 +141,20 @@ impl Viewer {
                 return self.session.control.notice(&format!("the server cannot render: {e}")).await.is_ok();
             }
         };
-        if let Some(sending) = self.sending.take()
-            && !matches!(sending.await, Ok(Ok(())))
-        {
-            return false;
+        if let Some(sending) = self.sending.take() {
+            let waiting = Instant::now();
+            if !matches!(sending.await, Ok(Ok(()))) {
+                return false;
+            }
+            // Where the network is slower than the renderer, a frame for the newest pose is made sooner than this one
+            // has waited. It finds the network free, so no frame is passed over twice in a row.
+            let is_outdated = self.session.poses.borrow().is_some_and(|newest| newest.id != request.id);
+            if is_outdated && waiting.elapsed() > Duration::from_micros(generated.generate_micros) {
+                tracing::trace!("frame {} waited too long", self.frame);
+                self.answered = None;
+                self.session.poses.mark_changed();
+                return true;
+            }
         }
         let span = tracing::debug_span!("frame", id = self.frame.0);
         let send =

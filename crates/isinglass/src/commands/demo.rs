@@ -8,7 +8,7 @@ use clap::Args;
 use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
 use isinglass_bench::view::Orbit;
-use isinglass_client::{InitialOrbit, ViewerOptions, WindowOptions, display_available};
+use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_core::codec;
 use isinglass_core::look::Look;
 use isinglass_net::LinkModel;
@@ -20,7 +20,7 @@ use crate::args::{
 };
 use crate::report::{print, print_json};
 
-#[derive(Args)]
+#[derive(Args, Clone)]
 pub(crate) struct DemoArgs {
     /// A volume, as for `serve` [default: builtin:shells]
     #[arg(value_name = "VOLUME")]
@@ -74,7 +74,13 @@ pub(crate) fn run(args: DemoArgs) -> Result<()> {
         note("no display: playing without a window (see `isinglass doctor`)");
         return headless(args, link);
     }
-    window(args, link)
+    match window(args.clone(), link.clone()) {
+        Err(e) if e.is::<ViewerError>() => {
+            note(&format!("no window ({e:#}): playing without one (see `isinglass doctor`)"));
+            headless(args, link)
+        }
+        result => result,
+    }
 }
 
 fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {

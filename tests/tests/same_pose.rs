@@ -1,0 +1,94 @@
+//! Is a layered frame of every volume, made and cast on every backend, the rendering from its own pose?
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::codec;
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::picture::Picture;
+use isinglass_core::volume::{Histogram, Volume};
+use isinglass_formats::{OpenOptions, default_preset, load_transfer, open};
+use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_tests::data_dir;
+
+const SIZE: Intrinsics = Intrinsics { width: 72, height: 64, fov_y: 0.6 };
+
+/// The backends of this machine. Without any adapter the GPU is left out, or in strict mode the test fails.
+fn backends() -> Vec<Backend> {
+    let mut backends = vec![Backend::Cpu];
+    match Backend::open(BackendChoice::Gpu) {
+        Ok(gpu) => backends.push(gpu),
+        Err(e) => {
+            let is_strict = std::env::var_os("ISINGLASS_STRICT").is_some_and(|v| v == "1");
+            assert!(!is_strict, "{e}");
+            eprintln!("skipped on the GPU: {e}");
+        }
+    }
+    backends
+}
+
+fn error(a: &Picture, b: &Picture) -> ImageError {
+    let (width, height) = (a.width as usize, a.height as usize);
+    compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), width, height, [0; 3]).unwrap()
+}
+
+fn check(source: &str, backends: &[Backend]) {
+    let volume: Volume = open(source, &OpenOptions::default()).unwrap();
+    let transfer = load_transfer(default_preset(source, &volume, &Histogram::of(&volume))).unwrap();
+    let scene = Scene::new(Arc::new(volume), &transfer, MarchSettings::default());
+    let bounds = scene.volume.bounds();
+    let camera_at = |azimuth: f32| {
+        let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.35, bounds.radius() * SIZE.fit_distance());
+        Camera::new(pose, SIZE, &bounds)
+    };
+    let camera = camera_at(0.5);
+    for backend in backends {
+        let mut renderer = backend.renderer(scene.clone()).unwrap();
+        let truth = renderer.render(&camera).unwrap();
+        assert!(truth.pixels.iter().any(|p| p[3] > 0.3), "{source} shows nothing");
+        for layering in Layering::ALL {
+            let at = format!("{source}, {layering}, {}", backend.description());
+            let header =
+                FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+            let frame = renderer.generate(header, layering).unwrap();
+            let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
+            // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
+            assert!(own.max_abs_255 <= 1, "{at}: {own:?}");
+
+            let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
+            let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
+            let decoded = codec::decode(&chunks).unwrap();
+            let wired = error(&backend.raycast(&decoded, &bounds, &camera).unwrap(), &truth);
+            // The bound that the wire is held to.
+            assert!(wired.dssim <= 1e-3, "{at}, through the wire: {wired:?}");
+
+            // Negative control: three degrees to the side is another picture.
+            let beside = backend.raycast(&frame, &bounds, &camera_at(0.55)).unwrap();
+            assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
+        }
+    }
+}
+
+#[test]
+fn of_the_built_in_volumes() {
+    let backends = backends();
+    for name in ["builtin:cloud@64", "builtin:cubus@64", "builtin:shells@64"] {
+        check(name, &backends);
+    }
+}
+
+#[test]
+fn of_the_scanned_volumes() {
+    let Some(folder) = data_dir() else { return };
+    let backends = backends();
+    for name in ["engine", "bonsai", "avm", "t1_head", "heptane", "mouse_brain"] {
+        check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends);
+    }
+}
