@@ -46,10 +46,12 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
         if shared.is_stopping() {
             return None;
         }
-        if let Some(job) = session.poll_decode() {
+        let now = shared.clock.now_micros();
+        if let Some(job) = session.poll_decode(now) {
             return Some(job);
         }
-        let waited = shared.decode_wanted.wait_timeout(session, Duration::from_secs(1));
+        let held = session.hold_until().map(|until| Duration::from_micros(until.saturating_sub(now)));
+        let waited = shared.decode_wanted.wait_timeout(session, held.unwrap_or(Duration::from_secs(1)));
         session = waited.unwrap_or_else(PoisonError::into_inner).0;
     }
 }
