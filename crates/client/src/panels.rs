@@ -107,10 +107,18 @@ pub(crate) struct LookChoice {
 pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSize) -> LookChoice {
     let mut choice = LookChoice::default();
     let mut changed = look.clone();
-    let area = egui::Area::new(egui::Id::unique("look")).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
+    let open_id = egui::Id::unique("look is open");
+    let is_open = ctx.data(|d| d.get_temp(open_id).unwrap_or(false));
+    // Two areas: one would keep the width of the unfolded panel.
+    let area_id = egui::Id::unique(if is_open { "look" } else { "look, folded" });
+    let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
     let in_pane = |ui: &mut Ui| {
-        let title = RichText::new("Look").color(BRIGHT).size(12.0);
-        egui::CollapsingHeader::new(title).show(ui, |ui| {
+        let title = egui::Button::new(RichText::new("Look").color(BRIGHT).size(12.0)).frame(false);
+        let hint = if is_open { "click to fold" } else { "transfer function, shading, layers" };
+        if ui.add(title).on_hover_text(hint).clicked() {
+            ctx.data_mut(|d| d.insert_temp(open_id, !is_open));
+        }
+        if is_open {
             egui::Grid::new("look").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
                 ui.label("transfer function");
                 egui::ComboBox::from_id_salt("transfer").selected_text(&look.transfer.name).show_ui(
@@ -150,11 +158,9 @@ pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSiz
                 }
                 ui.end_row();
             });
-        });
+        }
     };
-    // The area is as wide as the unfolded panel; the folded one belongs to its right.
-    let at_the_right = egui::Layout::top_down(egui::Align::Max);
-    area.show(ctx, |ui| ui.with_layout(at_the_right, |ui| pane().show(ui, in_pane)));
+    area.show(ctx, |ui| pane().show(ui, in_pane));
     choice.look = (changed != *look).then_some(changed);
     choice
 }

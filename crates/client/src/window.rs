@@ -172,8 +172,9 @@ fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
         .with_surface_config(egui_wgpu::SurfaceConfig::LOW_LATENCY)
 }
 
-/// Longest time the server may need for a frame while the camera moves: about that of a long round trip.
-const MOVING_BUDGET: Duration = Duration::from_millis(150);
+/// Longest time the server should need for a frame while the camera moves: that of a long round trip. With half of it,
+/// a server without a GPU sends frames so coarse that the eye minds them more than their age.
+const MOVING_BUDGET: Duration = Duration::from_millis(300);
 /// Vertical field of view if none is named, degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;
 

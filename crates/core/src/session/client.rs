@@ -411,7 +411,7 @@ mod tests {
     fn a_base_waits_for_its_refinements_while_they_keep_up() {
         let mut s = Session::default();
         s.handle_connected();
-        let mut arrives = |s: &mut Session, now, frame, indices: &[u16]| {
+        let arrives = |s: &mut Session, now, frame, indices: &[u16]| {
             indices.iter().for_each(|i| arrive(s, now, frame, *i).unwrap());
             let job = s.poll_decode(now)?;
             s.handle_decoded(now, job.connection, job.frame, job.is_last);
