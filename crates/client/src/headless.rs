@@ -76,19 +76,9 @@ impl<S: FrameSource> HeadlessViewer<S> {
         self.records.last()
     }
 
-    /// What was shown so far. A frame lives as long as a record names it.
-    pub fn records(&self) -> &[DisplayRecord] {
-        &self.records
-    }
-
-    /// What was shown since the last call; forgotten here, so that a long path at a large size fits into memory.
+    /// What was shown since the last call. A frame lives as long as a record names it. Forgotten here, so that a long path at a large size fits into memory.
     pub fn take_records(&mut self) -> Vec<DisplayRecord> {
         std::mem::take(&mut self.records)
-    }
-
-    /// What was shown.
-    pub fn into_records(self) -> Vec<DisplayRecord> {
-        self.records
     }
 }
 
@@ -111,7 +101,7 @@ mod tests {
             let at = Duration::from_millis(16 * i);
             assert_eq!(viewer.tick(at, pose(i)).unwrap().camera, Camera::new(pose(i), picture, &BOUNDS));
         }
-        let records = viewer.into_records();
+        let records = viewer.take_records();
         assert_eq!(records.len(), 5);
         assert!(records.iter().all(|r| r.frame.is_none() && r.standing == Standing::Waiting));
     }
