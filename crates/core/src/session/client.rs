@@ -227,7 +227,7 @@ impl Session {
     ///
     /// A base without its refinements lacks matter that a turned camera sees. So as long as refinements keep up, the
     /// picture before, which is complete, is better for the moment that they still need: a base is held back until
-    /// it is followed by a newer one or [`HOLD_MICROS`] have passed.
+    /// it is followed by a newer one or a quarter of a second has passed.
     pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
         let frame = self.newest_base?;
         let is_held = self.hold_until().is_some_and(|until| now_micros < until);
