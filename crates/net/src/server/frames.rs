@@ -178,7 +178,7 @@ impl Drop for ChunkStream {
 
 /// Bytes written at a time.
 const PIECE: usize = 16_000;
-/// Bytes that may wait beyond the congestion window. Without any, quinn takes the connection for one with little to
-/// send and never widens the congestion window: at 300 ms, frames of 750 kB then take five round trips each, for ever.
-/// More would queue in front of the next frame.
+/// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
+/// not widen the congestion window of those. At 300 ms and without a bandwidth limit it made no difference above the
+/// noise; more would queue in front of the next frame.
 const SLACK: u64 = 2 * PIECE as u64;

@@ -120,7 +120,7 @@ fn merge_cost(a: &OpenSegment, b: &OpenSegment, h: f32) -> f32 {
 }
 
 /// Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it. Between
-/// 0.1 and 0.3 the mean DSSIM over seven scenes changed by less than 1 %.
+/// 0.1 and 0.3 the geometric mean of DSSIM over seven scenes changed by 1 % at 10° and 3 % at 30°.
 const VISIBILITY_FLOOR: f32 = 0.2;
 /// Weight of moved opacity against mixed colour: between 1 and 2 likewise flat.
 const MOVED_WEIGHT: f32 = 2.0;
