@@ -58,40 +58,33 @@ fn depth_of_cut(i: u32) -> f32 {
 }
 
 // Adds a piece to the open segment; opens one at its front if there is none.
-fn extend(s0: f32, s1: f32, c: vec3f, tau: f32) {
+fn extend(piece: Step) {
     if (!cuts.has_open) {
-        cuts.open = OpenSegment(vec3f(0.0), 0.0, s0, s0, 0.0);
+        cuts.open = no_segment();
+        cuts.open.s0 = piece.s0;
         cuts.has_open = true;
     }
-    cuts.open.c += c * (1.0 - cuts.open.alpha);
-    cuts.open.alpha += opacity(tau) * (1.0 - cuts.open.alpha);
-    cuts.open.tau += tau;
-    cuts.open.s1 = s1;
+    cuts.open = appended(cuts.open, piece);
 }
 
 fn cuts_step(step: Step) -> u32 {
-    var s0 = step.s0;
-    let s1 = step.s1;
-    var c = step.c;
-    var tau = step.tau;
-    while (cuts.tau_total + tau > cuts.tau_cut && list.len + 1u < K) {
-        let part = clamp((cuts.tau_cut - cuts.tau_total) / tau, 0.0, 1.0);
-        let s_cut = s0 + (s1 - s0) * part;
-        let c_part = c * (opacity(tau * part) / opacity(tau));
-        extend(s0, s_cut, c_part, tau * part);
+    var rest = step;
+    while (cuts.tau_total + rest.tau > cuts.tau_cut && list.len + 1u < K) {
+        let part = clamp((cuts.tau_cut - cuts.tau_total) / rest.tau, 0.0, 1.0);
+        let parts = split(rest, part);
+        extend(parts.near);
         push(cuts.open);
-        // The rest of the step, and an open segment that starts at the cut: the list has no gaps.
-        c *= opacity(tau * (1.0 - part)) / opacity(tau);
-        cuts.tau_total += tau * part;
-        tau *= 1.0 - part;
-        s0 = s_cut;
-        cuts.open = OpenSegment(vec3f(0.0), 0.0, s_cut, s_cut, 0.0);
-        cuts.has_open = true;
+        cuts.tau_total += parts.near.tau;
+        rest = parts.far;
+        // The next one starts at the cut: the list has no gaps.
+        cuts.open = no_segment();
+        cuts.open.s0 = rest.s0;
+        cuts.open.s1 = rest.s0;
         cuts.tau_cut = depth_of_cut(list.len + 1u);
     }
-    extend(s0, s1, c, tau);
-    cuts.tau_total += tau;
-    return select(0u, pace_behind(exp(-cuts.tau_total)), s1 < profile.s_last);
+    extend(rest);
+    cuts.tau_total += rest.tau;
+    return select(0u, pace_behind(exp(-cuts.tau_total)), step.s1 < profile.s_last);
 }
 
 // More than any optical depth.

@@ -28,6 +28,40 @@ fn push(segment: OpenSegment) {
     list.len += 1u;
 }
 
+fn no_segment() -> OpenSegment {
+    return OpenSegment(vec3f(0.0), 0.0, 0.0, 0.0, 0.0);
+}
+
+// An open segment with a piece added to its back.
+fn appended(open: OpenSegment, piece: Step) -> OpenSegment {
+    return OpenSegment(
+        open.c + piece.c * (1.0 - open.alpha),
+        open.tau + piece.tau,
+        open.s0,
+        piece.s1,
+        open.alpha + piece.alpha * (1.0 - open.alpha),
+    );
+}
+
+struct Parts {
+    near: Step,
+    far: Step,
+}
+
+// The two parts of a step that is cut, as a homogeneous medium, behind the share `part` of its length.
+fn split(step: Step, part: f32) -> Parts {
+    let s_cut = step.s0 + (step.s1 - step.s0) * part;
+    return Parts(
+        piece(step, step.s0, s_cut, step.tau * part),
+        piece(step, s_cut, step.s1, step.tau * (1.0 - part)),
+    );
+}
+
+fn piece(step: Step, s0: f32, s1: f32, tau: f32) -> Step {
+    let alpha = opacity(tau);
+    return Step(step.c * (alpha / max(step.alpha, ALPHA_LEAST)), tau, s0, s1, alpha);
+}
+
 @compute @workgroup_size(8, 8)
 fn generate(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(camera.width);
@@ -63,9 +97,11 @@ fn close_segment(segment: OpenSegment, s_per_depth: f32, last_back: u32) -> Segm
 }
 
 fn units(depth: f32) -> u32 {
-    let greatest = DEPTH_UNITS - f32(MAX_K * MIN_UNITS);
+    let greatest = DEPTH_UNITS - f32(K * MIN_UNITS);
     return u32(clamp(depth_to_units(camera, depth) + 0.5, 0.0, greatest));
 }
 
 // Least thickness of a segment in depth units.
 const MIN_UNITS: u32 = 4;
+// A part of a step without any opacity is divided by this.
+const ALPHA_LEAST: f32 = 1e-30;

@@ -74,8 +74,6 @@ fn opacity(tau: f32) -> f32 {
 
 // Greatest optical depth of a segment.
 const TAU_MAX: f32 = 1000.0;
-// Greatest list length.
-const MAX_K: u32 = 16;
 // Depth units between near and far.
 const DEPTH_UNITS: f32 = 65535.0;
 // Greatest finite half float.

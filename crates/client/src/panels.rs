@@ -2,6 +2,7 @@
 
 use egui::{Align2, Color32, Frame, Margin, RichText, Stroke, Ui, vec2};
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
@@ -149,7 +150,7 @@ pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSiz
                 );
                 ui.end_row();
                 ui.label("segments a ray").on_hover_text("K: more is truer after a turn, and more to send");
-                ui.add(egui::Slider::new(&mut changed.k, 1..=15));
+                ui.add(egui::Slider::new(&mut changed.k, 1..=MAX_K as u8));
                 ui.end_row();
                 ui.label("frame size").on_hover_text("of the server's frames, in units of the window's");
                 let mut percent = (frame_size.scale * 100.0).round();

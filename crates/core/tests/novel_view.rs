@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DVec3, Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::{Layering, Representative, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
@@ -16,6 +16,16 @@ use isinglass_core::picture::Picture;
 use isinglass_core::space::{Aabb, Ray};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
+
+/// One of each kind; the representative depths differ in a number alone.
+const RULES: [Layering; 6] = [
+    Layering::VisibilityMerge,
+    Layering::EqualTransmittance,
+    Layering::EqualLength,
+    Layering::Homogeneity,
+    Layering::Slabs,
+    Layering::SingleDepth(Representative::Mean),
+];
 
 fn scene(builtin: Builtin) -> Scene {
     let p = |x, color, opacity| ControlPoint { x, color, opacity };
@@ -57,8 +67,8 @@ fn own_pose_is_the_rendering() {
         for (azimuth, distance) in [(0.3, 5.0), (2.0, 2.2), (4.0, 0.4)] {
             let camera = camera(Pose::orbit(Vec3::ZERO, azimuth, 0.2, distance), 48, &bounds);
             let truth = render(&scene, &camera);
-            for layering in Layering::ALL {
-                for k in [1, 2, 8, 16] {
+            for layering in RULES {
+                for k in [1, 8, 32] {
                     let frame = frame_of(&scene, camera, k, layering);
                     let at = format!("{} {layering} k={k} azimuth {azimuth}", builtin.name());
                     assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
@@ -216,7 +226,7 @@ fn rays_from_anywhere_match_brute_force() {
         let bounds = scene.volume.bounds();
         for old_distance in [4.0, 0.5] {
             let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, old_distance), 28, &bounds);
-            for layering in Layering::ALL {
+            for layering in RULES {
                 let frame = frame_of(&scene, old, 6, layering);
                 for (name, pose) in poses_from_anywhere() {
                     let new = camera(pose, 15, &bounds);
@@ -229,7 +239,10 @@ fn rays_from_anywhere_match_brute_force() {
                     }
                     assert!(found.pixels.iter().flatten().all(|v| v.is_finite()), "{name}");
                     let difference = max_difference(&found, &truth);
-                    assert!(difference <= 1, "{} {layering} {name}: {difference}/255", builtin.name());
+                    // Single precision places a ray to 1/200 of a segment of least thickness, which here holds all that a
+                    // ray sees: 1.3/255 of white.
+                    let limit = if matches!(layering, Layering::SingleDepth(_)) { 2 } else { 1 };
+                    assert!(difference <= limit, "{} {layering} {name}: {difference}/255", builtin.name());
                 }
             }
         }
@@ -257,11 +270,18 @@ fn k_segments_mean_k_segments() {
     let scene = scene(Builtin::Cloud);
     let bounds = scene.volume.bounds();
     let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
-    for layering in Layering::ALL {
-        for k in [1u8, 3, 16] {
+    for layering in RULES {
+        for k in [1u8, 3, 16, 32] {
             let frame = frame_of(&scene, old, k, layering);
-            let longest = (0..frame.offsets.len() - 1).map(|i| frame.list(i).len()).max();
-            assert_eq!(longest, Some(usize::from(k)), "{layering}");
+            let longest = (0..frame.offsets.len() - 1).map(|i| frame.list(i).len()).max().unwrap();
+            match layering {
+                Layering::SingleDepth(_) => assert_eq!(longest, 1, "{layering}"),
+                // No ray runs through both the nearest and the farthest corner of the box.
+                Layering::Slabs => {
+                    assert!(longest <= k.into() && longest * 2 > k.into(), "{layering}, {longest}");
+                }
+                _ => assert_eq!(longest, usize::from(k), "{layering}"),
+            }
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::layer::MAX_K;
 use wgpu::naga;
 
@@ -58,7 +58,8 @@ fn all_kernels() -> Vec<Kernel> {
     for kind in [TexelKind::Uint, TexelKind::Float] {
         kernels.push(Kernel::Render(kind));
         for layering in Layering::ALL {
-            kernels.extend((1..=MAX_K as u8).map(|k| Kernel::Generate(kind, layering, k)));
+            // K is a number in the text: the ends of its range stand for all of it.
+            kernels.extend([1, 2, MAX_K as u8].map(|k| Kernel::Generate(kind, layering, k)));
         }
     }
     kernels
@@ -118,7 +119,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 9] = [
+const TWINS: [&str; 14] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
@@ -128,10 +129,16 @@ const TWINS: [&str; 9] = [
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
+    include_str!("../../core/src/kernels/layering/cuts.rs"),
+    include_str!("../../core/src/kernels/layering/equal_length.rs"),
+    include_str!("../../core/src/kernels/layering/homogeneity.rs"),
+    include_str!("../../core/src/kernels/layering/single_depth.rs"),
+    include_str!("../../core/src/kernels/layering/slabs.rs"),
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 6] = ["K", "BLOCK", "HALF_NORMAL_MIN", "HALF_SUBNORMAL", "NEVER", "OUT_OF_REACH"];
+const SHADER_ONLY: [&str; 7] =
+    ["K", "REPRESENTATIVE", "BLOCK", "HALF_NORMAL_MIN", "HALF_SUBNORMAL", "NEVER", "OUT_OF_REACH"];
 
 #[test]
 fn every_concatenation_is_valid() {
@@ -200,6 +207,10 @@ fn shared_constants_have_the_values_of_the_twins() {
                 "two values of {name} in core"
             );
         }
+    }
+    // The numbers of the representatives are those of the enum.
+    for representative in Representative::ALL {
+        twin.insert(format!("{representative:?}").to_uppercase(), f64::from(representative as u32));
     }
     let mut compared = 0;
     for kernel in all_kernels() {

@@ -33,13 +33,21 @@ impl Kernel {
         let parts: &[&str] = match self {
             Self::Render(kind) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, RENDER],
             Self::Generate(kind, layering, k) => {
-                let rule = match layering {
-                    Layering::VisibilityMerge => VISIBILITY_MERGE,
-                    Layering::EqualTransmittance => EQUAL_TRANSMITTANCE,
+                let representative;
+                let [shared, rule] = match layering {
+                    Layering::VisibilityMerge => ["", VISIBILITY_MERGE],
+                    Layering::EqualTransmittance => ["", EQUAL_TRANSMITTANCE],
+                    Layering::EqualLength => [CUTS, EQUAL_LENGTH],
+                    Layering::Homogeneity => ["", HOMOGENEITY],
+                    Layering::SingleDepth(r) => {
+                        representative = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
+                        [&representative, SINGLE_DEPTH]
+                    }
+                    Layering::Slabs => [CUTS, SLABS],
                 };
                 let k = usize::from(k).clamp(1, MAX_K);
                 let k = format!("const K: u32 = {k}u;\n");
-                return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, rule].concat();
+                return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::RaycastCompute => &[TYPES, SPACE, LAYER, RAYCAST, RAYCAST_COMPUTE],
@@ -69,6 +77,11 @@ const RENDER: &str = include_str!("../../../shaders/render.wgsl");
 const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
 const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");
 const EQUAL_TRANSMITTANCE: &str = include_str!("../../../shaders/layering/equal_transmittance.wgsl");
+const CUTS: &str = include_str!("../../../shaders/layering/cuts.wgsl");
+const EQUAL_LENGTH: &str = include_str!("../../../shaders/layering/equal_length.wgsl");
+const HOMOGENEITY: &str = include_str!("../../../shaders/layering/homogeneity.wgsl");
+const SINGLE_DEPTH: &str = include_str!("../../../shaders/layering/single_depth.wgsl");
+const SLABS: &str = include_str!("../../../shaders/layering/slabs.wgsl");
 const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");

@@ -112,7 +112,8 @@ impl LookArgs {
 /// Which segments a layered frame holds.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct LayeringArgs {
-    /// Rule: visibility-merge or equal-transmittance
+    /// Rule: visibility-merge, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
+    /// being mean, entry, exit, midpoint, peak, gradient or threshold
     #[arg(long, value_name = "RULE", default_value_t = Layering::default())]
     pub(crate) layering: Layering,
     /// Most segments a pixel
@@ -270,7 +271,7 @@ mod tests {
         assert_eq!(parse_background("#0a0B0c"), Ok([10, 11, 12]));
         assert_eq!(parse_dims("1,2,3"), Ok([1, 2, 3]));
         assert_eq!(parse_spacing("1,2,0.5"), Ok(Vec3::new(1.0, 2.0, 0.5)));
-        assert_eq!(parse_k("16"), Ok(16));
+        assert_eq!(parse_k("32"), Ok(32));
         for bad in ["", "0x5", "5x", "x", "-1x4", "9999x1", "4", "4x4x4"] {
             assert!(parse_size(bad).is_err(), "{bad}");
         }
@@ -284,6 +285,6 @@ mod tests {
             assert!(parse_dims(bad).is_err(), "{bad}");
         }
         assert!(parse_spacing("1,0,1").is_err() && parse_spacing("1,nan,1").is_err());
-        assert!(parse_k("0").is_err() && parse_k("17").is_err() && parse_fov("180").is_err());
+        assert!(parse_k("0").is_err() && parse_k("33").is_err() && parse_fov("180").is_err());
     }
 }

@@ -32,7 +32,7 @@ fn bad_usage_is_code_2() {
         ("render builtin:cloud@8 -o out.png --background red", &["red", "#20242c"]),
         ("render builtin:cloud@8 -o none/out.png", &["no folder none"]),
         ("render builtin:cloud@8 -o out.png --shading maybe", &["maybe", "on, off"]),
-        ("layers builtin:cloud@8 -o a.iglf --k 17", &["17", "1 to 16"]),
+        ("layers builtin:cloud@8 -o a.iglf --k 33", &["33", "1 to 32"]),
         ("layers builtin:cloud@8 -o a.iglf --layering best", &["best", "visibility-merge"]),
         ("info a.raw --dims 1,2,0 --dtype uint8", &["1,2,0"]),
         ("info a.raw --dims 1,2,3", &["--dtype"]),

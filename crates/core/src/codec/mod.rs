@@ -250,4 +250,4 @@ const fn base_k(k: u8) -> usize {
     (k as usize).div_ceil(2)
 }
 
-const _: () = assert!(MAX_K == 16, "a list's base is marked in 16 bits");
+const _: () = assert!(MAX_K == 32, "a list's base is marked in 32 bits");

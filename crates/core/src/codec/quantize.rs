@@ -48,8 +48,8 @@ pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>, scale: &Scale) -> 
     }
     let num_segments = (frame.offsets[lists.end] - frame.offsets[lists.start]) as usize;
     groups[0].lists.codes.reserve(num_segments);
+    let mut quantized = [Quantized::default(); MAX_K];
     for list in lists {
-        let mut quantized = [Quantized::default(); MAX_K];
         let segments = frame.list(list);
         let quantized = &mut quantized[..segments.len().min(MAX_K)];
         quantize_list(frame, segments.start, scale, quantized);
@@ -123,10 +123,10 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Q
 }
 
 /// Bit `i` says that segment `i` belongs to the base: the `base_k` highest ranks, the nearer first among equals.
-fn base_of(list: &[Quantized], base_k: usize) -> u16 {
-    let mut base = 0;
+fn base_of(list: &[Quantized], base_k: usize) -> u32 {
+    let mut base = 0u32;
     if list.len() <= base_k {
-        return u16::MAX;
+        return u32::MAX;
     }
     for _ in 0..base_k {
         let best = (0..list.len())

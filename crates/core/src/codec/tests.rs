@@ -44,14 +44,16 @@ fn header(width: u32, height: u32, k: u8) -> FrameHeader {
 /// quarter of the tiles stays empty.
 fn random_frame(width: u32, height: u32, k: u8, seed: u64) -> LayeredFrame {
     let mut random = Random(seed);
+    // The longest lists fit the 16 bits of a depth.
+    let reach = 2000 * 16 / usize::from(k).max(16);
     let mut frame = LayeredFrame::empty(header(width, height, k));
     for list in 0..(width * height) as usize {
         let tile = list / width as usize / TILE + list % width as usize / TILE;
         let len = if tile % 4 == 3 { 0 } else { random.below(usize::from(k) + 1) };
         let mut depth = random.below(2000);
         for _ in 0..len {
-            let front = depth + [0, random.below(1500)][random.below(2)];
-            let back = front + 1 + [0, random.below(2000)][random.below(2)];
+            let front = depth + [0, random.below(reach * 3 / 4)][random.below(2)];
+            let back = front + 1 + [0, random.below(reach)][random.below(2)];
             let tau = 10f32.powf(random.unit() * 7.0 - 4.0);
             let alpha = 1.0 - (-tau).exp();
             let c = Vec3::new(random.unit(), random.unit(), random.unit()) * alpha;
@@ -135,7 +137,7 @@ fn depths_are_kept_and_values_stay_within_the_stated_bounds() {
 
 #[test]
 fn encoding_a_decoded_frame_gives_the_same_bytes() {
-    for (k, seed) in [(8, 2), (16, 3), (1, 4)] {
+    for (k, seed) in [(8, 2), (16, 3), (1, 4), (32, 5)] {
         for settings in ALL_BITS {
             let encoded = encode(&random_frame(50, 140, k, seed), &settings).unwrap();
             let decoded = decode(&bytes(&encoded)).unwrap();
@@ -249,7 +251,7 @@ fn the_base_holds_what_is_seen() {
 #[test]
 fn small_and_odd_frames() {
     for (width, height) in [(1, 1), (1, 100), (100, 1), (16, 16), (17, 65), (33, 129)] {
-        for k in [1, 2, 7, 16] {
+        for k in [1, 2, 7, 16, 17, 31, 32] {
             for frame in [
                 LayeredFrame::empty(header(width, height, k)),
                 random_frame(width, height, k, 8),
@@ -301,7 +303,7 @@ fn bad_settings_and_bad_headers_are_named() {
     assert!(matches!(with(0, b'X'), CodecError::Magic(_)));
     assert_eq!(with(4, 2), CodecError::Version(2));
     for (at, byte, name) in
-        [(5, 0, "k"), (5, 17, "k"), (6, 9, "bits of colour"), (7, 1, "band"), (8, 9, "chunk index")]
+        [(5, 0, "k"), (5, 33, "k"), (6, 9, "bits of colour"), (7, 1, "band"), (8, 9, "chunk index")]
     {
         assert!(
             matches!(with(at, byte), CodecError::Header { what, .. } if what == name),

@@ -18,8 +18,8 @@ pub use pose::{POSE_BYTES, PoseError, PoseRequest};
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/1";
+pub const ALPN: &[u8] = b"isinglass/2";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

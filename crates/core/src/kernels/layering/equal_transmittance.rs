@@ -5,10 +5,8 @@
 //! segments run without a gap from the first to the last content and each adds an equal share (design, trap 2). A
 //! step that a cut falls into is split as a homogeneous medium. As published, nothing is kept behind opaque matter.
 
-use glam::Vec3;
-
-use super::{OpenSegment, SegmentList};
-use crate::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN, opacity};
+use super::{OpenSegment, SegmentList, append, split};
+use crate::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN};
 
 /// March 1: transmittance of the whole ray and the end of its content.
 #[derive(Clone, Copy, Debug)]
@@ -62,12 +60,9 @@ impl Cuts {
     }
 
     /// Adds a piece to the open segment; opens one at its front if there is none.
-    fn extend(&mut self, s0: f32, s1: f32, c: Vec3, tau: f32) {
-        let open = self.open.get_or_insert(OpenSegment { s0, s1: s0, ..OpenSegment::default() });
-        open.c += c * (1.0 - open.alpha);
-        open.alpha += opacity(tau) * (1.0 - open.alpha);
-        open.tau += tau;
-        open.s1 = s1;
+    fn extend(&mut self, piece: &Step) {
+        let open = self.open.get_or_insert(OpenSegment { s0: piece.s0, ..OpenSegment::default() });
+        append(open, piece);
     }
 
     /// The list.
@@ -81,25 +76,22 @@ impl Cuts {
 
 impl Sink for Cuts {
     fn step(&mut self, step: Step) -> Pace {
-        let Step { mut s0, s1, mut c, mut tau, .. } = step;
-        while self.tau_total + tau > self.tau_cut && self.list.len + 1 < self.k {
-            let part = ((self.tau_cut - self.tau_total) / tau).clamp(0.0, 1.0);
-            let s_cut = s0 + (s1 - s0) * part;
-            let c_part = c * (opacity(tau * part) / opacity(tau));
-            self.extend(s0, s_cut, c_part, tau * part);
+        let mut rest = step;
+        while self.tau_total + rest.tau > self.tau_cut && self.list.len + 1 < self.k {
+            let part = ((self.tau_cut - self.tau_total) / rest.tau).clamp(0.0, 1.0);
+            let near;
+            (near, rest) = split(&rest, part);
+            self.extend(&near);
             if let Some(open) = self.open.take() {
                 self.list.push(open);
             }
-            // The rest of the step, and an open segment that starts at the cut: the list has no gaps.
-            c *= opacity(tau * (1.0 - part)) / opacity(tau);
-            self.tau_total += tau * part;
-            tau *= 1.0 - part;
-            s0 = s_cut;
-            self.open = Some(OpenSegment { s0: s_cut, s1: s_cut, ..OpenSegment::default() });
+            self.tau_total += near.tau;
+            // The next one starts at the cut: the list has no gaps.
+            self.open = Some(OpenSegment { s0: rest.s0, s1: rest.s0, ..OpenSegment::default() });
             self.tau_cut = self.depth_of_cut(self.list.len + 1);
         }
-        self.extend(s0, s1, c, tau);
-        self.tau_total += tau;
-        if s1 < self.profile.s_last { Pace::behind((-self.tau_total).exp()) } else { Pace::Stop }
+        self.extend(&rest);
+        self.tau_total += rest.tau;
+        if step.s1 < self.profile.s_last { Pace::behind((-self.tau_total).exp()) } else { Pace::Stop }
     }
 }

@@ -2,13 +2,21 @@
 //!
 //! Every rule sees the same steps of the same lattice; only what becomes of them differs.
 
+pub mod all_samples;
+pub mod cuts;
+pub mod equal_length;
 pub mod equal_transmittance;
+pub mod homogeneity;
+pub mod single_depth;
+pub mod slabs;
 pub mod visibility_merge;
+
+pub use single_depth::Representative;
 
 use rayon::prelude::*;
 
-use super::march::{Marcher, Scene, Step, Texels, with_texels};
-use crate::camera::Camera;
+use super::march::{Marcher, Scene, Step, Texels, opacity, with_texels};
+use crate::camera::{Basis, Camera, Intrinsics};
 use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::space::Ray;
 
@@ -20,17 +28,48 @@ pub enum Layering {
     VisibilityMerge,
     /// Cuts at equal shares of the accumulated opacity; two marches (Lochmann 2016).
     EqualTransmittance,
+    /// Cuts at equal distances from the first to the last content; two marches (Brady 1997).
+    EqualLength,
+    /// Segments of like colour, by a threshold that is found ray by ray; many marches (Frey 2013, Gupta 2022).
+    Homogeneity,
+    /// The whole ray at one depth (Zellmann 2012).
+    SingleDepth(Representative),
+    /// Slabs of equal view depth, the same for every ray (Mueller 1999).
+    Slabs,
 }
 
 impl Layering {
     /// Every rule.
-    pub const ALL: [Self; 2] = [Self::VisibilityMerge, Self::EqualTransmittance];
+    pub const ALL: [Self; 12] = [
+        Self::VisibilityMerge,
+        Self::EqualTransmittance,
+        Self::EqualLength,
+        Self::Homogeneity,
+        Self::Slabs,
+        Self::SingleDepth(Representative::Mean),
+        Self::SingleDepth(Representative::Entry),
+        Self::SingleDepth(Representative::Exit),
+        Self::SingleDepth(Representative::Midpoint),
+        Self::SingleDepth(Representative::Peak),
+        Self::SingleDepth(Representative::Gradient),
+        Self::SingleDepth(Representative::Threshold),
+    ];
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::VisibilityMerge => "visibility-merge",
             Self::EqualTransmittance => "equal-transmittance",
+            Self::EqualLength => "equal-length",
+            Self::Homogeneity => "homogeneity",
+            Self::Slabs => "slabs",
+            Self::SingleDepth(Representative::Mean) => "single-depth",
+            Self::SingleDepth(Representative::Entry) => "single-depth:entry",
+            Self::SingleDepth(Representative::Exit) => "single-depth:exit",
+            Self::SingleDepth(Representative::Midpoint) => "single-depth:midpoint",
+            Self::SingleDepth(Representative::Peak) => "single-depth:peak",
+            Self::SingleDepth(Representative::Gradient) => "single-depth:gradient",
+            Self::SingleDepth(Representative::Threshold) => "single-depth:threshold",
         }
     }
 }
@@ -45,7 +84,9 @@ impl std::str::FromStr for Layering {
     type Err = String;
 
     fn from_str(s: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|l| l.name() == s).ok_or_else(|| {
+        // The default in full, beside the others of its kind.
+        let name = if s == "single-depth:mean" { "single-depth" } else { s };
+        Self::ALL.into_iter().find(|l| l.name() == name).ok_or_else(|| {
             format!("unknown layering '{s}', expected one of {}", Self::ALL.map(Self::name).join(", "))
         })
     }
@@ -71,6 +112,24 @@ impl SegmentList {
     }
 }
 
+/// Adds a piece to the back of an open segment.
+fn append(open: &mut OpenSegment, piece: &Step) {
+    open.c += piece.c * (1.0 - open.alpha);
+    open.alpha += piece.alpha * (1.0 - open.alpha);
+    open.tau += piece.tau;
+    open.s1 = piece.s1;
+}
+
+/// The two parts of a step that is cut, as a homogeneous medium, behind the share `part` of its length.
+fn split(step: &Step, part: f32) -> (Step, Step) {
+    let s_cut = step.s0 + (step.s1 - step.s0) * part;
+    let piece = |s0, s1, tau| {
+        let alpha = opacity(tau);
+        Step { s0, s1, c: step.c * (alpha / step.alpha.max(ALPHA_LEAST)), tau, alpha }
+    };
+    (piece(step.s0, s_cut, step.tau * part), piece(s_cut, step.s1, step.tau * (1.0 - part)))
+}
+
 /// Generates a layered frame by the rule `layering` with at most `header.k` segments a list.
 pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> LayeredFrame {
     with_texels!(scene, texels => generate_with(scene, &Marcher::new(scene, texels), header, layering))
@@ -85,27 +144,36 @@ fn generate_with<T: Texels>(
     let camera = header.camera;
     let basis = camera.basis();
     let k = usize::from(header.k).clamp(1, MAX_K);
-    let rows: Vec<LayeredFrame> = (0..camera.intrinsics.height)
+    gather_rows(header, |y, row| {
+        for x in 0..camera.intrinsics.width {
+            let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
+            let of = RayOfFrame { basis: &basis, near: camera.near, ray, s_per_depth };
+            let list = generate_list(scene, marcher, &of, k, layering);
+            let mut last_back = 0;
+            for segment in &list.segments[..list.len] {
+                let segment = close_segment(&camera, k, segment, s_per_depth, last_back);
+                last_back = segment.back;
+                row.push(&segment);
+            }
+            row.offsets.push(row.depth.len() as u32);
+        }
+    })
+}
+
+/// The frame of the rows that `fill` makes, in parallel: it pushes the segments and the end of each list of row `y`.
+fn gather_rows(header: FrameHeader, fill: impl Fn(u32, &mut LayeredFrame) + Sync) -> LayeredFrame {
+    let Intrinsics { width, height, .. } = header.camera.intrinsics;
+    let rows: Vec<LayeredFrame> = (0..height)
         .into_par_iter()
         .map(|y| {
             let mut row = LayeredFrame {
                 header,
-                offsets: Vec::with_capacity(camera.intrinsics.width as usize),
+                offsets: Vec::with_capacity(width as usize),
                 depth: Vec::new(),
                 c_rg: Vec::new(),
                 c_b_tau: Vec::new(),
             };
-            for x in 0..camera.intrinsics.width {
-                let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-                let list = generate_list(scene, marcher, &ray, camera.near * s_per_depth, k, layering);
-                let mut last_back = 0;
-                for segment in &list.segments[..list.len] {
-                    let segment = close_segment(&camera, segment, s_per_depth, last_back);
-                    last_back = segment.back;
-                    row.push(&segment);
-                }
-                row.offsets.push(row.depth.len() as u32);
-            }
+            fill(y, &mut row);
             row
         })
         .collect();
@@ -125,16 +193,26 @@ fn generate_with<T: Texels>(
     frame
 }
 
+/// What a rule knows of the frame, and the ray.
+struct RayOfFrame<'a> {
+    basis: &'a Basis,
+    /// View depth of the near plane.
+    near: f32,
+    ray: Ray,
+    /// World distance per unit of view depth.
+    s_per_depth: f32,
+}
+
 /// The list of one ray.
 fn generate_list<T: Texels>(
     scene: &Scene,
     marcher: &Marcher<'_, T>,
-    ray: &Ray,
-    near: f32,
+    of: &RayOfFrame<'_>,
     k: usize,
     layering: Layering,
 ) -> SegmentList {
-    let Some(lattice) = scene.lattice(ray, near) else { return SegmentList::default() };
+    let &RayOfFrame { basis, near, ref ray, s_per_depth } = of;
+    let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return SegmentList::default() };
     match layering {
         Layering::VisibilityMerge => {
             let mut sink = visibility_merge::VisibilityMerge::new(k, lattice.h);
@@ -148,13 +226,41 @@ fn generate_list<T: Texels>(
             marcher.march(ray, lattice, &mut cuts);
             cuts.finish()
         }
+        Layering::EqualLength => {
+            let mut extent = equal_length::Extent::default();
+            marcher.march(ray, lattice, &mut extent);
+            let Some(mut cuts) = extent.cuts(k) else { return SegmentList::default() };
+            marcher.march(ray, lattice, &mut cuts);
+            cuts.finish()
+        }
+        Layering::Homogeneity => homogeneity::list(k, lattice.h, |pass| marcher.march(ray, lattice, pass)),
+        Layering::SingleDepth(representative) => {
+            let mut sink = single_depth::SingleDepth::new(f32::INFINITY);
+            marcher.march(ray, lattice, &mut sink);
+            if representative == Representative::Threshold {
+                sink = sink.again();
+                marcher.march(ray, lattice, &mut sink);
+            }
+            sink.finish(representative)
+        }
+        Layering::Slabs => {
+            let mut cuts = slabs::cuts(k, basis, near, &scene.volume.bounds(), s_per_depth);
+            marcher.march(ray, lattice, &mut cuts);
+            cuts.finish()
+        }
     }
 }
 
-/// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than [`MIN_UNITS`] is made so
-/// thick; the units kept free at the far end are for those.
-fn close_segment(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_back: u16) -> Segment {
-    let greatest = DEPTH_UNITS - (MAX_K * usize::from(MIN_UNITS)) as f32;
+/// Rounds the ends of a segment of a list of at most `k` to depth units, behind `last_back`. A segment thinner than
+/// [`MIN_UNITS`] is made so thick; the units kept free at the far end are for those.
+fn close_segment(
+    camera: &Camera,
+    k: usize,
+    segment: &OpenSegment,
+    s_per_depth: f32,
+    last_back: u16,
+) -> Segment {
+    let greatest = DEPTH_UNITS - (k * usize::from(MIN_UNITS)) as f32;
     let units = |s: f32| (depth_to_units(camera, s / s_per_depth) + 0.5).clamp(0.0, greatest) as u16;
     let front = units(segment.s0).max(last_back);
     let back = units(segment.s1).max(front + MIN_UNITS);
@@ -165,3 +271,5 @@ fn close_segment(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_
 /// a unit, so the part of such a segment that a ray crosses is known to 1/1000; the units are 1/16384 of the volume's
 /// diameter, far below any parallax.
 const MIN_UNITS: u16 = 4;
+/// A part of a step without any opacity is divided by this; no visible one is so small.
+const ALPHA_LEAST: f32 = 1e-30;
