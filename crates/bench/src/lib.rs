@@ -12,6 +12,7 @@ pub mod latency;
 pub mod output;
 pub mod progress;
 pub mod quality;
+pub mod rivals;
 pub mod scenes;
 pub mod speed;
 pub mod view;

@@ -1,7 +1,8 @@
 //! How near novel views come to full renderings, for each scene, layering rule, list length and turn.
 //!
-//! The truth is the full rendering from the turned camera. A row is the mean over a turn to either side. Beside the
-//! rules stands `last-image`, the picture of the unturned camera shown unchanged: what a viewer of pictures shows.
+//! The truth is the full rendering from the turned camera. A row is the mean over a turn to either side. A layered
+//! frame is made into pictures by the ray cast and, where asked for, by the rival methods. Beside them stands
+//! `last-image`, the picture of the unturned camera shown unchanged: what a viewer of pictures shows.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use serde::Serialize;
 
 use crate::error::BenchError;
 use crate::progress::Progress;
+use crate::rivals::Method;
 use crate::scenes::{SceneSource, open_scene};
 use crate::view::Orbit;
 
@@ -32,7 +34,9 @@ pub struct QualityOptions {
     /// Preset or file for all scenes; none: the one that suits each.
     pub transfer: Option<String>,
     /// Rules.
-    pub methods: Vec<Layering>,
+    pub layerings: Vec<Layering>,
+    /// How frames become pictures. [`Method::LastImage`] is measured in any case, once a scene.
+    pub methods: Vec<Method>,
     /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
     pub ks: Vec<u8>,
     /// Turns of azimuth, degrees, each to either side. 0 is the generating camera itself.
@@ -90,8 +94,10 @@ pub struct Conditions {
 pub struct QualityRow {
     /// Name of the scene.
     pub scene: String,
-    /// Layering rule, or `last-image`.
+    /// Rule of the frame that was ray-cast, or the name of another [`Method`].
     pub method: String,
+    /// Rule of the frame; none for `last-image`.
+    pub layering: Option<&'static str>,
     /// Longest list; 0 for `last-image`.
     pub k: u8,
     /// Turn, degrees.
@@ -108,7 +114,9 @@ pub struct QualityRow {
     pub dssim_wire: Option<f64>,
     /// Time to make the frame.
     pub generate_ms: Option<f64>,
-    /// Time to cast it.
+    /// Time to make the frame ready for views, once.
+    pub prepare_ms: Option<f64>,
+    /// Time to cast it, or to draw it by another method.
     pub novel_view_ms: Option<f64>,
     /// Bytes of the encoded frame.
     pub bytes: Option<usize>,
@@ -119,7 +127,7 @@ pub struct QualityRow {
 /// Measures. Takes minutes for the default scenes on the CPU.
 pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
     let backend = Backend::open(options.backend)?;
-    let steps = options.scenes.len() * (1 + options.methods.len() * options.ks.len());
+    let steps = options.scenes.len() * (1 + options.layerings.len() * options.ks.len());
     let mut progress = Progress::new("quality", steps as u64);
     let mut rows = Vec::new();
     for source in &options.scenes {
@@ -133,9 +141,10 @@ pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
 pub fn table(report: &QualityReport) -> String {
     let number = |x: Option<f64>, digits| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"));
     let mut text = format!(
-        "{:<12} {:<20} {:>2} {:>6} {:>7} {:>7} {:>6} {:>4} {:>7} {:>8} {:>8} {:>9} {:>5}\n",
+        "{:<12} {:<20} {:<20} {:>2} {:>6} {:>7} {:>7} {:>6} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>5}\n",
         "scene",
         "method",
+        "of frame",
         "k",
         "turn",
         "dssim",
@@ -144,15 +153,17 @@ pub fn table(report: &QualityReport) -> String {
         "max",
         "wire",
         "gen ms",
+        "prep ms",
         "view ms",
         "bytes",
         "seg"
     );
     for r in &report.rows {
         text += &format!(
-            "{:<12} {:<20} {:>2} {:>5.0}° {:>7.4} {:>7.4} {:>6.1} {:>4} {:>7} {:>8} {:>8} {:>9} {:>5}\n",
+            "{:<12} {:<20} {:<20} {:>2} {:>5.0}° {:>7.4} {:>7.4} {:>6.1} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>5}\n",
             r.scene,
             r.method,
+            r.layering.unwrap_or("-"),
             r.k,
             r.angle_deg,
             r.dssim,
@@ -161,6 +172,7 @@ pub fn table(report: &QualityReport) -> String {
             r.max_abs_255,
             number(r.dssim_wire, 4),
             number(r.generate_ms, 1),
+            number(r.prepare_ms, 1),
             number(r.novel_view_ms, 1),
             r.bytes.map_or_else(|| "-".to_owned(), |b| b.to_string()),
             number(r.segments_mean, 2),
@@ -240,40 +252,47 @@ fn measure_scene(
         for side in sides(angle) {
             mean.add(&errors(&truth[&0f32.to_bits()], &truth[&side.to_bits()], &options.intrinsics)?);
         }
-        rows.push(mean.row(source, "last-image", 0, angle));
+        rows.push(mean.row(source, Method::LastImage.name(), 0, angle));
     }
 
-    for &method in &options.methods {
+    for &layering in &options.layerings {
         for &k in &options.ks {
             let header = header(camera_at(0.0), k);
-            let (frame, generate_ms) = timed(|| Ok(renderer.generate(header, method)?))?;
+            let (frame, generate_ms) = timed(|| Ok(renderer.generate(header, layering)?))?;
             let encoded = codec::encode(&frame, &options.codec)?;
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-            let mut decoded = backend.reprojector(Arc::new(codec::decode(&chunks)?), &bounds)?;
+            let decoded = Arc::new(codec::decode(&chunks)?);
             let num_segments = frame.num_segments();
             let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
-            let mut exact = backend.reprojector(Arc::new(frame), &bounds)?;
-            for &angle in &options.angles_degrees {
-                let (mut mean, mut wire, mut ms_sum, mut num) = (Mean::default(), Mean::default(), 0.0, 0.0);
-                for side in sides(angle) {
-                    let camera = camera_at(side);
-                    let (view, ms) = timed(|| Ok(exact.raycast(&camera)?))?;
-                    let truth = &truth[&side.to_bits()];
-                    mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
-                    let view = decoded.raycast(&camera)?;
-                    wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
-                    (ms_sum, num) = (ms_sum + ms, num + 1.0);
+            let frame = Arc::new(frame);
+            for &method in options.methods.iter().filter(|m| **m != Method::LastImage) {
+                let mut decoded = method.prepare(backend, decoded.clone(), &bounds)?;
+                let (mut exact, prepare_ms) = timed(|| method.prepare(backend, frame.clone(), &bounds))?;
+                for &angle in &options.angles_degrees {
+                    let (mut mean, mut wire) = (Mean::default(), Mean::default());
+                    let (mut ms_sum, mut num) = (0.0, 0.0);
+                    for side in sides(angle) {
+                        let camera = camera_at(side);
+                        let (view, ms) = timed(|| exact.view(&camera))?;
+                        let truth = &truth[&side.to_bits()];
+                        mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                        let view = decoded.view(&camera)?;
+                        wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                        (ms_sum, num) = (ms_sum + ms, num + 1.0);
+                    }
+                    rows.push(QualityRow {
+                        layering: Some(layering.name()),
+                        dssim_wire: Some(wire.mean(|e| e.dssim)),
+                        generate_ms: Some(generate_ms),
+                        prepare_ms: Some(prepare_ms),
+                        novel_view_ms: Some(ms_sum / num),
+                        bytes: Some(encoded.num_bytes()),
+                        segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
+                        ..mean.row(source, method.name_with(layering), k, angle)
+                    });
                 }
-                rows.push(QualityRow {
-                    dssim_wire: Some(wire.mean(|e| e.dssim)),
-                    generate_ms: Some(generate_ms),
-                    novel_view_ms: Some(ms_sum / num),
-                    bytes: Some(encoded.num_bytes()),
-                    segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
-                    ..mean.row(source, method.name(), k, angle)
-                });
             }
-            progress.advance(1, &format!("{}: {method} K = {k}", source.name));
+            progress.advance(1, &format!("{}: {layering} K = {k}", source.name));
         }
     }
     Ok(())
@@ -309,6 +328,7 @@ impl Mean {
         QualityRow {
             scene: source.name.clone(),
             method: method.to_owned(),
+            layering: None,
             k,
             angle_deg,
             dssim: self.mean(|e| e.dssim),
@@ -317,6 +337,7 @@ impl Mean {
             max_abs_255: self.0.iter().map(|e| e.max_abs_255).max().unwrap_or(0),
             dssim_wire: None,
             generate_ms: None,
+            prepare_ms: None,
             novel_view_ms: None,
             bytes: None,
             segments_mean: None,

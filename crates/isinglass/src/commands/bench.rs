@@ -8,6 +8,7 @@ use clap::{Args, Subcommand};
 use isinglass_bench::demo::DemoOptions;
 use isinglass_bench::output::write_whole;
 use isinglass_bench::progress::note;
+use isinglass_bench::rivals::Method;
 use isinglass_bench::view::Orbit;
 use isinglass_bench::{latency, quality, scenes, speed};
 use isinglass_core::camera::Intrinsics;
@@ -93,6 +94,9 @@ struct QualityArgs {
     /// Rules, between commas [default: all]
     #[arg(long, value_name = "RULE", value_delimiter = ',')]
     layering: Vec<Layering>,
+    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh, between commas
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_values_t = [Method::default()])]
+    method: Vec<Method>,
     /// Most segments a pixel, between commas
     #[arg(long, value_name = "K", value_parser = parse_k, value_delimiter = ',', default_values_t = [DEFAULT_K])]
     k: Vec<u8>,
@@ -151,7 +155,8 @@ fn run_quality(args: QualityArgs) -> Result<()> {
     let report = quality::run(&quality::QualityOptions {
         scenes: common.select()?,
         transfer: common.look.tf.clone(),
-        methods: if args.layering.is_empty() { Layering::ALL.to_vec() } else { args.layering },
+        layerings: if args.layering.is_empty() { Layering::ALL.to_vec() } else { args.layering },
+        methods: args.method,
         ks: args.k,
         angles_degrees: args.angles,
         orbit: common.orbit,
