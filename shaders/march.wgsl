@@ -9,6 +9,8 @@
 @group(0) @binding(0) var<uniform> scene: Scene;
 @group(0) @binding(1) var<storage, read> table: TransferTable;
 @group(0) @binding(2) var<storage, read> occupancy: array<u32>;
+// Binding 3 are the voxels.
+@group(0) @binding(4) var lit: texture_3d<u32>;
 
 // Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. No steps if the ray misses.
 struct Lattice {
@@ -138,8 +140,7 @@ fn domain_at(p: vec3f) -> f32 {
     return clamp(value * scene.x_scale + scene.x_offset, 0.0, 1.0);
 }
 
-// Brightness of matter at a point of voxel space, from the gradient: central differences over one voxel, interpolated
-// trilinearly.
+// Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.
 fn shade(p: vec3f) -> f32 {
     if (scene.shaded == 0u) {
         return 1.0;
@@ -147,48 +148,22 @@ fn shade(p: vec3f) -> f32 {
     let u = p - 0.5;
     let c = vec3i(floor(u));
     let t = u - floor(u);
-    let gx = lerp(
-        lerp(row_x(c, 0, 0, t.x), row_x(c, 1, 0, t.x), t.y),
-        lerp(row_x(c, 0, 1, t.x), row_x(c, 1, 1, t.x), t.y),
-        t.z,
-    );
-    let gy = lerp(
-        lerp(row_y(c, 0, 0, t.y), row_y(c, 1, 0, t.y), t.x),
-        lerp(row_y(c, 0, 1, t.y), row_y(c, 1, 1, t.y), t.x),
-        t.z,
-    );
-    let gz = lerp(
-        lerp(row_z(c, 0, 0, t.z), row_z(c, 1, 0, t.z), t.x),
-        lerp(row_z(c, 0, 1, t.z), row_z(c, 1, 1, t.z), t.x),
-        t.y,
-    );
-    let per_voxel = clamp(vec3f(gx, gy, gz) * (0.5 * scene.x_scale), vec3f(-GRADIENT_MAX), vec3f(GRADIENT_MAX));
-    let strength = dot(per_voxel, per_voxel);
-    let normal = per_voxel * scene.voxel_from_world;
-    let length_squared = dot(normal, normal);
-    if (length_squared <= 0.0) {
-        return scene.ambient + scene.diffuse * 0.5;
-    }
-    let lambert = abs(dot(normal, scene.light) / sqrt(length_squared));
-    let weight = strength / (strength + scene.half_gradient * scene.half_gradient);
-    return scene.ambient + scene.diffuse * lerp(0.5, lambert, weight);
-}
-
-fn row_x(c: vec3i, dy: i32, dz: i32, t: f32) -> f32 {
-    return lerp(v(c, 1, dy, dz) - v(c, -1, dy, dz), v(c, 2, dy, dz) - v(c, 0, dy, dz), t);
-}
-
-fn row_y(c: vec3i, dx: i32, dz: i32, t: f32) -> f32 {
-    return lerp(v(c, dx, 1, dz) - v(c, dx, -1, dz), v(c, dx, 2, dz) - v(c, dx, 0, dz), t);
-}
-
-fn row_z(c: vec3i, dx: i32, dy: i32, t: f32) -> f32 {
-    return lerp(v(c, dx, dy, 1) - v(c, dx, dy, -1), v(c, dx, dy, 2) - v(c, dx, dy, 0), t);
+    let x00 = lerp(l(c, 0, 0, 0), l(c, 1, 0, 0), t.x);
+    let x10 = lerp(l(c, 0, 1, 0), l(c, 1, 1, 0), t.x);
+    let x01 = lerp(l(c, 0, 0, 1), l(c, 1, 0, 1), t.x);
+    let x11 = lerp(l(c, 0, 1, 1), l(c, 1, 1, 1), t.x);
+    let share = lerp(lerp(x00, x10, t.y), lerp(x01, x11, t.y), t.z) * (1.0 / LIT_MAX);
+    return scene.ambient + scene.diffuse * share;
 }
 
 // The stored number beside the corner c of a cell, clamped to the grid.
 fn v(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
     return stored(clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1));
+}
+
+// The share of light beside the corner c of a cell, in units of 1/LIT_MAX, clamped to the grid.
+fn l(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
+    return f32(textureLoad(lit, clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1), 0).x);
 }
 
 // Linear interpolation in a table over [0, 1].
@@ -215,8 +190,8 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
 const TAU_MIN: f32 = 1e-7;
 // Matter behind this transmittance is marched by strides.
 const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
-// Steepest gradient, in domain positions a voxel.
-const GRADIENT_MAX: f32 = 1e6;
+// Units of a whole share of light.
+const LIT_MAX: f32 = 255.0;
 // Lattice points of a stride.
 const STRIDE: u32 = 2;
 // Bound on the steps of one ray.

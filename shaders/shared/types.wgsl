@@ -25,8 +25,6 @@ struct Scene {
     half_dims: vec3f,
     // Whether to shade at all.
     shaded: u32,
-    light: vec3f,
-    half_gradient: f32,
     dims: vec3i,
     ambient: f32,
     // Bricks along x, y, z.

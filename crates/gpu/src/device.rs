@@ -196,12 +196,13 @@ impl Layouts {
     fn new(device: &wgpu::Device) -> Self {
         let compute = ShaderStages::COMPUTE;
         let scene = |sample_type| {
-            let voxels = BindingType::Texture {
+            let texels = |sample_type| BindingType::Texture {
                 sample_type,
                 view_dimension: TextureViewDimension::D3,
                 multisampled: false,
             };
-            layout(device, "scene", compute, &[UNIFORM, READ, READ, voxels])
+            let (voxels, lit) = (texels(sample_type), texels(TextureSampleType::Uint));
+            layout(device, "scene", compute, &[UNIFORM, READ, READ, voxels, lit])
         };
         Self {
             scene_uint: scene(TextureSampleType::Uint),

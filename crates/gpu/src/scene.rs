@@ -1,18 +1,22 @@
-//! A scene on the GPU: the voxels as a 3-D texture, the transfer table and the occupancy bits as storage buffers.
+//! A scene on the GPU: the voxels and their shares of light as 3-D textures, the transfer table and the occupancy
+//! bits as storage buffers.
 
 use std::sync::Arc;
 
 use isinglass_core::kernels::march;
-use isinglass_core::volume::{Volume, Voxels};
+use isinglass_core::volume::{Lit, Volume, Voxels};
 
 use crate::device::{Gpu, bind};
 use crate::error::GpuError;
 use crate::gpu_types;
 use crate::shaders::TexelKind;
 
-/// A scene uploaded. Changing the look rewrites two small buffers; the voxels stay.
+/// A scene uploaded. Changing the look rewrites two small buffers and, if the light falls otherwise, a texture; the
+/// voxels stay.
 pub(crate) struct SceneOnGpu {
     volume: Arc<Volume>,
+    lit: Option<Arc<Lit>>,
+    voxels: wgpu::TextureView,
     uniform: wgpu::Buffer,
     table: wgpu::Buffer,
     occupancy: wgpu::Buffer,
@@ -25,27 +29,18 @@ pub(crate) struct SceneOnGpu {
 impl SceneOnGpu {
     pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
         gpu.attempt("uploading the volume", || {
-            let (kind, texture) = upload_volume(gpu, &scene.volume)?;
+            let (kind, voxels) = upload_volume(gpu, &scene.volume)?;
+            let lit = upload_lit(gpu, scene)?;
             let table_bytes = table_words(scene).len() as u64 * 4;
             let occupancy_bytes = scene.occupancy.words.len() as u64 * 4;
             gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
             let uniform = gpu.uniform::<gpu_types::Scene>("scene");
             let table = gpu.storage("table", table_bytes);
             let occupancy = gpu.storage("occupancy", occupancy_bytes);
-            let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-            let bind_group = bind(
-                gpu.device(),
-                "scene",
-                gpu.layouts().scene(kind),
-                &[
-                    uniform.as_entire_binding(),
-                    table.as_entire_binding(),
-                    occupancy.as_entire_binding(),
-                    wgpu::BindingResource::TextureView(&view),
-                ],
-            );
-            let on_gpu =
-                Self { volume: Arc::clone(&scene.volume), uniform, table, occupancy, kind, bind_group };
+            let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &lit]);
+            let volume = Arc::clone(&scene.volume);
+            let lit = scene.lit.clone();
+            let on_gpu = Self { volume, lit, voxels, uniform, table, occupancy, kind, bind_group };
             on_gpu.write_look(gpu, scene);
             Ok(on_gpu)
         })
@@ -58,6 +53,16 @@ impl SceneOnGpu {
             return Ok(());
         }
         gpu.attempt("changing the look", || {
+            let is_lit_alike = match (&self.lit, &scene.lit) {
+                (Some(old), Some(new)) => Arc::ptr_eq(old, new),
+                (old, new) => old.is_none() && new.is_none(),
+            };
+            if !is_lit_alike {
+                let lit = upload_lit(gpu, scene)?;
+                let buffers = [&self.uniform, &self.table, &self.occupancy];
+                self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &lit]);
+                self.lit = scene.lit.clone();
+            }
             self.write_look(gpu, scene);
             Ok(())
         })
@@ -71,19 +76,58 @@ impl SceneOnGpu {
     }
 }
 
+/// Uniform, table and occupancy; voxels and shares of light.
+fn bind_scene(
+    gpu: &Gpu,
+    kind: TexelKind,
+    [uniform, table, occupancy]: [&wgpu::Buffer; 3],
+    [voxels, lit]: [&wgpu::TextureView; 2],
+) -> wgpu::BindGroup {
+    bind(
+        gpu.device(),
+        "scene",
+        gpu.layouts().scene(kind),
+        &[
+            uniform.as_entire_binding(),
+            table.as_entire_binding(),
+            occupancy.as_entire_binding(),
+            wgpu::BindingResource::TextureView(voxels),
+            wgpu::BindingResource::TextureView(lit),
+        ],
+    )
+}
+
 /// The table in the order of `TransferTable` in `shaders/shared/types.wgsl`.
 fn table_words(scene: &march::Scene) -> Vec<f32> {
     scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect()
 }
 
 /// Integer voxels keep their integers (exact on every device, and 16 bits need no optional feature).
-fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture), GpuError> {
+fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::TextureView), GpuError> {
     let (kind, format, bytes): (_, _, &[u8]) = match volume.voxels() {
         Voxels::U8(v) => (TexelKind::Uint, wgpu::TextureFormat::R8Uint, v),
         Voxels::U16(v) => (TexelKind::Uint, wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(v)),
         Voxels::F32(v) => (TexelKind::Float, wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
     };
-    let [width, height, depth] = volume.dims();
+    Ok((kind, upload_texture(gpu, volume.dims(), format, bytes)?))
+}
+
+/// The shares of light of the voxels; of a scene without shading, a single texel that is never read.
+fn upload_lit(gpu: &Gpu, scene: &march::Scene) -> Result<wgpu::TextureView, GpuError> {
+    let (dims, shares): (_, &[u8]) = match &scene.lit {
+        Some(lit) => (scene.volume.dims(), &lit.shares),
+        None => ([1; 3], &[0]),
+    };
+    upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, shares)
+}
+
+/// A 3-D texture with the given texels, x fastest, one number each.
+fn upload_texture(
+    gpu: &Gpu,
+    [width, height, depth]: [u32; 3],
+    format: wgpu::TextureFormat,
+    bytes: &[u8],
+) -> Result<wgpu::TextureView, GpuError> {
     let limit = gpu.device().limits().max_texture_dimension_3d;
     let longest = width.max(height).max(depth);
     if longest > limit {
@@ -100,8 +144,8 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
-    let bytes_per_row = width * volume.voxels().bytes_per_voxel() as u32;
-    let bytes_per_slice = bytes_per_row as usize * height as usize;
+    let bytes_per_slice = bytes.len() / depth as usize;
+    let bytes_per_row = (bytes_per_slice / height as usize) as u32;
     let slices_per_slab = (SLAB_BYTES / bytes_per_slice).max(1);
     for (slab, bytes) in bytes.chunks(slices_per_slab * bytes_per_slice).enumerate() {
         gpu.queue().write_texture(
@@ -123,7 +167,7 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture
         gpu.queue().submit([]);
         gpu.wait("uploading the volume")?;
     }
-    Ok((kind, texture))
+    Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
 }
 
 /// Bytes of a volume that are staged at a time.

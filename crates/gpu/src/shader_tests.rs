@@ -38,8 +38,6 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             step_length,
             half_dims,
             shaded,
-            light,
-            half_gradient,
             dims,
             ambient,
             brick_dims,
@@ -119,11 +117,12 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 14] = [
+const TWINS: [&str; 15] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
     include_str!("../../core/src/volume/bricks.rs"),
+    include_str!("../../core/src/volume/lit.rs"),
     include_str!("../../core/src/kernels/march.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),

@@ -19,29 +19,8 @@ use crate::layer::Over;
 use crate::picture::Picture;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
-use crate::volume::{BRICK, Bricks, Histogram, Occupancy, Volume};
-
-/// Diffuse shading by the gradient, two-sided, from a light that is fixed in the world: the colour of matter does
-/// not depend on the view, as every layered frame assumes (Lochmann 2016, section 5: isotropic emission).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shading {
-    /// Brightness of matter turned edge-on to the light.
-    pub ambient: f32,
-    /// Brightness added where the gradient points along the light.
-    pub diffuse: f32,
-    /// Unit direction towards the light, world space.
-    pub light: Vec3,
-    /// Gradient, in domain positions a voxel, at which half of the shading acts; flatter matter gets the mean over all
-    /// directions, |cos| = ½.
-    pub half_gradient: f32,
-}
-
-impl Default for Shading {
-    fn default() -> Self {
-        let light = Vec3::new(-0.45, 0.6, 0.66).normalize();
-        Self { ambient: 0.25, diffuse: 0.85, light, half_gradient: 0.01 }
-    }
-}
+pub use crate::volume::Shading;
+use crate::volume::{BRICK, Bricks, Histogram, LIT_MAX, Lit, Occupancy, Volume};
 
 /// How to march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,6 +50,8 @@ pub struct Scene {
     pub table: TransferTable,
     /// Bricks that `table` leaves visible.
     pub occupancy: Occupancy,
+    /// Brightness of the voxels, if `settings` ask for shading.
+    pub lit: Option<Arc<Lit>>,
     /// Step and shading.
     pub settings: MarchSettings,
 }
@@ -82,14 +63,20 @@ impl Scene {
         let histogram = Arc::new(Histogram::of(&volume));
         let table = transfer.table(&volume, &histogram);
         let occupancy = bricks.occupancy(&table);
-        Self { volume, bricks, histogram, table, occupancy, settings }
+        let lit = settings.shading.map(|shading| Arc::new(Lit::of(&volume, shading, table.x_scale)));
+        Self { volume, bricks, histogram, table, occupancy, lit, settings }
     }
 
-    /// The same volume with another look; bricks and histogram are shared.
+    /// The same volume with another look; bricks and histogram are shared, and so is the brightness of the voxels unless
+    /// the domain's width or the shading is another.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let table = transfer.table(&self.volume, &self.histogram);
         let occupancy = self.bricks.occupancy(&table);
-        Self { table, occupancy, settings, ..self.clone() }
+        let lit = settings.shading.map(|shading| match &self.lit {
+            Some(lit) if lit.suits(shading, table.x_scale) => Arc::clone(lit),
+            _ => Arc::new(Lit::of(&self.volume, shading, table.x_scale)),
+        });
+        Self { table, occupancy, lit, settings, ..self.clone() }
     }
 
     /// The lattice of steps of a ray inside the volume, in front of the camera's near plane.
@@ -209,6 +196,7 @@ pub(crate) use with_texels;
 pub struct Marcher<'a, T> {
     scene: &'a Scene,
     texels: T,
+    lit: Option<(&'a [u8], Shading)>,
     dims: [i32; 3],
     strides: [usize; 3],
     voxel_from_world: Vec3,
@@ -224,6 +212,11 @@ impl<'a, T: Texels> Marcher<'a, T> {
         Self {
             scene,
             texels,
+            lit: scene
+                .lit
+                .as_ref()
+                .zip(scene.settings.shading)
+                .map(|(lit, shading)| (&lit.shares[..], shading)),
             dims: dims.map(|d| d as i32),
             strides: [1, dims[0] as usize, dims[0] as usize * dims[1] as usize],
             voxel_from_world: scene.volume.spacing().recip(),
@@ -302,50 +295,35 @@ impl<'a, T: Texels> Marcher<'a, T> {
 
     /// Trilinear sample at a point of voxel space, as a position in the transfer function's domain.
     fn domain_at(&self, p: Vec3) -> f32 {
-        let (corner, t) = cell(p);
-        let [ix, iy, iz] = self.neighbours::<2>(corner, 0);
-        let v = |x: usize, y: usize, z: usize| self.texels.at(iz[z] + iy[y] + ix[x]);
-        let x00 = mix(v(0, 0, 0), v(1, 0, 0), t.x);
-        let x10 = mix(v(0, 1, 0), v(1, 1, 0), t.x);
-        let x01 = mix(v(0, 0, 1), v(1, 0, 1), t.x);
-        let x11 = mix(v(0, 1, 1), v(1, 1, 1), t.x);
-        let stored = mix(mix(x00, x10, t.y), mix(x01, x11, t.y), t.z);
+        let stored = self.trilinear(self.texels, p);
         let table = &self.scene.table;
         (stored * table.x_scale + table.x_offset).clamp(0.0, 1.0)
     }
 
-    /// Brightness of matter at a point of voxel space, from the gradient: central differences over one voxel,
-    /// interpolated trilinearly.
+    /// Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.
     fn shade(&self, p: Vec3) -> f32 {
-        let Some(shading) = self.scene.settings.shading else { return 1.0 };
-        let (corner, t) = cell(p);
-        let [ix, iy, iz] = self.neighbours::<4>(corner, -1);
-        let v = |x: usize, y: usize, z: usize| self.texels.at(iz[z] + iy[y] + ix[x]);
-        // The corners of the cell have the indices 1 and 2.
-        let row_x = |y, z| mix(v(2, y, z) - v(0, y, z), v(3, y, z) - v(1, y, z), t.x);
-        let row_y = |x, z| mix(v(x, 2, z) - v(x, 0, z), v(x, 3, z) - v(x, 1, z), t.y);
-        let row_z = |x, y| mix(v(x, y, 2) - v(x, y, 0), v(x, y, 3) - v(x, y, 1), t.z);
-        let gx = mix(mix(row_x(1, 1), row_x(2, 1), t.y), mix(row_x(1, 2), row_x(2, 2), t.y), t.z);
-        let gy = mix(mix(row_y(1, 1), row_y(2, 1), t.x), mix(row_y(1, 2), row_y(2, 2), t.x), t.z);
-        let gz = mix(mix(row_z(1, 1), row_z(2, 1), t.x), mix(row_z(1, 2), row_z(2, 2), t.x), t.y);
-        let per_voxel = (Vec3::new(gx, gy, gz) * (0.5 * self.scene.table.x_scale))
-            .clamp(Vec3::splat(-GRADIENT_MAX), Vec3::splat(GRADIENT_MAX));
-        let strength = per_voxel.length_squared();
-        let normal = per_voxel * self.voxel_from_world;
-        let length_squared = normal.length_squared();
-        if length_squared <= 0.0 {
-            return shading.ambient + shading.diffuse * 0.5;
-        }
-        let lambert = (normal.dot(shading.light) / length_squared.sqrt()).abs();
-        let weight = strength / (strength + shading.half_gradient * shading.half_gradient);
-        shading.ambient + shading.diffuse * mix(0.5, lambert, weight)
+        let Some((lit, shading)) = self.lit else { return 1.0 };
+        let share = self.trilinear(lit, p) * (1.0 / LIT_MAX);
+        shading.ambient + shading.diffuse * share
     }
 
-    /// Memory offsets of `N` voxels along each axis, from `corner` + `first` on, clamped to the grid.
-    fn neighbours<const N: usize>(&self, corner: [i32; 3], first: i32) -> [[usize; N]; 3] {
+    /// The value between eight voxels.
+    fn trilinear(&self, texels: impl Texels, p: Vec3) -> f32 {
+        let (corner, t) = cell(p);
+        let [ix, iy, iz] = self.neighbours(corner);
+        let v = |x: usize, y: usize, z: usize| texels.at(iz[z] + iy[y] + ix[x]);
+        let x00 = mix(v(0, 0, 0), v(1, 0, 0), t.x);
+        let x10 = mix(v(0, 1, 0), v(1, 1, 0), t.x);
+        let x01 = mix(v(0, 0, 1), v(1, 0, 1), t.x);
+        let x11 = mix(v(0, 1, 1), v(1, 1, 1), t.x);
+        mix(mix(x00, x10, t.y), mix(x01, x11, t.y), t.z)
+    }
+
+    /// Memory offsets of the two voxels along each axis from `corner` on, clamped to the grid.
+    fn neighbours(&self, corner: [i32; 3]) -> [[usize; 2]; 3] {
         std::array::from_fn(|axis| {
             std::array::from_fn(|i| {
-                let at = corner[axis].saturating_add(first + i as i32);
+                let at = corner[axis].saturating_add(i as i32);
                 at.clamp(0, self.dims[axis] - 1) as usize * self.strides[axis]
             })
         })
@@ -420,9 +398,6 @@ pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 /// Matter behind this transmittance is marched by strides. The pre-integrated classification loses no matter by them, and
 /// what they change in its colour is seen at most a thousandth from here.
 pub const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
-/// Steepest gradient, in domain positions a voxel: its square in world space is finite at the least spacing. Steeper
-/// ones are of domains far narrower than the values, where the surface is a face of voxels in any case.
-pub const GRADIENT_MAX: f32 = 1e6;
 /// Lattice points of a stride: the step is then a voxel, at the default.
 pub const STRIDE: u32 = 2;
 /// Bound on the steps of one ray: eight diagonals of the largest volume at the default step.

@@ -1,11 +1,13 @@
-//! Scalar volumes: the grid of voxels, min/max bricks over it, closed-form fields and the built-in volumes.
+//! Scalar volumes: the grid of voxels, min/max bricks over it, its brightness under a light, closed-form fields and the built-in volumes.
 
 mod bricks;
 pub mod fields;
 mod grid;
 mod histogram;
+mod lit;
 pub mod procedural;
 
 pub use bricks::{BRICK, Bricks, Occupancy};
 pub use grid::{Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::Histogram;
+pub use lit::{LIT_MAX, Lit, Shading};
