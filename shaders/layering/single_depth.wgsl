@@ -20,6 +20,8 @@ struct SingleDepth {
     gradient: Greatest,
     has_sought: bool,
     s_sought: f32,
+    // Front of the last step.
+    s_exit: f32,
     // The whole ray, from entry to exit.
     all: OpenSegment,
 }
@@ -43,7 +45,7 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 
 fn sink_begin(alpha_sought: f32) {
     let none = Greatest(0.0, 0.0);
-    sink = SingleDepth(alpha_sought, 0.0, 0.0, 1.0, none, none, false, 0.0, no_segment());
+    sink = SingleDepth(alpha_sought, 0.0, 0.0, 1.0, none, none, false, 0.0, 0.0, no_segment());
 }
 
 fn representative() -> f32 {
@@ -51,11 +53,11 @@ fn representative() -> f32 {
     let s1 = sink.all.s1;
     switch REPRESENTATIVE {
         case ENTRY: { return s0; }
-        case EXIT: { return s1; }
+        case EXIT: { return sink.s_exit; }
         case MIDPOINT: { return 0.5 * (s0 + s1); }
         case PEAK: { return sink.peak.s; }
         case GRADIENT: { return sink.gradient.s; }
-        case THRESHOLD: { return select(s1, sink.s_sought, sink.has_sought); }
+        case THRESHOLD: { return select(sink.s_exit, sink.s_sought, sink.has_sought); }
         default: { return s0 + sink.weighted_s / sink.weight; }
     }
 }
@@ -79,6 +81,7 @@ fn sink_step(step: Step) -> u32 {
     sink.peak = greater_of(sink.peak, step.alpha, middle);
     sink.gradient = greater_of(sink.gradient, added, middle);
     sink.all = appended(sink.all, step);
+    sink.s_exit = step.s0;
     sink.transmittance *= 1.0 - step.alpha;
     if (sink.all.alpha >= sink.alpha_sought && !sink.has_sought) {
         sink.has_sought = true;

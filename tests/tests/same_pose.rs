@@ -9,7 +9,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
@@ -39,7 +39,7 @@ fn error(a: &Picture, b: &Picture) -> ImageError {
     compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), width, height, [0; 3]).unwrap()
 }
 
-fn check(source: &str, backends: &[Backend]) {
+fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
     let volume: Volume = open(source, &OpenOptions::default()).unwrap();
     let transfer = load_transfer(default_preset(source, &volume, &Histogram::of(&volume))).unwrap();
     let scene = Scene::new(Arc::new(volume), &transfer, MarchSettings::default());
@@ -53,7 +53,7 @@ fn check(source: &str, backends: &[Backend]) {
         let mut renderer = backend.renderer(scene.clone()).unwrap();
         let truth = renderer.render(&camera).unwrap();
         assert!(truth.pixels.iter().any(|p| p[3] > 0.3), "{source} shows nothing");
-        for layering in Layering::ALL {
+        for &layering in rules {
             let at = format!("{source}, {layering}, {}", backend.description());
             let header =
                 FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
@@ -69,8 +69,8 @@ fn check(source: &str, backends: &[Backend]) {
             // The bound that the wire is held to.
             assert!(wired.dssim <= 1e-3, "{at}, through the wire: {wired:?}");
 
-            // Negative control: three degrees to the side is another picture.
-            let beside = backend.raycast(&frame, &bounds, &camera_at(0.55)).unwrap();
+            // Negative control: seven degrees to the side is another picture. (Three are not for a ball at one depth.)
+            let beside = backend.raycast(&frame, &bounds, &camera_at(0.62)).unwrap();
             assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
         }
     }
@@ -80,7 +80,7 @@ fn check(source: &str, backends: &[Backend]) {
 fn of_the_built_in_volumes() {
     let backends = backends();
     for name in ["builtin:cloud@64", "builtin:cubus@64", "builtin:shells@64"] {
-        check(name, &backends);
+        check(name, &backends, &Layering::ALL);
     }
 }
 
@@ -88,7 +88,10 @@ fn of_the_built_in_volumes() {
 fn of_the_scanned_volumes() {
     let Some(folder) = data_dir() else { return };
     let backends = backends();
+    // The representative depths differ in a number alone; the exit is nearest to leaving the box.
+    let is_one_of_each = |l: &Layering| !matches!(l, Layering::SingleDepth(r) if *r != Representative::Exit);
+    let rules: Vec<_> = Layering::ALL.into_iter().filter(is_one_of_each).collect();
     for name in ["engine", "bonsai", "avm", "t1_head", "heptane", "mouse_brain"] {
-        check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends);
+        check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends, &rules);
     }
 }

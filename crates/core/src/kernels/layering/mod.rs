@@ -7,6 +7,8 @@ pub mod cuts;
 pub mod equal_length;
 pub mod equal_transmittance;
 pub mod homogeneity;
+#[cfg(test)]
+mod laws;
 pub mod single_depth;
 pub mod slabs;
 pub mod visibility_merge;

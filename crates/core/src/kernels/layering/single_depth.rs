@@ -15,7 +15,7 @@ pub enum Representative {
     Mean,
     /// First content.
     Entry,
-    /// Last content that is seen.
+    /// Last content that is seen: the front of its step, so that the segment lies inside the volume.
     Exit,
     /// Half-way between entry and exit.
     Midpoint,
@@ -40,6 +40,8 @@ pub struct SingleDepth {
     alpha_sought: f32,
     /// The whole ray, from entry to exit.
     all: OpenSegment,
+    /// Front of the last step.
+    s_exit: f32,
     /// Sums over the steps: what each adds to the picture, and that times its distance behind the entry.
     weight: f32,
     weighted_s: f32,
@@ -71,6 +73,7 @@ impl SingleDepth {
         Self {
             alpha_sought,
             all: OpenSegment::default(),
+            s_exit: 0.0,
             weight: 0.0,
             weighted_s: 0.0,
             transmittance: 1.0,
@@ -93,11 +96,11 @@ impl SingleDepth {
             let s = match representative {
                 Representative::Mean => s0 + self.weighted_s / self.weight,
                 Representative::Entry => s0,
-                Representative::Exit => s1,
+                Representative::Exit => self.s_exit,
                 Representative::Midpoint => 0.5 * (s0 + s1),
                 Representative::Peak => self.peak.s,
                 Representative::Gradient => self.gradient.s,
-                Representative::Threshold => self.s_sought.unwrap_or(s1),
+                Representative::Threshold => self.s_sought.unwrap_or(self.s_exit),
             };
             list.push(OpenSegment { s0: s, s1: s, ..self.all });
         }
@@ -117,6 +120,7 @@ impl Sink for SingleDepth {
         self.peak.add(step.alpha, middle);
         self.gradient.add(added, middle);
         append(&mut self.all, &step);
+        self.s_exit = step.s0;
         self.transmittance *= 1.0 - step.alpha;
         if self.all.alpha >= self.alpha_sought && self.s_sought.is_none() {
             self.s_sought = Some(middle);
