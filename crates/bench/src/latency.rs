@@ -42,7 +42,7 @@ pub struct LatencyConditions {
     pub size: [u32; 2],
     /// Vertical field of view, degrees.
     pub fov_deg: f32,
-    /// Layering rule.
+    /// Layering rule, or the rival method that made the pictures.
     pub method: &'static str,
     /// Longest list.
     pub k: u8,
@@ -83,7 +83,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
         version: env!("CARGO_PKG_VERSION"),
         size: [demo.intrinsics.width, demo.intrinsics.height],
         fov_deg: demo.intrinsics.fov_y.to_degrees(),
-        method: demo.layering.name(),
+        method: demo.method.name_with(demo.layering),
         k: demo.k,
         degrees_per_second: demo.degrees_per_second,
         refresh_hz: demo.refresh_hz,

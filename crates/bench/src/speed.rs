@@ -13,6 +13,7 @@ use serde::Serialize;
 use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::quality::{header, march_settings};
+use crate::rivals::Method;
 use crate::scenes::{SceneSource, open_scene};
 use crate::view::Orbit;
 
@@ -27,6 +28,8 @@ pub struct SpeedOptions {
     pub backends: Vec<BackendChoice>,
     /// Layering rule.
     pub layering: Layering,
+    /// How frames become pictures.
+    pub method: Method,
     /// Longest list.
     pub k: u8,
     /// The generating camera.
@@ -74,7 +77,7 @@ pub struct SpeedRow {
     pub scene: String,
     /// Where the kernels ran.
     pub backend: String,
-    /// Layering rule.
+    /// Layering rule, or the rival method that drew the novel view.
     pub method: String,
     /// Longest list.
     pub k: u8,
@@ -152,12 +155,12 @@ fn measure(backend: &Backend, options: &SpeedOptions, source: &SceneSource) -> R
     let (encoded, encode_ms) = median_ms(options.repeats, || Ok(codec::encode(&frame, &settings)?))?;
     let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
     let (decoded, decode_ms) = median_ms(options.repeats, || Ok(codec::decode(&chunks)?))?;
-    let mut reprojector = backend.reprojector(Arc::new(decoded), &bounds)?;
-    let (_, novel_view_ms) = median_ms(options.repeats, || Ok(reprojector.raycast(&turned)?))?;
+    let mut views = options.method.prepare(backend, Arc::new(decoded), &bounds)?;
+    let (_, novel_view_ms) = median_ms(options.repeats, || views.view(&turned))?;
     Ok(SpeedRow {
         scene: source.name.clone(),
         backend: backend.description(),
-        method: options.layering.name().to_owned(),
+        method: options.method.name_with(options.layering).to_owned(),
         k: options.k,
         render_ms,
         generate_ms,

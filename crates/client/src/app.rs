@@ -7,11 +7,12 @@ use egui::{Key, Modifiers};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
-use isinglass_net::{Clock, State};
+use isinglass_net::{Clock, ReceivedFrame, State};
 
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::frame_source::FrameSource;
 use crate::meters::RefreshMeter;
+use crate::novel_view::{NovelViews, Shown};
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
 use crate::picture::{PicturePaint, PictureStatus};
@@ -30,6 +31,8 @@ pub(crate) struct ViewerApp<S> {
     was_active: bool,
     refreshes: RefreshMeter,
     picture_status: Arc<PictureStatus>,
+    novel_views: NovelViews,
+    method_problem: Option<String>,
     shows_overlay: bool,
     shows_help: bool,
     shows_look: bool,
@@ -43,6 +46,7 @@ impl<S: FrameSource> ViewerApp<S> {
     /// `picture_status` is what the painting reports to; `clock` is that of the source's stamps.
     pub(crate) fn new(
         options: WindowOptions,
+        novel_views: NovelViews,
         source: S,
         clock: Clock,
         picture_status: Arc<PictureStatus>,
@@ -60,6 +64,8 @@ impl<S: FrameSource> ViewerApp<S> {
             was_active: false,
             refreshes: RefreshMeter::default(),
             picture_status,
+            novel_views,
+            method_problem: None,
             shows_help: false,
             shows_look: true,
             pointer: Pointer::default(),
@@ -119,7 +125,11 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
         let Some(look) = self.viewing.look(now).filter(|_| self.shows_look) else { return };
-        let choice = panels::look_panel(ctx, &look, &self.viewing.frame_size);
+        let methods = (&self.novel_views.names[..], self.novel_views.selected);
+        let choice = panels::look_panel(ctx, &look, &self.viewing.frame_size, methods);
+        if let Some(selected) = choice.method {
+            self.novel_views.selected = selected;
+        }
         if let Some(look) = choice.look {
             self.viewing.set_look(now, look);
         }
@@ -191,7 +201,7 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         let seconds = now.saturating_sub(self.opened_at).as_secs_f64();
         match refresh.as_ref().and_then(|r| Some((r, r.frame.clone()?))) {
             Some((r, frame)) => {
-                ui.painter().add(PicturePaint { frame, camera: r.camera, bounds: r.bounds }.shape(rect));
+                self.paint(ui, rect, r, frame);
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
                     panels::overlay(&ctx, &self.title, &model);
@@ -217,6 +227,23 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
 }
 
 impl<S: FrameSource> ViewerApp<S> {
+    /// The ray cast, or the newest picture of another method.
+    fn paint(&mut self, ui: &egui::Ui, rect: egui::Rect, refresh: &Refresh, frame: Arc<ReceivedFrame>) {
+        let (camera, bounds) = (refresh.camera, refresh.bounds);
+        match self.novel_views.show(ui.ctx(), &frame, &bounds, &camera) {
+            Some(Shown::Picture(texture)) => {
+                let whole = egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
+                ui.painter().image(texture, rect, whole, egui::Color32::WHITE);
+                self.method_problem = None;
+                return;
+            }
+            Some(Shown::Problem(problem)) => self.method_problem = Some(problem),
+            None if self.novel_views.selected == 0 => self.method_problem = None,
+            None => {}
+        }
+        ui.painter().add(PicturePaint { frame, camera, bounds }.shape(rect));
+    }
+
     fn refresh(&mut self, now: Duration, input: &ControlInput, picture: Intrinsics) -> Option<Refresh> {
         let (bounds, controls) = self.controls(&picture)?;
         controls.apply(input, &picture);
@@ -239,8 +266,10 @@ impl<S: FrameSource> ViewerApp<S> {
 
     /// The connection's trouble before the device's before what the server says.
     fn banner(&self, now: Duration, model: &OverlayModel) -> Option<String> {
-        let problem =
-            || Some(format!("The newest frame cannot be shown: {}", self.picture_status.problem()?));
+        let problem = || {
+            let problem = self.method_problem.clone().or_else(|| self.picture_status.problem())?;
+            Some(format!("The newest frame cannot be shown: {problem}"))
+        };
         let notice =
             || self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME).map(|(n, _)| n.clone());
         model.banner().or_else(problem).or_else(notice)

@@ -102,10 +102,18 @@ pub(crate) struct LookChoice {
     pub(crate) look: Option<Look>,
     /// Another size of the frames.
     pub(crate) scale: Option<f32>,
+    /// Another method, by its number.
+    pub(crate) method: Option<usize>,
 }
 
-/// Transfer function, shading, layering and frame size, at the top right; folded at first.
-pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSize) -> LookChoice {
+/// Transfer function, shading, layering, frame size and, if there are several, the method of making pictures, at the top
+/// right; folded at first.
+pub(crate) fn look_panel(
+    ctx: &egui::Context,
+    look: &Look,
+    frame_size: &FrameSize,
+    (methods, method): (&[&str], usize),
+) -> LookChoice {
     let mut choice = LookChoice::default();
     let mut changed = look.clone();
     let open_id = egui::Id::unique("look is open");
@@ -152,6 +160,17 @@ pub(crate) fn look_panel(ctx: &egui::Context, look: &Look, frame_size: &FrameSiz
                 ui.label("segments a ray").on_hover_text("K: more is truer after a turn, and more to send");
                 ui.add(egui::Slider::new(&mut changed.k, 1..=MAX_K as u8));
                 ui.end_row();
+                if methods.len() > 1 {
+                    ui.label("picture by").on_hover_text("how the server's frames become pictures here");
+                    egui::ComboBox::from_id_salt("method").selected_text(methods[method]).show_ui(ui, |ui| {
+                        for (number, name) in methods.iter().enumerate() {
+                            if ui.selectable_label(number == method, *name).clicked() {
+                                choice.method = Some(number);
+                            }
+                        }
+                    });
+                    ui.end_row();
+                }
                 ui.label("frame size").on_hover_text("of the server's frames, in units of the window's");
                 let mut percent = (frame_size.scale * 100.0).round();
                 if ui.add(egui::Slider::new(&mut percent, 25.0..=100.0).step_by(5.0).suffix(" %")).changed() {

@@ -9,6 +9,7 @@ use crate::app::ViewerApp;
 use crate::camera_controls::InitialOrbit;
 use crate::frame_source::FrameSource;
 use crate::gpu_timer::timer_features;
+use crate::novel_view::{LAYERS, NovelView, NovelViews};
 use crate::picture;
 use crate::viewing::{FrameSize, Refresh};
 
@@ -28,6 +29,10 @@ pub struct WindowOptions {
     pub shows_overlay: bool,
     /// Turns the camera by itself, for pictures of a moving view; 0: not.
     pub auto_orbit_degrees_per_second: f32,
+    /// Other methods than the ray cast to choose from.
+    pub novel_views: Vec<Box<dyn NovelView>>,
+    /// The name of the one that is shown at first, or [`LAYERS`].
+    pub novel_view: &'static str,
     /// Watches every refresh, for tests and pictures of the window.
     pub script: Option<Script>,
 }
@@ -42,6 +47,8 @@ impl Default for WindowOptions {
             frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             shows_overlay: true,
             auto_orbit_degrees_per_second: 0.0,
+            novel_views: Vec::new(),
+            novel_view: LAYERS,
             script: None,
         }
     }
@@ -128,13 +135,17 @@ pub fn run_window<S: FrameSource + 'static>(
         dithering: false,
         ..Default::default()
     };
+    let mut options = options;
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
         cc.egui_ctx.set_theme(egui::Theme::Dark);
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let status = picture::install(state).map_err(ViewerError::Device)?;
         let ctx = cc.egui_ctx.clone();
-        let source = make_source(Arc::new(move || ctx.request_repaint())).map_err(ViewerError::Source)?;
-        Ok(Box::new(ViewerApp::new(options, source, clock, status)))
+        let wake: Waker = Arc::new(move || ctx.request_repaint());
+        let views =
+            NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());
+        let source = make_source(wake).map_err(ViewerError::Source)?;
+        Ok(Box::new(ViewerApp::new(options, views, source, clock, status)))
     });
     eframe::run_native("isinglass", native, create).map_err(viewer_error)
 }

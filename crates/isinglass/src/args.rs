@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_bench::quality::march_settings;
+use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_client::DEFAULT_FOV_Y_DEGREES;
 use isinglass_core::camera::{Intrinsics, MAX_SIDE};
@@ -119,6 +120,14 @@ pub(crate) struct LayeringArgs {
     /// Most segments a pixel
     #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
     pub(crate) k: u8,
+}
+
+/// How a frame becomes a picture.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct MethodArgs {
+    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh or last-image
+    #[arg(long, value_name = "METHOD", default_value_t = Method::default())]
+    pub(crate) method: Method,
 }
 
 /// Where kernels run.

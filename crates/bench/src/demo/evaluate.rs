@@ -60,7 +60,7 @@ pub(crate) fn evaluate(
     for (number, (tick, frame)) in kept.into_iter().enumerate() {
         let frame = &frame.frame;
         let rgb = |picture| Rgb8::of(&picture, [0; 3]);
-        let shown = rgb(backend.raycast(frame, &bounds, &tick.camera)?);
+        let shown = rgb(options.method.draw(backend, frame, &bounds, &tick.camera)?);
         let truth = rgb(renderer.render(&tick.camera)?);
         let last = rgb(frame.flatten());
         if (last.width, last.height) != (shown.width, shown.height) {

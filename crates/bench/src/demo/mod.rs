@@ -23,6 +23,7 @@ use isinglass_server::{ServeOptions, start};
 
 use crate::error::BenchError;
 use crate::quality::march_settings;
+use crate::rivals::Method;
 use crate::scenes::{OpenedScene, open_scene};
 use crate::view::Orbit;
 
@@ -43,6 +44,8 @@ pub struct DemoOptions {
     pub layering: Layering,
     /// Longest list.
     pub k: u8,
+    /// How the pictures shown are made of frames.
+    pub method: Method,
     /// Where the camera begins.
     pub orbit: Orbit,
     /// Picture and frame size, field of view.
@@ -68,6 +71,7 @@ impl Default for DemoOptions {
             shaded: true,
             layering: Layering::default(),
             k: 8,
+            method: Method::default(),
             orbit: Orbit::default(),
             intrinsics: Intrinsics { width: 256, height: 256, fov_y: 40f32.to_radians() },
             backend: BackendChoice::default(),

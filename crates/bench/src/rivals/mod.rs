@@ -14,12 +14,14 @@ mod tests;
 
 use std::sync::Arc;
 
+use isinglass_client::NovelView;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_gpu::{Backend, Reprojector};
+use isinglass_net::ReceivedFrame;
 
 use crate::error::BenchError;
 
@@ -72,11 +74,33 @@ impl Method {
         frame: Arc<LayeredFrame>,
         bounds: &Aabb,
     ) -> Result<Views, BenchError> {
-        Ok(match self {
-            Self::Layers => Views::Layers(backend.reprojector(frame, bounds)?),
-            Self::PointWarp => Views::PointWarp(PointWarp::new(&frame)),
-            Self::SlabsPlanar => Views::SlabsPlanar(Slabs::new(&frame)),
-            Self::SlabsMesh => Views::SlabsMesh(SlabMesh::new(Slabs::new(&frame))),
+        match self.prepare_rival(&frame, bounds) {
+            Some(views) => Ok(views),
+            None => Ok(Views::Layers(backend.reprojector(frame, bounds)?)),
+        }
+    }
+
+    /// One picture of a frame. For several views take [`Method::prepare`].
+    pub fn draw(
+        self,
+        backend: &Backend,
+        frame: &LayeredFrame,
+        bounds: &Aabb,
+        camera: &Camera,
+    ) -> Result<Picture, BenchError> {
+        match self.prepare_rival(frame, bounds) {
+            Some(mut views) => views.view(camera),
+            None => Ok(backend.raycast(frame, bounds, camera)?),
+        }
+    }
+
+    /// None for the ray cast.
+    fn prepare_rival(self, frame: &LayeredFrame, bounds: &Aabb) -> Option<Views> {
+        Some(match self {
+            Self::Layers => return None,
+            Self::PointWarp => Views::PointWarp(PointWarp::new(frame)),
+            Self::SlabsPlanar => Views::SlabsPlanar(Slabs::new(frame, bounds)),
+            Self::SlabsMesh => Views::SlabsMesh(SlabMesh::new(Slabs::new(frame, bounds))),
             Self::LastImage => Views::LastImage(frame.flatten()),
         })
     }
@@ -125,6 +149,37 @@ impl Views {
             Self::SlabsMesh(mesh) => mesh.view(camera),
             Self::LastImage(picture) => stretch(picture, camera),
         })
+    }
+}
+
+/// All but the ray cast, for the viewer, which has that itself.
+pub fn for_viewer() -> Vec<Box<dyn NovelView>> {
+    let rivals = Method::ALL.into_iter().filter(|m| *m != Method::Layers);
+    rivals.map(|method| Box::new(ShownRival { method, kept: None }) as Box<dyn NovelView>).collect()
+}
+
+/// A method in the viewer, with the newest frame.
+struct ShownRival {
+    method: Method,
+    kept: Option<(Arc<ReceivedFrame>, Views)>,
+}
+
+impl NovelView for ShownRival {
+    fn name(&self) -> &'static str {
+        self.method.name()
+    }
+
+    fn draw(
+        &mut self,
+        frame: &Arc<ReceivedFrame>,
+        bounds: &Aabb,
+        camera: &Camera,
+    ) -> Result<Picture, String> {
+        if self.kept.as_ref().is_none_or(|(kept, _)| !Arc::ptr_eq(kept, frame)) {
+            self.kept = self.method.prepare_rival(&frame.frame, bounds).map(|views| (frame.clone(), views));
+        }
+        let (_, views) = self.kept.as_mut().ok_or("the viewer casts layers itself")?;
+        views.view(camera).map_err(|e| e.to_string())
     }
 }
 

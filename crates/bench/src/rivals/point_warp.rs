@@ -1,8 +1,8 @@
 //! Zellmann 2012, Image-based remote real-time volume rendering: every pixel of the last picture is a point at one
 //! representative depth, and the points are drawn from the new camera.
 //!
-//! Points are squares as large as the pixel's area at its depth appears from the new camera, so that a plane parallel
-//! to the old picture has no cracks; they are composited with *over* in an order that needs no sort ([`ScanOrder`]).
+//! Points are squares half as wide again as the pixel's area at its depth appears from the new camera, so that a plane
+//! parallel to the old picture has no cracks and one turned towards the new camera few; they are composited with *over* in an order that needs no sort ([`ScanOrder`]).
 //! The depth of a pixel is the mean depth of the light in it: each segment counts with what it adds to the pixel's
 //! opacity, at the mean depth of its own light.
 
@@ -106,7 +106,7 @@ impl PointWarp {
                 let per_w = h.z.recip();
                 let (px, py) = (h.x * per_w, h.y * per_w);
                 // The box around the projected pixel: derivatives of px and py by x and y, over two.
-                let half = 0.5 * depth * per_w;
+                let half = 0.5 * FOOTPRINT * depth * per_w;
                 let (dx, dy) = (warp.per_x, warp.per_y);
                 let rx = half * ((dx.x - px * dx.z).abs() + (dy.x - px * dy.z).abs());
                 let ry = half * ((dx.y - py * dx.z).abs() + (dy.y - py * dy.z).abs());
@@ -149,6 +149,11 @@ fn mean_of_light(tau: f32) -> f32 {
 
 /// Parts of a pixel that edges are rounded to.
 const SUBPIXELS: i32 = 256;
+/// Width of a point in units of its projected pixel. At 1 a surface that turns towards the new camera cracks; at 2 a
+/// point would reach its neighbours' centres. Weighed at 256×256 (DSSIM at 10°, widths 1, 1.35, 1.5, 1.75 and 1.99):
+/// bonsai .0835 .0812 .0809 .0802 .0794, cloud .0456 .0261 .0252 .0258 .0278, cubus .0980 .0558 .0519 .0534 .0564,
+/// engine .0478 .0306 .0293 .0299 .0318.
+const FOOTPRINT: f32 = 1.5;
 /// Points right before the eye cover no more pixels than this to either side: an eye inside the volume would else draw
 /// some of them over the whole picture.
 const MAX_HALF_SIDE: f32 = 32.0;

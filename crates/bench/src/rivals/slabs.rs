@@ -1,5 +1,5 @@
-//! Mueller 1999, IBR-Assisted Volume Rendering: the volume between the planes of near and far view depth is cut into K
-//! slabs of equal thickness, parallel to the picture; each is rendered to an image of its own.
+//! Mueller 1999, IBR-Assisted Volume Rendering: the volume is cut into K slabs of equal thickness, parallel to the
+//! picture, from the nearest to the farthest corner of its box; each is rendered to an image of its own.
 //!
 //! The slabs are derived from a layered frame of any rule: a segment that a plane cuts is split as a homogeneous
 //! medium, α' = 1 − (1 − α)^(l/z). This file draws the simpler of the paper's two variants, billboards: each image on
@@ -8,8 +8,9 @@
 use glam::Vec3;
 use isinglass_core::camera::{Basis, Camera};
 use isinglass_core::kernels::march::opacity;
-use isinglass_core::layer::{DEPTH_UNITS, LayeredFrame, Segment};
+use isinglass_core::layer::{DEPTH_UNITS, LayeredFrame, Segment, depth_to_units};
 use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
 use rayon::prelude::*;
 
 use super::warp::{Warp, bilinear, in_bands};
@@ -22,7 +23,8 @@ pub struct Slabs {
     pub(super) height: usize,
     /// Tiles in a row and in a column.
     pub(super) num_tiles: [usize; 2],
-    near: f32,
+    /// View depth of the first plane, world units.
+    first: f32,
     /// Thickness, world units of view depth.
     thickness: f32,
     /// Premultiplied linear, row by row, in each row slab by slab.
@@ -41,14 +43,21 @@ pub(super) struct Tile {
 }
 
 impl Slabs {
-    /// Cuts a frame into as many slabs as its lists can be long.
-    pub fn new(frame: &LayeredFrame) -> Self {
+    /// Cuts a frame into as many slabs as its lists can be long. `bounds` is the box of the volume.
+    pub fn new(frame: &LayeredFrame, bounds: &Aabb) -> Self {
         let camera = &frame.header.camera;
+        let basis = camera.basis();
         let num = usize::from(frame.header.k.max(1));
         let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         let num_tiles = [width.div_ceil(TILE), height.div_ceil(TILE)];
         let mut pixels = vec![[0.0; 4]; width * height * num];
-        let cut = Cut { num, camera };
+        // The same planes as those of the rule `slabs`. A box that is larger than the frame's is cut at near and far.
+        let middle = (bounds.center() - basis.eye).dot(basis.forward);
+        let reach = ((bounds.max - bounds.min) * 0.5).dot(basis.forward.abs());
+        let first = (middle - reach).max(camera.near);
+        let thickness =
+            ((middle + reach).min(camera.far) - first).max(LEAST_THICKNESS * camera.far) / num as f32;
+        let cut = Cut { num, camera, first, thickness };
         // Strips of tiles, each with its tiles slab by slab.
         let strips: Vec<Vec<Tile>> = pixels
             .par_chunks_mut(width * num * TILE)
@@ -75,22 +84,19 @@ impl Slabs {
             .flat_map(|slab| strips.iter().map(move |strip| (slab, strip)))
             .flat_map(|(slab, strip)| strip[slab * num_tiles[0]..][..num_tiles[0]].iter().copied())
             .collect();
-        let thickness = (camera.far - camera.near) / num as f32;
-        let basis = camera.basis();
-        let mut slabs =
-            Self { basis, num, width, height, num_tiles, near: camera.near, thickness, pixels, tiles };
+        let mut slabs = Self { basis, num, width, height, num_tiles, first, thickness, pixels, tiles };
         slabs.mark_borders();
         slabs
     }
 
     /// The view depth of a slab's middle, world units.
     pub(super) fn middle(&self, slab: usize) -> f32 {
-        self.near + (slab as f32 + 0.5) * self.thickness
+        self.first + (slab as f32 + 0.5) * self.thickness
     }
 
     /// The slab at a view depth, as an unbounded number.
     pub(super) fn slab_at(&self, depth: f32) -> f32 {
-        (depth - self.near) / self.thickness
+        (depth - self.first) / self.thickness
     }
 
     /// The tile in column `x` and row `y` of tiles.
@@ -186,23 +192,27 @@ impl Tile {
 struct Cut<'a> {
     num: usize,
     camera: &'a Camera,
+    first: f32,
+    thickness: f32,
 }
 
 impl Cut<'_> {
     /// Hands out the pieces of a list, front to back: slab, interval of view depth and colour.
     fn list(&self, frame: &LayeredFrame, list: usize, mut piece: impl FnMut(usize, [f32; 2], [f32; 4])) {
-        let units_per_slab = DEPTH_UNITS / self.num as f32;
         let depth_per_unit = (self.camera.far - self.camera.near) / DEPTH_UNITS;
+        let (first_plane, units_per_slab) =
+            (depth_to_units(self.camera, self.first), self.thickness / depth_per_unit);
         for segment in frame.list(list) {
             let Segment { front, back, c, tau } = frame.segment(segment);
             let (front, back) = (f32::from(front), f32::from(back));
-            let slab_at = |units: f32| ((units / units_per_slab) as usize).min(self.num - 1);
+            // Matter before the first and behind the last plane, of a wrong box, is given to the outermost slabs.
+            let slab_at = |units: f32| (((units - first_plane) / units_per_slab) as usize).min(self.num - 1);
             let margin = LEAST_PIECE_UNITS.min(0.5 * (back - front));
             let (first, last) = (slab_at(front + margin), slab_at(back - margin));
             let whole = opacity(tau);
             for slab in first..=last {
-                let a = if slab == first { front } else { slab as f32 * units_per_slab };
-                let b = if slab == last { back } else { (slab + 1) as f32 * units_per_slab };
+                let a = if slab == first { front } else { first_plane + slab as f32 * units_per_slab };
+                let b = if slab == last { back } else { first_plane + (slab + 1) as f32 * units_per_slab };
                 let alpha = opacity(tau * ((b - a) / (back - front)));
                 // A segment without light has no colour to divide.
                 let c = if whole > 0.0 { c * (alpha / whole) } else { c };
@@ -218,3 +228,5 @@ pub(super) const TILE: usize = 16;
 /// A plane that would cut off less of a segment than this cuts nothing: the segment ends at the plane but for the
 /// rounding of depths, and a thousandth of an opaque one would still be seen.
 const LEAST_PIECE_UNITS: f32 = 4.0;
+/// Least thickness of all slabs, in units of the far depth: that of a box which lies behind the eye.
+const LEAST_THICKNESS: f32 = 1e-4;

@@ -18,7 +18,7 @@ use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use crate::args::{
-    BackendArgs, DEFAULT_K, LayeringArgs, LinkArgs, LookArgs, parse_duration, parse_fov, parse_k,
+    BackendArgs, DEFAULT_K, LayeringArgs, LinkArgs, LookArgs, MethodArgs, parse_duration, parse_fov, parse_k,
     parse_output, parse_size,
 };
 use crate::report::{print, print_json};
@@ -113,6 +113,8 @@ struct SpeedArgs {
     common: CommonArgs,
     #[command(flatten)]
     layering: LayeringArgs,
+    #[command(flatten)]
+    method: MethodArgs,
     /// Turn of the novel view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_angle, default_value = "10")]
     angle: f32,
@@ -130,6 +132,8 @@ struct LatencyArgs {
     common: CommonArgs,
     #[command(flatten)]
     layering: LayeringArgs,
+    #[command(flatten)]
+    method: MethodArgs,
     /// Round-trip times, between commas
     #[arg(long, value_name = "TIME", value_parser = parse_duration, value_delimiter = ',', default_value = "0ms,100ms,300ms")]
     rtts: Vec<Duration>,
@@ -182,6 +186,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         transfer: common.look.tf.clone(),
         backends,
         layering: args.layering.layering,
+        method: args.method.method,
         k: args.layering.k,
         orbit: common.orbit,
         turn_degrees: args.angle,
@@ -202,6 +207,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             transfer: common.look.tf.clone(),
             shaded: common.look.is_shaded(),
             layering: args.layering.layering,
+            method: args.method.method,
             k: args.layering.k,
             orbit: common.orbit,
             intrinsics: common.intrinsics(),

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
+use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_core::codec;
@@ -15,8 +16,8 @@ use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
 use crate::args::{
-    BackendArgs, LayeringArgs, LinkArgs, LookArgs, RawArgs, VolumeArgs, open_volume, parse_duration,
-    parse_fov, parse_size,
+    BackendArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, RawArgs, VolumeArgs, open_volume,
+    parse_duration, parse_fov, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -59,6 +60,8 @@ pub(crate) struct DemoArgs {
     #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
+    method: MethodArgs,
+    #[command(flatten)]
     backend: BackendArgs,
     /// Print the report as JSON
     #[arg(long)]
@@ -90,6 +93,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         shaded: args.look.is_shaded(),
         layering: args.layering.layering,
         k: args.layering.k,
+        method: args.method.method,
         orbit: args.orbit,
         backend: args.backend.backend,
         link,
@@ -144,6 +148,8 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
             size: args.size.unwrap_or(defaults.size),
             initial_orbit: initial_orbit(&args.orbit),
             fov_y: args.fov.to_radians(),
+            novel_views: rivals::for_viewer(),
+            novel_view: args.method.method.name(),
             ..defaults
         },
     });

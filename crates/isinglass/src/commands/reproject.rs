@@ -7,12 +7,11 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::Args;
 use isinglass_bench::output::Rgb8;
-use isinglass_bench::rivals::Method;
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame};
 use isinglass_formats::iglf;
 use serde_json::json;
 
-use crate::args::{BackendArgs, parse_background, parse_fov, parse_output, parse_size};
+use crate::args::{BackendArgs, MethodArgs, parse_background, parse_fov, parse_output, parse_size};
 use crate::report::print_json;
 
 #[derive(Args)]
@@ -36,9 +35,8 @@ pub(crate) struct ReprojectArgs {
     /// Colour behind the volume
     #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
     background: [u8; 3],
-    /// How the frame becomes a picture: layers, point-warp, slabs-planar, slabs-mesh, last-image
-    #[arg(long, value_name = "METHOD", default_value_t = Method::default())]
-    method: Method,
+    #[command(flatten)]
+    method: MethodArgs,
     #[command(flatten)]
     backend: BackendArgs,
     /// Tell what was done as JSON
@@ -62,7 +60,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     };
     let backend = args.backend.open()?;
     let start = Instant::now();
-    let mut views = args.method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
+    let mut views = args.method.method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
     let picture = views.view(&camera)?;
     let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
     Rgb8::of(&picture, args.background).write(&args.output)?;
@@ -70,7 +68,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         print_json(&json!({
             "output": args.output.display().to_string(),
             "size": [intrinsics.width, intrinsics.height],
-            "method": args.method.name(),
+            "method": args.method.method.name(),
             "backend": backend.description(),
             "novel_view_ms": novel_view_ms,
         }))?;

@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{Waker, WindowOptions, display_available, run_window};
 use isinglass_net::{Client, ClientOptions, Link};
 
 use super::demo::initial_orbit;
-use crate::args::{parse_fov, parse_size};
+use crate::args::{MethodArgs, parse_fov, parse_size};
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
@@ -26,6 +27,8 @@ pub(crate) struct ViewerArgs {
     /// Where the camera begins
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
+    #[command(flatten)]
+    method: MethodArgs,
 }
 
 /// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away
@@ -54,6 +57,8 @@ pub(crate) fn run(args: ViewerArgs) -> Result<()> {
         size: args.size,
         initial_orbit: initial_orbit(&args.orbit),
         fov_y: args.fov.to_radians(),
+        novel_views: rivals::for_viewer(),
+        novel_view: args.method.method.name(),
         ..WindowOptions::default()
     };
     run_window(window, clock, move |wake| {

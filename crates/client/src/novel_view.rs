@@ -1,0 +1,260 @@
+//! Pictures by other methods than the ray cast, given by whoever opens the window. They are drawn on a thread of their own
+//! and the newest wish wins, so a slow method never holds up a refresh: its picture comes late.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use isinglass_core::camera::Camera;
+use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
+use isinglass_net::ReceivedFrame;
+
+use crate::picture::BACKGROUND;
+use crate::window::Waker;
+
+/// A way of making a picture from a layered frame.
+pub trait NovelView: Send {
+    /// What a person calls it; not [`LAYERS`].
+    fn name(&self) -> &'static str;
+
+    /// The picture of a frame from a camera, at the camera's size. `bounds` is the box of the volume. Takes the time it
+    /// needs; what is known of a frame may be kept, as the next picture is likely to be of the same.
+    ///
+    /// # Errors
+    /// One line for a person.
+    fn draw(&mut self, frame: &Arc<ReceivedFrame>, bounds: &Aabb, camera: &Camera)
+    -> Result<Picture, String>;
+}
+
+/// The viewer's own method, the ray cast.
+pub const LAYERS: &str = "layers";
+
+/// The methods to choose from and the one that is chosen.
+pub(crate) struct NovelViews {
+    /// [`LAYERS`] and the others.
+    pub(crate) names: Vec<&'static str>,
+    /// Index in `names`.
+    pub(crate) selected: usize,
+    worker: Option<Worker>,
+    texture: Option<egui::TextureHandle>,
+}
+
+impl NovelViews {
+    /// `name` is chosen at first; the ray cast if there is none of that name.
+    pub(crate) fn new(views: Vec<Box<dyn NovelView>>, name: &str, wake: Waker) -> Self {
+        let names: Vec<&'static str> =
+            std::iter::once(LAYERS).chain(views.iter().map(|v| v.name())).collect();
+        let selected = names.iter().position(|n| *n == name).unwrap_or(0);
+        let worker = (!views.is_empty()).then(|| Worker::start(views, wake));
+        Self { names, selected, worker, texture: None }
+    }
+
+    /// The newest picture of the method that is chosen, and a wish for one of this frame; none for the ray cast, and
+    /// before the first picture.
+    pub(crate) fn show(
+        &mut self,
+        ctx: &egui::Context,
+        frame: &Arc<ReceivedFrame>,
+        bounds: &Aabb,
+        camera: &Camera,
+    ) -> Option<Shown> {
+        let Some((worker, view)) = self.worker.as_mut().zip(self.selected.checked_sub(1)) else {
+            self.texture = None;
+            return None;
+        };
+        worker.wish(Wish { view, frame: frame.clone(), bounds: *bounds, camera: *camera });
+        match worker.take() {
+            Some(Ok(picture)) => {
+                let size = [picture.width as usize, picture.height as usize];
+                let image = egui::ColorImage::from_rgb(size, &picture.to_srgb8(BACKGROUND));
+                match &mut self.texture {
+                    Some(texture) => texture.set(image, egui::TextureOptions::LINEAR),
+                    None => {
+                        let name = "novel view";
+                        self.texture = Some(ctx.load_texture(name, image, egui::TextureOptions::LINEAR));
+                    }
+                }
+            }
+            Some(Err(problem)) => return Some(Shown::Problem(problem)),
+            None => {}
+        }
+        self.texture.as_ref().map(|texture| Shown::Picture(texture.id()))
+    }
+}
+
+/// What there is of a method.
+pub(crate) enum Shown {
+    /// The newest picture.
+    Picture(egui::TextureId),
+    /// Why there is none.
+    Problem(String),
+}
+
+/// One picture to make.
+#[derive(Clone)]
+struct Wish {
+    /// Number of the method.
+    view: usize,
+    frame: Arc<ReceivedFrame>,
+    bounds: Aabb,
+    camera: Camera,
+}
+
+impl Wish {
+    fn is_same(&self, other: &Self) -> bool {
+        self.view == other.view
+            && Arc::ptr_eq(&self.frame, &other.frame)
+            && self.camera == other.camera
+            && self.bounds == other.bounds
+    }
+}
+
+/// The thread that draws.
+struct Worker {
+    shared: Arc<Shared>,
+    last: Option<Wish>,
+}
+
+#[derive(Default)]
+struct Shared {
+    slots: Mutex<Slots>,
+    changed: Condvar,
+}
+
+/// Latest values.
+#[derive(Default)]
+struct Slots {
+    wish: Option<Wish>,
+    drawn: Option<Result<Picture, String>>,
+    is_closed: bool,
+}
+
+impl Worker {
+    fn start(mut views: Vec<Box<dyn NovelView>>, wake: Waker) -> Self {
+        let shared = Arc::new(Shared::default());
+        let of_thread = shared.clone();
+        std::thread::spawn(move || {
+            while let Some(Wish { view, frame, bounds, camera }) = of_thread.next_wish() {
+                let Some(view) = views.get_mut(view) else { continue };
+                let drawn = view.draw(&frame, &bounds, &camera);
+                of_thread.lock().drawn = Some(drawn);
+                wake();
+            }
+        });
+        Self { shared, last: None }
+    }
+
+    /// Asks for a picture, unless it was asked for last.
+    fn wish(&mut self, wish: Wish) {
+        if self.last.as_ref().is_none_or(|last| !last.is_same(&wish)) {
+            self.shared.lock().wish = Some(wish.clone());
+            self.shared.changed.notify_one();
+            self.last = Some(wish);
+        }
+    }
+
+    /// The newest result that was not taken yet.
+    fn take(&self) -> Option<Result<Picture, String>> {
+        self.shared.lock().drawn.take()
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        self.shared.lock().is_closed = true;
+        self.shared.changed.notify_one();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Slots> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for it; none when the window is closed.
+    fn next_wish(&self) -> Option<Wish> {
+        let slots = self.lock();
+        let is_idle = |slots: &mut Slots| slots.wish.is_none() && !slots.is_closed;
+        let mut slots = self.changed.wait_while(slots, is_idle).unwrap_or_else(PoisonError::into_inner);
+        if slots.is_closed { None } else { slots.wish.take() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+    use glam::Vec3;
+    use isinglass_core::camera::{Intrinsics, Pose};
+    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+    use isinglass_core::layer::{FrameHeader, LayeredFrame};
+
+    use super::*;
+    use crate::viewing::tests::BOUNDS;
+
+    /// Says that it has begun, waits to be let on, and draws a picture as wide as the camera's.
+    struct Gated {
+        begun: SyncSender<u32>,
+        gate: Receiver<()>,
+    }
+
+    impl NovelView for Gated {
+        fn name(&self) -> &'static str {
+            "gated"
+        }
+
+        fn draw(&mut self, _: &Arc<ReceivedFrame>, _: &Aabb, camera: &Camera) -> Result<Picture, String> {
+            let width = camera.intrinsics.width;
+            self.begun.send(width).unwrap();
+            self.gate.recv().unwrap();
+            if width == 4 { Err("four".into()) } else { Ok(Picture::new(width, 1)) }
+        }
+    }
+
+    fn wish(width: u32) -> Wish {
+        let intrinsics = Intrinsics { width, height: 1, fov_y: 0.7 };
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), intrinsics, &BOUNDS);
+        let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(0), camera, k: 4 };
+        let frame = LayeredFrame::empty(header);
+        let frame = ReceivedFrame { frame, is_complete: true, times: Default::default() };
+        Wish { view: 0, frame: Arc::new(frame), bounds: BOUNDS, camera }
+    }
+
+    #[test]
+    fn the_newest_wish_wins_and_nobody_waits_for_a_slow_method() {
+        let (begun, has_begun) = sync_channel(16);
+        let (open, gate) = sync_channel(16);
+        let (wake, woken) = sync_channel(16);
+        let wake: Waker = Arc::new(move || wake.send(()).unwrap());
+        let mut worker = Worker::start(vec![Box::new(Gated { begun, gate })], wake);
+        worker.wish(wish(1));
+        assert_eq!(has_begun.recv(), Ok(1));
+        // While it draws, wishes come and go and none of them blocks.
+        let third = wish(3);
+        worker.wish(wish(2));
+        worker.wish(third.clone());
+        worker.wish(third);
+        assert!(worker.take().is_none());
+        open.send(()).unwrap();
+        woken.recv().unwrap();
+        assert_eq!(worker.take().unwrap().unwrap().width, 1);
+        assert_eq!(has_begun.recv(), Ok(3), "the second wish is forgotten");
+        open.send(()).unwrap();
+        woken.recv().unwrap();
+        assert_eq!(worker.take().unwrap().unwrap().width, 3);
+        assert!(worker.take().is_none());
+        worker.wish(wish(4));
+        open.send(()).unwrap();
+        woken.recv().unwrap();
+        assert_eq!(worker.take().unwrap(), Err("four".into()));
+        // The thread ends with the window: its end of the channel is gone.
+        assert_eq!(has_begun.recv(), Ok(4));
+        drop(worker);
+        assert!(has_begun.recv().is_err());
+    }
+
+    #[test]
+    fn layers_are_always_there() {
+        let views = NovelViews::new(vec![], "unknown", Arc::new(|| {}));
+        assert_eq!((views.names, views.selected), (vec![LAYERS], 0));
+    }
+}
