@@ -15,12 +15,13 @@ use std::time::Duration;
 
 use isinglass_client::camera_controls::InitialOrbit;
 use isinglass_client::{
-    BACKGROUND, FrameSize, FrameSource, Probe, ScriptStep, Shot, Standing, WindowOptions, display_available,
-    run_window,
+    BACKGROUND, FrameSize, FrameSource, Probe, ScriptStep, Shot, Standing, Stereo, StereoMode, WindowOptions,
+    display_available, run_window,
 };
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::lens::raycast_mean;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -41,6 +42,10 @@ fn main() {
     }
     window_shows_what_the_twin_casts();
     println!("ok: the window shows what the CPU twin casts");
+    for mode in [StereoMode::SideBySide, StereoMode::Anaglyph] {
+        window_shows_each_eye_its_view(mode);
+    }
+    println!("ok: each eye is shown what the CPU twin casts for it");
 }
 
 /// First a frame of another pose is shown, as while the hand moves; then the camera's own.
@@ -126,6 +131,69 @@ fn window_shows_what_the_twin_casts() {
     assert!(max <= 1, "exact, against the frame's own picture: max {max}");
     let (max, _) = difference(&shots[0].rgb, &own);
     assert!(max > 4, "negative control: the turned frame is not exact, max {max}");
+}
+
+/// The whole picture is compared: nothing lies between the eyes, and no channel is left over.
+fn window_shows_each_eye_its_view(mode: StereoMode) {
+    let stereo = Stereo { mode, eye_angle_degrees: 5.0 };
+    let shots: Arc<Mutex<Vec<(Probe, Shot)>>> = Arc::default();
+    let mut has_asked = false;
+    let script = {
+        let shots = shots.clone();
+        move |probe: &Probe| {
+            assert!(probe.now < Duration::from_secs(120), "the window never came to rest");
+            let Some(refresh) = &probe.refresh else { return ScriptStep::Continue };
+            if !shots.lock().unwrap().is_empty() {
+                return ScriptStep::Close;
+            }
+            assert!(refresh.standing != Standing::Exact, "two eyes see novel views");
+            if refresh.standing != Standing::Settled || refresh.changed || has_asked {
+                return ScriptStep::Continue;
+            }
+            has_asked = true;
+            let probe = Probe { now: probe.now, refresh: Some(refresh.clone()) };
+            let shots = shots.clone();
+            ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push((probe, shot))))
+        }
+    };
+    // An odd width: the column in the middle belongs to both halves.
+    let options = WindowOptions {
+        size: [361, 260],
+        initial_orbit: InitialOrbit { azimuth_degrees: 25.0, ..InitialOrbit::default() },
+        frame_size: FrameSize::default(),
+        stereo,
+        shows_overlay: false,
+        script: Some(Box::new(script)),
+        ..Default::default()
+    };
+    let answers_wishes = Arc::new(AtomicBool::new(true));
+    run_window(options, Clock::start(), move |_wake| Ok(StillSource::new(answers_wishes))).unwrap();
+
+    let (probe, shot) = shots.lock().unwrap().pop().unwrap();
+    let refresh = probe.refresh.unwrap();
+    let frame = &refresh.frame.as_ref().unwrap().frame;
+    let eyes = stereo.eyes(&refresh.camera, &refresh.bounds);
+    let [left, right] = eyes.map(|eye| raycast_mean(frame, &refresh.bounds, &[eye]).to_srgb8(BACKGROUND));
+    let width = refresh.camera.intrinsics.width as usize;
+    let expected = |left: &[u8], right: &[u8]| -> Vec<u8> {
+        if mode == StereoMode::Anaglyph {
+            assert_eq!(width, shot.width);
+            return left.chunks(3).zip(right.chunks(3)).flat_map(|(l, r)| [l[0], r[1], r[2]]).collect();
+        }
+        let overlap = 2 * width - shot.width;
+        assert!(overlap < 2, "{width} columns an eye in {}", shot.width);
+        let rows = left.chunks(3 * width).zip(right.chunks(3 * width));
+        rows.flat_map(|(l, r)| [&l[..3 * (width - overlap)], r].concat()).collect()
+    };
+    let (max, mean) = difference(&shot.rgb, &expected(&left, &right));
+    println!("{mode:?}: max {max}, mean {mean:.4}");
+    // The bound of every kernel against its twin, as above.
+    assert!(max <= 2 && mean < 0.1, "{mode:?}: max {max}, mean {mean}");
+    // Negative controls: swapped eyes, and one eye for both.
+    for (a, b) in [(&right, &left), (&left, &left)] {
+        let (max, mean) = difference(&shot.rgb, &expected(a, b));
+        assert!(max > 10 && mean > 0.1, "{mode:?}, wrong eyes: max {max}, mean {mean}");
+    }
 }
 
 /// Greatest and mean difference, in steps of 8 bits.

@@ -114,6 +114,24 @@ impl Rgb8 {
     }
 }
 
+impl Rgb8 {
+    /// This picture, seen by the left eye, on the left of what the right eye sees. Nothing lies between them: a stereo
+    /// display splits the picture in its middle.
+    pub fn stereo_pair(&self, right: &Self) -> Self {
+        let row_bytes = self.width as usize * 3;
+        let rows = self.bytes.chunks_exact(row_bytes).zip(right.bytes.chunks_exact(row_bytes));
+        let bytes = rows.flat_map(|(left, right)| [left, right]).flatten().copied().collect();
+        Self { width: self.width * 2, height: self.height, bytes }
+    }
+
+    /// This picture, seen by the left eye, in red, and what the right eye sees in green and blue.
+    pub fn anaglyph(&self, right: &Self) -> Self {
+        let pixels = self.bytes.chunks_exact(3).zip(right.bytes.chunks_exact(3));
+        let bytes = pixels.flat_map(|(left, right)| [left[0], right[1], right[2]]).collect();
+        Self { bytes, ..*self }
+    }
+}
+
 /// Text of several lines as one.
 pub fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
@@ -148,6 +166,17 @@ mod tests {
         fs::write(&path, b"no picture").unwrap();
         assert!(matches!(Rgb8::read(&path, [0; 3]), Err(BenchError::Picture { .. })));
         fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn eyes_stay_on_their_side_and_in_their_channels() {
+        let left = Rgb8 { width: 1, height: 2, bytes: vec![1, 2, 3, 4, 5, 6] };
+        let right = Rgb8 { bytes: left.bytes.iter().map(|b| b + 10).collect(), ..left };
+        let pair = left.stereo_pair(&right);
+        assert_eq!((pair.width, pair.height), (2, 2));
+        assert_eq!(pair.bytes, [1, 2, 3, 11, 12, 13, 4, 5, 6, 14, 15, 16]);
+        assert_eq!(left.anaglyph(&right).bytes, [1, 12, 13, 4, 15, 16]);
+        assert_ne!(left.anaglyph(&right), right.anaglyph(&left));
     }
 
     #[test]

@@ -91,9 +91,14 @@ pub fn orbit_of_frame(orbit: &Orbit, intrinsics: Intrinsics, header: &FrameHeade
     let distance = orbit.distance_in_radii.map_or_else(|| header.camera.pose.eye.length(), |d| d * radius);
     let (azimuth, elevation) = (orbit.azimuth_degrees.to_radians(), orbit.elevation_degrees.to_radians());
     let pose = Pose::orbit(Vec3::ZERO, azimuth, elevation, distance);
-    // The box inside the sphere has the sphere's radius.
-    let half = Vec3::splat(radius / 3f32.sqrt());
-    Camera::new(pose, intrinsics, &Aabb { min: -half, max: half })
+    Camera::new(pose, intrinsics, &sphere_box_from_header(header))
+}
+
+/// A box with the bounding sphere of the volume that a frame was made of: the cube inside it. The volume's own box may
+/// reach beyond its sides.
+pub fn sphere_box_from_header(header: &FrameHeader) -> Aabb {
+    let half = Vec3::splat(radius_from_header(header) / 3f32.sqrt());
+    Aabb { min: -half, max: half }
 }
 
 /// Farther away no picture has anything in it.

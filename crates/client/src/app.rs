@@ -17,6 +17,7 @@ use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
+use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh, Standing, Viewing};
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
 
@@ -33,6 +34,7 @@ pub(crate) struct ViewerApp<S> {
     picture_status: Arc<PictureStatus>,
     novel_views: NovelViews,
     method_problem: Option<String>,
+    stereo: Stereo,
     shows_overlay: bool,
     shows_help: bool,
     shows_look: bool,
@@ -54,6 +56,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let opened_at = Duration::from_micros(clock.now_micros());
         let viewing = Viewing::new(source, options.frame_size);
         Self {
+            stereo: options.stereo,
             shows_overlay: options.shows_overlay,
             options,
             viewing,
@@ -93,6 +96,9 @@ impl<S: FrameSource> ViewerApp<S> {
         if pressed(Key::L) {
             self.shows_look = !self.shows_look;
         }
+        if pressed(Key::S) {
+            self.stereo.mode = self.stereo.mode.next();
+        }
         if pressed(Key::H) | pressed(Key::F1) {
             self.shows_help = !self.shows_help;
         }
@@ -126,7 +132,7 @@ impl<S: FrameSource> ViewerApp<S> {
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
         let Some(look) = self.viewing.look(now).filter(|_| self.shows_look) else { return };
         let methods = (&self.novel_views.names[..], self.novel_views.selected);
-        let choice = panels::look_panel(ctx, &look, &self.viewing.frame_size, methods);
+        let choice = panels::look_panel(ctx, &look, &self.viewing.frame_size, methods, self.stereo);
         if let Some(selected) = choice.method {
             self.novel_views.selected = selected;
         }
@@ -135,6 +141,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if let Some(scale) = choice.scale {
             self.viewing.frame_size = FrameSize { scale, ..self.viewing.frame_size };
+        }
+        if let Some(stereo) = choice.stereo {
+            self.stereo = stereo;
         }
     }
 
@@ -176,10 +185,14 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         }
 
         let rect = ui.max_rect();
-        let picture = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
+        let window = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
+        let picture = self.stereo().eye_intrinsics(window);
+        let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
         let is_free = |at| ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background);
         let events = ctx.input(|i| i.events.clone());
         let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), is_free);
+        // Zooming is about a point of the eye's own picture.
+        input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
         input.reset = keys_are_free && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::R));
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
@@ -241,14 +254,25 @@ impl<S: FrameSource> ViewerApp<S> {
             None if self.novel_views.selected == 0 => self.method_problem = None,
             None => {}
         }
-        ui.painter().add(PicturePaint { frame, camera, bounds }.shape(rect));
+        let stereo = self.stereo();
+        ui.painter().add(PicturePaint { frame, camera, bounds, stereo }.shape(rect));
+    }
+
+    /// Only the ray cast has two eyes.
+    fn stereo(&self) -> Stereo {
+        if self.novel_views.selected == 0 { self.stereo } else { Stereo::default() }
     }
 
     fn refresh(&mut self, now: Duration, input: &ControlInput, picture: Intrinsics) -> Option<Refresh> {
         let (bounds, controls) = self.controls(&picture)?;
         controls.apply(input, &picture);
         let (bounds, pose) = (*bounds, controls.pose());
-        Some(self.viewing.refresh(now, pose, picture, &bounds))
+        let mut refresh = self.viewing.refresh(now, pose, picture, &bounds);
+        if !self.stereo().is_mono() && refresh.standing == Standing::Exact {
+            // The frame is the middle's between the eyes; each of them sees a novel view.
+            refresh.standing = Standing::Settled;
+        }
+        Some(refresh)
     }
 
     /// How long the window may sleep if nothing happens; none: until something does. Frames, pointer and keys wake it.

@@ -18,6 +18,7 @@ mod panels;
 mod picture;
 mod pointer;
 mod run;
+mod stereo;
 mod viewing;
 mod window;
 
@@ -29,6 +30,7 @@ pub use novel_view::{LAYERS, NovelView};
 pub use overlay::{BINDINGS, OverlayModel, Row, ViewTime, format_duration, format_rate};
 pub use picture::BACKGROUND;
 pub use run::{ViewerOptions, run};
+pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 pub use viewing::{FrameSize, Refresh, Standing, Viewing};
 pub use window::{
     DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowOptions, run_window,

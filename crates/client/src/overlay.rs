@@ -101,7 +101,9 @@ impl Standing {
             Self::Waiting => "No frame has arrived yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
-            Self::Settled => "The server's whole frame for this view, at another size than the window's.",
+            Self::Settled => {
+                "The server's whole frame for this view, at another size than the window's or for two eyes."
+            }
             Self::Exact => "The server's own picture of this view, pixel by pixel.",
         }
     }
@@ -130,7 +132,7 @@ pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
 }
 
 /// The keys and buttons, as the help shows them.
-pub const BINDINGS: [(&str, &str); 9] = [
+pub const BINDINGS: [(&str, &str); 10] = [
     ("left drag", "orbit"),
     ("middle or shift+left drag", "pan"),
     ("wheel, pinch", "zoom at the pointer"),
@@ -138,6 +140,7 @@ pub const BINDINGS: [(&str, &str); 9] = [
     ("r", "first view"),
     ("o, Tab", "numbers on or off"),
     ("l", "look panel on or off"),
+    ("s", "stereo: side by side, red-cyan, off"),
     ("h, F1", "this help"),
     ("Esc", "close help"),
 ];

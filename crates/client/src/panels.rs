@@ -8,6 +8,7 @@ use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
 
 use crate::overlay::{BINDINGS, OverlayModel, sentence};
+use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 use crate::viewing::{FrameSize, Standing};
 
 /// A dark pane that text can be read on over any picture.
@@ -104,15 +105,18 @@ pub(crate) struct LookChoice {
     pub(crate) scale: Option<f32>,
     /// Another method, by its number.
     pub(crate) method: Option<usize>,
+    /// Another picture for two eyes.
+    pub(crate) stereo: Option<Stereo>,
 }
 
-/// Transfer function, shading, layering, frame size and, if there are several, the method of making pictures, at the top
-/// right; folded at first.
+/// Transfer function, shading, layering, frame size, stereo and, if there are several, the method of making pictures, at
+/// the top right; folded at first.
 pub(crate) fn look_panel(
     ctx: &egui::Context,
     look: &Look,
     frame_size: &FrameSize,
     (methods, method): (&[&str], usize),
+    stereo: Stereo,
 ) -> LookChoice {
     let mut choice = LookChoice::default();
     let mut changed = look.clone();
@@ -123,7 +127,7 @@ pub(crate) fn look_panel(
     let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
     let in_pane = |ui: &mut Ui| {
         let title = egui::Button::new(RichText::new("Look").color(BRIGHT).size(12.0)).frame(false);
-        let hint = if is_open { "click to fold" } else { "transfer function, shading, layers" };
+        let hint = if is_open { "click to fold" } else { "transfer function, shading, layers, stereo" };
         if ui.add(title).on_hover_text(hint).clicked() {
             ctx.data_mut(|d| d.insert_temp(open_id, !is_open));
         }
@@ -177,12 +181,33 @@ pub(crate) fn look_panel(
                     choice.scale = Some(percent / 100.0);
                 }
                 ui.end_row();
+                // Only the ray cast has two eyes.
+                if method == 0 {
+                    choice.stereo = stereo_rows(ui, stereo);
+                }
             });
         }
     };
     area.show(ctx, |ui| pane().show(ui, in_pane));
     choice.look = (changed != *look).then_some(changed);
     choice
+}
+
+/// Mode and eye distance; what was chosen, if anything.
+fn stereo_rows(ui: &mut Ui, stereo: Stereo) -> Option<Stereo> {
+    let mut changed = stereo;
+    ui.label("stereo").on_hover_text("two eyes, side by side or for red-cyan glasses");
+    egui::ComboBox::from_id_salt("stereo").selected_text(stereo.mode.name()).show_ui(ui, |ui| {
+        for mode in StereoMode::ALL {
+            ui.selectable_value(&mut changed.mode, mode, mode.name());
+        }
+    });
+    ui.end_row();
+    ui.label("eye distance").on_hover_text("as an angle, seen from the volume's centre");
+    let slider = egui::Slider::new(&mut changed.eye_angle_degrees, 0.0..=MAX_EYE_ANGLE_DEGREES);
+    ui.add_enabled(!stereo.is_mono(), slider.step_by(0.1).fixed_decimals(1).suffix("°"));
+    ui.end_row();
+    (changed != stereo).then_some(changed)
 }
 
 /// The page before the first picture.

@@ -4,10 +4,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use isinglass_core::camera::Camera;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::ViewPass;
+use isinglass_gpu::{Channels, Eye, ViewPass};
 use isinglass_net::ReceivedFrame;
 
 use crate::gpu_timer::{GpuTime, GpuTimer};
+use crate::stereo::{Stereo, StereoMode};
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {
@@ -17,6 +18,8 @@ pub(crate) struct PicturePaint {
     pub(crate) camera: Camera,
     /// The box of the volume.
     pub(crate) bounds: Aabb,
+    /// Whether it is for two eyes.
+    pub(crate) stereo: Stereo,
 }
 
 /// What the painting tells the application.
@@ -83,7 +86,11 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
             // Also after an error: the same frame would fail again at every refresh.
             r.uploaded = Some(self.frame.clone());
         }
-        r.pass.prepare(queue, &self.camera, BACKGROUND);
+        if self.stereo.is_mono() {
+            r.pass.prepare(queue, &self.camera, BACKGROUND);
+        } else {
+            r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), BACKGROUND);
+        }
         if let Some(timer) = &r.timer {
             timer.step(device, encoder);
         }
@@ -92,14 +99,37 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
 
     fn paint(
         &self,
-        _info: egui::PaintCallbackInfo,
+        info: egui::PaintCallbackInfo,
         pass: &mut wgpu::RenderPass<'static>,
         resources: &egui_wgpu::CallbackResources,
     ) {
         let Some(r) = resources.get::<PictureResources>() else { return };
         match &r.timer {
-            Some(timer) => timer.around(pass, |pass| r.pass.paint(pass)),
-            None => r.pass.paint(pass),
+            Some(timer) => timer.around(pass, |pass| self.paint_eyes(&r.pass, pass, &info)),
+            None => self.paint_eyes(&r.pass, pass, &info),
+        }
+    }
+}
+
+impl PicturePaint {
+    fn paint_eyes(&self, view: &ViewPass, pass: &mut wgpu::RenderPass<'_>, info: &egui::PaintCallbackInfo) {
+        match self.stereo.mode {
+            StereoMode::Off => view.paint(pass),
+            StereoMode::SideBySide => {
+                let whole = info.viewport_in_pixels();
+                let (left, top) = (whole.left_px as f32, whole.top_px as f32);
+                let (width, height) = (whole.width_px as f32, whole.height_px as f32);
+                // As many columns as the eyes' pictures have.
+                let half = (width * 0.5).ceil();
+                for (eye, left) in [(Eye::Left, left), (Eye::Right, left + width - half)] {
+                    pass.set_viewport(left, top, half, height, 0.0, 1.0);
+                    view.paint_eye(pass, eye, Channels::All);
+                }
+            }
+            StereoMode::Anaglyph => {
+                view.paint_eye(pass, Eye::Left, Channels::Red);
+                view.paint_eye(pass, Eye::Right, Channels::Cyan);
+            }
         }
     }
 }

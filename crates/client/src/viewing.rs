@@ -22,7 +22,7 @@ pub enum Standing {
     Moving,
     /// The camera rests; its own frame is not complete yet.
     Refining,
-    /// The camera's own frame is complete, but of another size than the picture.
+    /// The camera's own frame is complete, but of another size than the picture, or the picture is for two eyes.
     Settled,
     /// The camera's own frame is complete and of the picture's size: casting it gives the server's picture.
     Exact,

@@ -11,6 +11,7 @@ use crate::frame_source::FrameSource;
 use crate::gpu_timer::timer_features;
 use crate::novel_view::{LAYERS, NovelView, NovelViews};
 use crate::picture;
+use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh};
 
 /// What a window needs to know beside where its frames come from.
@@ -25,6 +26,8 @@ pub struct WindowOptions {
     pub fov_y: f32,
     /// Size of the frames that are asked for.
     pub frame_size: FrameSize,
+    /// Whether the picture is for two eyes at first.
+    pub stereo: Stereo,
     /// Whether the numbers are shown at first.
     pub shows_overlay: bool,
     /// Turns the camera by itself, for pictures of a moving view; 0: not.
@@ -45,6 +48,7 @@ impl Default for WindowOptions {
             initial_orbit: InitialOrbit::default(),
             fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
             frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
+            stereo: Stereo::default(),
             shows_overlay: true,
             auto_orbit_degrees_per_second: 0.0,
             novel_views: Vec::new(),

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
 use isinglass_core::kernels::raycast;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -168,6 +169,15 @@ impl Renderer {
         }
     }
 
+    /// The mean over `views` of full volume renderings, all of one size; there must be at least one.
+    pub fn render_mean(&mut self, views: &[View]) -> Result<Picture, GpuError> {
+        check_views(views)?;
+        match self {
+            Self::Gpu(renderer) => mean_on_gpu(views, |view| renderer.render_view(view)),
+            Self::Cpu(scene) => Ok(lens::render_mean(scene, views)),
+        }
+    }
+
     /// A layered frame by a rule, with at most `header.k` segments a list.
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
         match self {
@@ -206,4 +216,27 @@ impl Reprojector {
             Self::Cpu(frame, bounds) => Ok(raycast::raycast(frame, bounds, camera)),
         }
     }
+
+    /// The mean over `views` of novel views, all of one size; there must be at least one. Premultiplied linear.
+    pub fn raycast_mean(&mut self, views: &[View]) -> Result<Picture, GpuError> {
+        check_views(views)?;
+        match self {
+            Self::Gpu(reprojector) => mean_on_gpu(views, |view| reprojector.raycast_view(view)),
+            Self::Cpu(frame, bounds) => Ok(lens::raycast_mean(frame, bounds, views)),
+        }
+    }
+}
+
+/// One pass a view; the sum is made in the same order as on the CPU.
+fn mean_on_gpu(
+    views: &[View],
+    draw: impl FnMut(&View) -> Result<Picture, GpuError>,
+) -> Result<Picture, GpuError> {
+    lens::mean_picture(views.iter().map(draw))?.ok_or(GpuError::Camera)
+}
+
+fn check_views(views: &[View]) -> Result<(), GpuError> {
+    let size = |view: &View| (view.basis.width, view.basis.height);
+    let is_usable = |view: &View| view.is_valid() && size(view) == size(&views[0]);
+    if views.is_empty() || !views.iter().all(is_usable) { Err(GpuError::Camera) } else { Ok(()) }
 }

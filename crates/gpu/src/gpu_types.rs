@@ -3,6 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
 use isinglass_core::layer::DEPTH_UNITS;
 use isinglass_core::space::Aabb;
@@ -22,14 +23,14 @@ pub(crate) struct Basis {
 }
 
 impl Basis {
-    /// The camera as every kernel uses it.
-    pub(crate) fn of(camera: &Camera) -> Self {
-        let basis = camera.basis();
+    /// The view as every kernel uses it.
+    pub(crate) fn of(view: impl Into<View>) -> Self {
+        let View { basis, near, far } = view.into();
         Self {
             eye: basis.eye.into(),
-            near: camera.near,
+            near,
             forward: basis.forward.into(),
-            far: camera.far,
+            far,
             right: basis.right.into(),
             width: basis.width,
             up: basis.up.into(),

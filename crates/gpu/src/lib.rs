@@ -23,6 +23,6 @@ pub use device::{Gpu, GpuInfo};
 pub use error::GpuError;
 pub use march::GpuRenderer;
 pub use raycast::GpuReprojector;
-pub use view_pass::ViewPass;
+pub use view_pass::{Channels, Eye, ViewPass};
 /// The version of wgpu that [`ViewPass`] speaks.
 pub use wgpu;

@@ -3,6 +3,7 @@
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
@@ -45,10 +46,18 @@ impl GpuRenderer {
 
     /// See [`isinglass_core::kernels::march::render`].
     pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        if !camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        self.render_view(&camera.into())
+    }
+
+    /// The same for a view that may be off-axis.
+    pub fn render_view(&mut self, view: &View) -> Result<Picture, GpuError> {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
             let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind), "render");
-            picture.draw(gpu, &pipeline, &on_gpu.bind_group, camera)
+            picture.draw(gpu, &pipeline, &on_gpu.bind_group, view)
         })
     }
 

@@ -1,6 +1,6 @@
 //! A picture made band by band: `render` and `raycast` write the same buffer.
 
-use isinglass_core::camera::Camera;
+use isinglass_core::kernels::lens::View;
 use isinglass_core::picture::Picture;
 
 use crate::device::{Gpu, bands, bind, rows_per_band};
@@ -34,18 +34,18 @@ impl PictureTarget {
         )
     }
 
-    /// Runs a kernel over all pixels of `camera`; `group_0` is the kernel's own input.
+    /// Runs a kernel over all pixels of `view`; `group_0` is the kernel's own input.
     pub(crate) fn draw(
         &mut self,
         gpu: &Gpu,
         pipeline: &wgpu::ComputePipeline,
         group_0: &wgpu::BindGroup,
-        camera: &Camera,
+        view: &View,
     ) -> Result<Picture, GpuError> {
-        if !camera.is_valid() {
+        if !view.is_valid() {
             return Err(GpuError::Camera);
         }
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let (width, height) = (view.basis.width as u32, view.basis.height as u32);
         let max_pixels = gpu.max_dispatch_pixels();
         let bytes = u64::from(rows_per_band(width, height, max_pixels)) * u64::from(width) * BYTES_PER_PIXEL;
         if self.pixels.size() < bytes {
@@ -53,8 +53,8 @@ impl PictureTarget {
             self.pixels = gpu.storage("pixels", bytes);
             self.bind_group = Self::bind(gpu, &self.camera, &self.band, &self.pixels);
         }
-        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(camera)));
-        let mut pixels = Vec::with_capacity(camera.intrinsics.num_pixels());
+        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(*view)));
+        let mut pixels = Vec::with_capacity(width as usize * height as usize);
         for band in bands(width, height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

@@ -2,6 +2,7 @@
 //! `shaders/raycast_compute.wgsl`.
 
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::lens::View;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
@@ -111,10 +112,18 @@ impl GpuReprojector {
 
     /// See [`isinglass_core::kernels::raycast::raycast`].
     pub fn raycast(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        if !camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        self.raycast_view(&camera.into())
+    }
+
+    /// The same for a view that may be off-axis.
+    pub fn raycast_view(&mut self, view: &View) -> Result<Picture, GpuError> {
         let Self { gpu, frame, picture } = self;
         gpu.attempt("casting a novel view", || {
             let pipeline = gpu.pipeline(Kernel::RaycastCompute, "raycast");
-            picture.draw(gpu, &pipeline, &frame.bind_group, camera)
+            picture.draw(gpu, &pipeline, &frame.bind_group, view)
         })
     }
 }

@@ -4,8 +4,12 @@
 //! Order of calls: [`ViewPass::new`] once a device; [`ViewPass::upload`] whenever a frame comes; each refresh
 //! [`ViewPass::prepare`] before, [`ViewPass::paint`] inside the pass. The viewport of the pass decides where the
 //! picture goes. Until the first frame only the background is painted.
+//!
+//! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
+//! once.
 
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::lens::View;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
@@ -17,13 +21,46 @@ use crate::shaders::Kernel;
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
-    pipeline: wgpu::RenderPipeline,
+    /// By [`Channels`].
+    pipelines: [wgpu::RenderPipeline; 3],
     frame_layout: wgpu::BindGroupLayout,
     frame: FrameOnGpu,
-    view: wgpu::Buffer,
+    /// Of the left and of the right eye; a picture of one eye is the left one's.
+    eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
     display: wgpu::Buffer,
-    bind_group: wgpu::BindGroup,
     encode_srgb: bool,
+}
+
+/// One of two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Eye {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}
+
+/// Which channels of the target an eye's picture goes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// All.
+    All,
+    /// Red: the left eye of an anaglyph.
+    Red,
+    /// All but red: the right eye of an anaglyph.
+    Cyan,
+}
+
+impl Channels {
+    const ALL: [Self; 3] = [Self::All, Self::Red, Self::Cyan];
+
+    fn mask(self) -> wgpu::ColorWrites {
+        match self {
+            Self::All => wgpu::ColorWrites::ALL,
+            Self::Red => wgpu::ColorWrites::RED,
+            Self::Cyan => wgpu::ColorWrites::ALL - wgpu::ColorWrites::RED,
+        }
+    }
 }
 
 impl ViewPass {
@@ -35,16 +72,26 @@ impl ViewPass {
             let frame_layout = layout(device, "frame", fragment, &CASTER);
             let view_layout =
                 layout(device, "view", fragment | wgpu::ShaderStages::VERTEX, &[UNIFORM, UNIFORM]);
-            let pipeline = pipeline(device, target, &frame_layout, &view_layout);
+            let module = shader_module(device, Kernel::RaycastView);
+            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("view"),
+                bind_group_layouts: &[Some(&frame_layout), Some(&view_layout)],
+                immediate_size: 0,
+            });
+            let pipelines =
+                Channels::ALL.map(|channels| pipeline(device, target, &module, &layout, channels));
             let frame = FrameOnGpu::new(device, &frame_layout);
             let uniform =
                 |label, bytes: usize| buffer(device, label, bytes as u64, wgpu::BufferUsages::UNIFORM);
-            let view = uniform("view", size_of::<Basis>());
             let display = uniform("display", size_of::<Display>());
-            let resources = [view.as_entire_binding(), display.as_entire_binding()];
-            let bind_group = bind(device, "view", &view_layout, &resources);
+            let eyes = ["left view", "right view"].map(|label| {
+                let view = uniform(label, size_of::<Basis>());
+                let resources = [view.as_entire_binding(), display.as_entire_binding()];
+                let bind_group = bind(device, label, &view_layout, &resources);
+                (view, bind_group)
+            });
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipeline, frame_layout, frame, view, display, bind_group, encode_srgb })
+            Ok(Self { pipelines, frame_layout, frame, eyes, display, encode_srgb })
         })
     }
 
@@ -66,16 +113,33 @@ impl ViewPass {
     /// Sets the camera of the next [`ViewPass::paint`]; its aspect ratio should be that of the viewport. `background`
     /// is linear and opaque.
     pub fn prepare(&self, queue: &wgpu::Queue, camera: &Camera, background: [f32; 3]) {
-        queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&Basis::of(camera)));
+        self.prepare_views(queue, &[camera.into()], background);
+    }
+
+    /// Sets the views of the left and of the right eye for the next two [`ViewPass::paint_eye`].
+    pub fn prepare_eyes(&self, queue: &wgpu::Queue, views: &[View; 2], background: [f32; 3]) {
+        self.prepare_views(queue, views, background);
+    }
+
+    fn prepare_views(&self, queue: &wgpu::Queue, views: &[View], background: [f32; 3]) {
+        for ((buffer, _), view) in self.eyes.iter().zip(views) {
+            queue.write_buffer(buffer, 0, bytemuck::bytes_of(&Basis::of(*view)));
+        }
         let display = Display { background, encode_srgb: self.encode_srgb.into() };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
     }
 
     /// Fills the viewport.
     pub fn paint(&self, pass: &mut wgpu::RenderPass<'_>) {
-        pass.set_pipeline(&self.pipeline);
+        self.paint_eye(pass, Eye::Left, Channels::All);
+    }
+
+    /// Fills the given channels of the viewport with what an eye sees.
+    pub fn paint_eye(&self, pass: &mut wgpu::RenderPass<'_>, eye: Eye, channels: Channels) {
+        let (_, bind_group) = &self.eyes[eye as usize];
+        pass.set_pipeline(&self.pipelines[channels as usize]);
         pass.set_bind_group(0, &self.frame.bind_group, &[]);
-        pass.set_bind_group(1, &self.bind_group, &[]);
+        pass.set_bind_group(1, bind_group, &[]);
         pass.draw(0..3, 0..1);
     }
 }
@@ -83,20 +147,15 @@ impl ViewPass {
 fn pipeline(
     device: &wgpu::Device,
     target: wgpu::TextureFormat,
-    frame_layout: &wgpu::BindGroupLayout,
-    view_layout: &wgpu::BindGroupLayout,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    channels: Channels,
 ) -> wgpu::RenderPipeline {
-    let module = shader_module(device, Kernel::RaycastView);
-    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("view"),
-        bind_group_layouts: &[Some(frame_layout), Some(view_layout)],
-        immediate_size: 0,
-    });
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("view"),
-        layout: Some(&layout),
+        layout: Some(layout),
         vertex: wgpu::VertexState {
-            module: &module,
+            module,
             entry_point: Some("view_vertex"),
             compilation_options: Default::default(),
             buffers: &[],
@@ -105,10 +164,10 @@ fn pipeline(
         depth_stencil: None,
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
-            module: &module,
+            module,
             entry_point: Some("view_fragment"),
             compilation_options: Default::default(),
-            targets: &[Some(target.into())],
+            targets: &[Some(wgpu::ColorTargetState { write_mask: channels.mask(), ..target.into() })],
         }),
         multiview_mask: None,
         cache: None,

@@ -6,6 +6,7 @@
 
 mod args;
 mod commands;
+mod lens_args;
 mod report;
 
 use std::process::ExitCode;

@@ -32,6 +32,13 @@ fn bad_usage_is_code_2() {
         ("render builtin:cloud@8 -o out.png --background red", &["red", "#20242c"]),
         ("render builtin:cloud@8 -o none/out.png", &["no folder none"]),
         ("render builtin:cloud@8 -o out.png --shading maybe", &["maybe", "on, off"]),
+        ("render builtin:cloud@8 -o out.png --focus 2", &["--aperture", "--stereo"]),
+        ("render builtin:cloud@8 -o out.png --anaglyph", &["--stereo"]),
+        ("render builtin:cloud@8 -o out.png --samples 8", &["--shutter"]),
+        ("reproject a.iglf -o out.png --stereo far", &["far", "radii"]),
+        ("reproject a.iglf -o out.png --aperture -1", &["-1"]),
+        ("reproject a.iglf -o out.png --aperture 0.1 --focus 0", &["0.001", "radii"]),
+        ("reproject a.iglf -o out.png --shutter 40", &["AZ,EL"]),
         ("layers builtin:cloud@8 -o a.iglf --k 33", &["33", "1 to 32"]),
         ("layers builtin:cloud@8 -o a.iglf --layering best", &["best", "visibility-merge"]),
         ("info a.raw --dims 1,2,0 --dtype uint8", &["1,2,0"]),
@@ -43,7 +50,7 @@ fn bad_usage_is_code_2() {
         ("view nothing", &["nothing", "isinglass://"]),
         ("view isinglass://localhost:4433", &["token"]),
         ("serve builtin:cloud@8 --listen nowhere", &["nowhere"]),
-        ("bench quality --k 0", &["1 to 16"]),
+        ("bench quality --k 0", &["1 to 32"]),
         ("bench codecs", &["codecs"]),
     ] {
         bench.fails(line, 2, words);
@@ -168,6 +175,8 @@ fn a_damaged_frame_is_an_error_or_a_picture() {
     // Every cut, and at least the changes in the magic number and headers.
     assert!(failures > 24, "{failures}");
     bench.fails("reproject out.png -o b.png", 1, &["out.png"]);
+    let rival = "reproject a.iglf --method point-warp --stereo 0.1 -o b.png";
+    bench.fails(rival, 1, &["point-warp", "expected layers"]);
     bench.write("longer.iglf", [&good[..], b"more"].concat());
     bench.fails("reproject longer.iglf -o b.png", 1, &["longer.iglf", "end of the file"]);
 }

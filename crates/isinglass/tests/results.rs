@@ -61,6 +61,46 @@ fn a_stored_frame_can_be_seen_from_anywhere() {
     }
 }
 
+/// Two eyes at one place, a lens that is a point and a shutter that sees no movement give the plain picture to the byte;
+/// what they give otherwise is that of the averages of full renderings.
+#[test]
+fn a_stored_frame_gives_stereo_pairs_and_averages() {
+    let bench = Bench::new();
+    let from = "--orbit 25,-15,3";
+    bench.ok(&format!("layers builtin:cubus@32 {from} -o a.iglf {RENDER}"));
+    bench.ok("reproject a.iglf -o plain.png --backend cpu");
+    for lens in ["--aperture 0", "--shutter 25,-15", "--stereo 0 --anaglyph"] {
+        bench.ok(&format!("reproject a.iglf {from} {lens} -o b.png --backend cpu"));
+        let error = bench.json("compare plain.png b.png --json");
+        // The orbit is computed again from the header's numbers, so an eye may differ in its last digits.
+        assert!(error["max_abs_255"].as_u64() <= Some(1), "{lens}: {error}");
+    }
+    for (lens, size) in [
+        ("--stereo 0.2", [128, 64]),
+        ("--stereo 0.2 --focus 2 --anaglyph", [64, 64]),
+        ("--aperture 0.3 --samples 8", [64, 64]),
+        ("--shutter 35,-10 --samples 8", [64, 64]),
+        ("--aperture 0.2 --focus 2.2 --shutter 35,-10,2.8 --stereo 0.1 --samples 5", [128, 64]),
+    ] {
+        bench.ok(&format!("render builtin:cubus@32 {from} {lens} -o truth.png {RENDER}"));
+        let facts = bench.json(&format!("reproject a.iglf {lens} -o b.png --backend cpu --json"));
+        assert_has(&facts, "output size backend lens novel_view_ms");
+        assert_has(&facts["lens"], "stereo aperture_world focus_world shutter_deg samples");
+        assert_eq!(facts["size"], serde_json::json!(size), "{lens}");
+        let error = bench.json("compare truth.png b.png --json");
+        assert!(error["dssim"].as_f64() < Some(0.02), "{lens}: {error}");
+        if size == [64, 64] {
+            let control = bench.json("compare truth.png plain.png --json");
+            let [error, control] = [error, control].map(|e| e["dssim"].as_f64().unwrap());
+            assert!(control > 1.5 * error, "{lens}: {error}, plain {control}");
+        }
+    }
+    let facts = bench.json("reproject a.iglf --stereo 0.1 -o b.png --backend cpu --json");
+    // Two arc tangents of half a tenth over three.
+    let angle = facts["lens"]["stereo"]["eye_angle_deg"].as_f64().unwrap();
+    assert!((angle - 1.9095).abs() < 1e-3 && facts["lens"]["samples"] == 1, "{facts}");
+}
+
 #[test]
 fn info_has_the_promised_fields() {
     let bench = Bench::new();

@@ -332,7 +332,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
 
 /// Composites steps front to back until what is behind cannot be seen.
 #[derive(Default)]
-struct OverSink(Over);
+pub(crate) struct OverSink(pub(crate) Over);
 
 impl Sink for OverSink {
     fn step(&mut self, step: Step) -> Pace {

@@ -2,5 +2,6 @@
 //! loop. They are the oracle of the GPU's tests and the `cpu` backend.
 
 pub mod layering;
+pub mod lens;
 pub mod march;
 pub mod raycast;

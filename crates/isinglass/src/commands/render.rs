@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
-use isinglass_bench::output::Rgb8;
 use isinglass_bench::view::Orbit;
 use serde_json::json;
 
 use crate::args::{BackendArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_background, parse_output};
+use crate::lens_args::LensArgs;
 use crate::report::print_json;
 
 #[derive(Args)]
@@ -34,21 +34,28 @@ pub(crate) struct RenderArgs {
     /// Tell what was done as JSON
     #[arg(long)]
     json: bool,
+    // Last: what follows would be listed under its heading.
+    #[command(flatten)]
+    lens: LensArgs,
 }
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let opened = open_volume(&args.volume, &args.look)?;
     let backend = args.backend.open()?;
-    let camera = args.orbit.camera(args.view.intrinsics(), &opened.scene.volume.bounds());
+    let bounds = opened.scene.volume.bounds();
+    let camera = args.orbit.camera(args.view.intrinsics(), &bounds);
+    let plan = args.lens.plan(&camera, &bounds)?;
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
-    let picture = renderer.render(&camera)?;
+    let pictures = plan.draw(|views| renderer.render_mean(views))?;
     let render_ms = start.elapsed().as_secs_f64() * 1e3;
-    Rgb8::of(&picture, args.background).write(&args.output)?;
+    let picture = plan.compose(&pictures, args.background);
+    picture.write(&args.output)?;
     if args.json {
         print_json(&json!({
             "output": args.output.display().to_string(),
-            "size": args.view.size,
+            "size": [picture.width, picture.height],
+            "lens": plan.json,
             "backend": backend.description(),
             "tf": opened.transfer.name,
             "render_ms": render_ms,

@@ -4,14 +4,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
-use isinglass_bench::output::Rgb8;
-use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame};
+use isinglass_bench::rivals::{Method, Views};
+use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_formats::iglf;
 use serde_json::json;
 
 use crate::args::{BackendArgs, MethodArgs, parse_background, parse_fov, parse_output, parse_size};
+use crate::lens_args::LensArgs;
 use crate::report::print_json;
 
 #[derive(Args)]
@@ -42,6 +43,9 @@ pub(crate) struct ReprojectArgs {
     /// Tell what was done as JSON
     #[arg(long)]
     json: bool,
+    // Last: what follows would be listed under its heading.
+    #[command(flatten)]
+    lens: LensArgs,
 }
 
 pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
@@ -58,17 +62,30 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         Some(orbit) => orbit_of_frame(orbit, intrinsics, &header),
         None => isinglass_core::camera::Camera { intrinsics, ..header.camera },
     };
+    let plan = args.lens.plan(&camera, &sphere_box_from_header(&header))?;
+    let method = args.method.method;
+    if method != Method::Layers && !plan.is_plain() {
+        bail!(
+            "--method {}: makes plain views only, expected layers with a lens, shutter or two eyes",
+            method
+        );
+    }
     let backend = args.backend.open()?;
     let start = Instant::now();
-    let mut views = args.method.method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
-    let picture = views.view(&camera)?;
+    let mut views = method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
+    let pictures = match &mut views {
+        Views::Layers(reprojector) => plan.draw(|views| reprojector.raycast_mean(views))?,
+        rival => vec![rival.view(&camera)?],
+    };
     let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
-    Rgb8::of(&picture, args.background).write(&args.output)?;
+    let picture = plan.compose(&pictures, args.background);
+    picture.write(&args.output)?;
     if args.json {
         print_json(&json!({
             "output": args.output.display().to_string(),
-            "size": [intrinsics.width, intrinsics.height],
-            "method": args.method.method.name(),
+            "size": [picture.width, picture.height],
+            "method": method.name(),
+            "lens": plan.json,
             "backend": backend.description(),
             "novel_view_ms": novel_view_ms,
         }))?;
