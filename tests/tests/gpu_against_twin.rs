@@ -380,6 +380,14 @@ fn what_does_not_fit_is_refused_by_name() {
     let huge = camera(&scene, 0.0, (8192, 8192));
     let error = renderer.generate(header(huge, 16), Layering::VisibilityMerge).unwrap_err();
     assert!(matches!(error, GpuError::TooLarge { .. }), "{error}");
+    // The longest lists of the sources at full size: a quarter of a gigabyte a plane, which not every device can bind.
+    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::VisibilityMerge) {
+        Ok(frame) => frame.validate().unwrap(),
+        Err(e) => {
+            assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000, .. }), "{e}");
+            assert!(!e.to_string().contains('\n'));
+        }
+    }
     let mut bad = camera(&scene, 0.0, (64, 64));
     bad.intrinsics.width = 0;
     assert_eq!(renderer.render(&bad), Err(GpuError::Camera));

@@ -67,7 +67,7 @@ impl Gpu {
         let adapter_info = adapter.get_info();
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("isinglass"),
-            required_limits: wgpu::Limits::default(),
+            required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         }))
         .map_err(|e| GpuError::Open {
@@ -227,6 +227,20 @@ impl Layouts {
     }
 }
 
+/// The defaults, with buffers as large as the adapter offers and a frame can need.
+fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
+    let defaults = wgpu::Limits::default();
+    let within = |default: u64, offered: u64| offered.min(LARGEST_BUFFER).max(default);
+    wgpu::Limits {
+        max_storage_buffer_binding_size: within(
+            defaults.max_storage_buffer_binding_size,
+            offered.max_storage_buffer_binding_size,
+        ),
+        max_buffer_size: within(defaults.max_buffer_size, offered.max_buffer_size),
+        ..defaults
+    }
+}
+
 /// Discrete before integrated before anything else before software.
 fn best_adapter() -> Result<wgpu::Adapter, GpuError> {
     let backends = wgpu::Backends::PRIMARY;
@@ -336,5 +350,7 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
     has_dynamic_offset: false,
     min_binding_size: None,
 };
+/// A plane of a frame of 3840×2160 lists of 32 segments.
+const LARGEST_BUFFER: u64 = 1 << 30;
 /// Group 0 of `raycast.wgsl`.
 pub(crate) const CASTER: [BindingType; 5] = [UNIFORM, READ, READ, READ, READ];

@@ -100,7 +100,8 @@ impl FrameTarget {
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
         let encoder = || gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for band in bands(self.width, self.height, self.max_pixels) {
+        let max_pixels = self.max_pixels / marches_at_most(layering);
+        for band in bands(self.width, self.height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder();
             {
@@ -135,6 +136,11 @@ impl FrameTarget {
         )?;
         Ok(frame)
     }
+}
+
+/// Marches of a ray, so that a dispatch of a rule with many takes no longer than that of another.
+fn marches_at_most(layering: Layering) -> u32 {
+    if layering == Layering::Homogeneity { 25 } else { 1 }
 }
 
 /// As the twin reads it.
