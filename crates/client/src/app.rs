@@ -1,10 +1,11 @@
 //! The window's application: at each refresh input to camera, camera to wish, newest frame to picture.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use egui::{Key, Modifiers};
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
 use isinglass_net::{Clock, ReceivedFrame, State};
@@ -54,7 +55,7 @@ impl<S: FrameSource> ViewerApp<S> {
         picture_status: Arc<PictureStatus>,
     ) -> Self {
         let opened_at = Duration::from_micros(clock.now_micros());
-        let viewing = Viewing::new(source, options.frame_size);
+        let viewing = Viewing::new(source, options.frame_size, options.foresight);
         Self {
             stereo: options.stereo,
             shows_overlay: options.shows_overlay,
@@ -104,6 +105,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if pressed(Key::Escape) {
             self.shows_help = false;
+        }
+        if ctx.input_mut(|i| i.consume_key(Modifiers::COMMAND, Key::Q)) {
+            ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
     }
 
@@ -267,6 +271,10 @@ impl<S: FrameSource> ViewerApp<S> {
         let (bounds, controls) = self.controls(&picture)?;
         controls.apply(input, &picture);
         let (bounds, pose) = (*bounds, controls.pose());
+        if let Some(recorder) = &self.options.recorder {
+            let at = now.saturating_sub(self.opened_at);
+            recorder.lock().unwrap_or_else(PoisonError::into_inner).record(at, &pose, &bounds);
+        }
         let mut refresh = self.viewing.refresh(now, pose, picture, &bounds);
         if !self.stereo().is_mono() && refresh.standing == Standing::Exact {
             // The frame is the middle's between the eyes; each of them sees a novel view.
@@ -279,6 +287,9 @@ impl<S: FrameSource> ViewerApp<S> {
     fn rest(&self, refresh: Option<&Refresh>, state: &State) -> Option<Duration> {
         let is_settled = refresh.is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled));
         let is_dead = matches!(state, State::Refused(_));
+        if refresh.is_some_and(|r| r.is_ahead) && !is_dead {
+            return Some(STILL);
+        }
         match (is_settled, self.shows_overlay) {
             // Numbers that change: age, rates, the badge.
             (false, _) if !is_dead => Some(OVERLAY_PERIOD),

@@ -9,6 +9,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::space::Aabb;
 use isinglass_net::{LinkStats, ReceivedFrame, State};
 
+use crate::foresight::Foresight;
 use crate::frame_source::FrameSource;
 use crate::viewing::{FrameSize, Standing, Viewing};
 
@@ -41,10 +42,10 @@ pub struct HeadlessViewer<S> {
 }
 
 impl<S: FrameSource> HeadlessViewer<S> {
-    /// Pictures of the size `picture`, frames of the same.
-    pub fn new(source: S, picture: Intrinsics) -> Self {
+    /// Pictures of the size `picture`, frames of the same and their margin.
+    pub fn new(source: S, picture: Intrinsics, foresight: Foresight) -> Self {
         let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, ..FrameSize::default() };
-        Self { viewing: Viewing::new(source, frame_size), picture, records: Vec::new() }
+        Self { viewing: Viewing::new(source, frame_size, foresight), picture, records: Vec::new() }
     }
 
     /// Whoever brings the frames.
@@ -93,10 +94,13 @@ mod tests {
     fn every_tick_is_recorded_with_the_camera_of_its_own_pose() {
         let picture = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
         let pose = |i: u64| Pose::orbit(Vec3::ZERO, i as f32 * 0.01, 0.0, 5.0);
-        let mut viewer = HeadlessViewer::new(FakeSource::default(), picture);
+        let mut viewer = HeadlessViewer::new(FakeSource::default(), picture, Foresight::default());
         assert!(viewer.tick(Duration::ZERO, pose(0)).is_none(), "no volume yet");
-        let mut viewer =
-            HeadlessViewer::new(FakeSource { max_side: Some(64), ..Default::default() }, picture);
+        let mut viewer = HeadlessViewer::new(
+            FakeSource { max_side: Some(64), ..Default::default() },
+            picture,
+            Foresight::default(),
+        );
         for i in 0..5 {
             let at = Duration::from_millis(16 * i);
             assert_eq!(viewer.tick(at, pose(i)).unwrap().camera, Camera::new(pose(i), picture, &BOUNDS));

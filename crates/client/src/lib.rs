@@ -7,7 +7,9 @@
 
 mod app;
 pub mod camera_controls;
+mod camera_path;
 mod display;
+mod foresight;
 mod frame_source;
 mod gpu_timer;
 mod headless;
@@ -23,7 +25,9 @@ mod viewing;
 mod window;
 
 pub use camera_controls::InitialOrbit;
+pub use camera_path::{CameraPath, CameraPathError};
 pub use display::display_available;
+pub use foresight::Foresight;
 pub use frame_source::FrameSource;
 pub use headless::{DisplayRecord, HeadlessViewer};
 pub use novel_view::{LAYERS, NovelView};

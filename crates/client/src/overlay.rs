@@ -132,7 +132,7 @@ pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
 }
 
 /// The keys and buttons, as the help shows them.
-pub const BINDINGS: [(&str, &str); 10] = [
+pub const BINDINGS: [(&str, &str); 11] = [
     ("left drag", "orbit"),
     ("middle or shift+left drag", "pan"),
     ("wheel, pinch", "zoom at the pointer"),
@@ -143,6 +143,7 @@ pub const BINDINGS: [(&str, &str); 10] = [
     ("s", "stereo: side by side, red-cyan, off"),
     ("h, F1", "this help"),
     ("Esc", "close help"),
+    ("Ctrl+q", "close the window"),
 ];
 
 /// A duration with two or three figures: `0.8 ms`, `42 ms`, `1.3 s`.

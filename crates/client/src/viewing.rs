@@ -6,11 +6,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::ids::PoseId;
 use isinglass_core::look::Look;
+use isinglass_core::prediction::Predictor;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
 use crate::camera_controls::angle_between_degrees;
+use crate::foresight::{Foresight, guard_band, widest};
 use crate::frame_source::FrameSource;
 
 /// How the picture on screen stands to the server's picture of the same camera.
@@ -88,10 +91,13 @@ pub struct Refresh {
     pub frame: Option<Arc<ReceivedFrame>>,
     /// How picture and server stand.
     pub standing: Standing,
-    /// Time since the camera was last at the pose that the frame answers: zero as long as it rests there.
+    /// Time since the pose that the frame answers was last wished for: zero as long as the camera rests there.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera's.
     pub turned_degrees: Option<f32>,
+    /// Whether the pose asked for is not the camera's but one that it is expected to reach. A camera that stops must be
+    /// refreshed once more to be asked for itself.
+    pub is_ahead: bool,
     /// Whether camera or frame differ from the refresh before.
     pub changed: bool,
 }
@@ -101,8 +107,12 @@ pub struct Viewing<S> {
     source: S,
     /// How large the frames are.
     pub frame_size: FrameSize,
+    foresight: Foresight,
+    predictor: Predictor,
+    /// The pose of the newest frame whose delay was measured.
+    measured: PoseId,
     asked: Option<(Pose, Intrinsics)>,
-    /// Poses the camera has left, and when it was last there.
+    /// Poses that were asked for, and when they last were.
     left: VecDeque<(Pose, Duration)>,
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
     moved_at: Duration,
@@ -114,10 +124,13 @@ pub struct Viewing<S> {
 
 impl<S: FrameSource> Viewing<S> {
     /// Shows what `source` brings.
-    pub fn new(source: S, frame_size: FrameSize) -> Self {
+    pub fn new(source: S, frame_size: FrameSize, foresight: Foresight) -> Self {
         Self {
             source,
             frame_size,
+            foresight,
+            predictor: Predictor::default(),
+            measured: PoseId(0),
             asked: None,
             left: VecDeque::new(),
             last: None,
@@ -142,24 +155,27 @@ impl<S: FrameSource> Viewing<S> {
     pub fn refresh(&mut self, now: Duration, pose: Pose, picture: Intrinsics, bounds: &Aabb) -> Refresh {
         let camera = Camera::new(pose, picture, bounds);
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
-        let frame = self.source.latest_frame();
-        self.note_cost(frame.as_deref());
-        if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != pose) {
+        let full = self.frame_size.frame_for(picture, max_side);
+        let newest = self.source.latest_frame();
+        self.note_cost(newest.as_deref());
+        self.note_delay(now, newest.as_deref());
+        let frame = self.choose(now, newest, (pose, full));
+        if self.last.as_ref().is_some_and(|(last, _)| last.pose != pose) {
             self.moved_at = now;
+        }
+        self.predictor.observe(now, pose, bounds.center());
+        let ahead = self.predictor.predict().filter(|_| self.foresight.predicts).unwrap_or(pose);
+        let has_own = frame.as_deref().filter(|f| self.is_settled(now, f, (pose, full)));
+        let size = self.size(now, Camera { pose: ahead, ..camera }, pose, has_own, max_side, bounds);
+        if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != ahead) {
             if self.left.len() == MAX_LEFT {
                 self.left.pop_front();
             }
             self.left.push_back((left, self.refreshed_at));
         }
-        let full = self.frame_size.frame_for(picture, max_side);
-        let size = if self.is_moving(now) {
-            self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list)
-        } else {
-            full
-        };
-        let wish = (pose, size);
+        let wish = (ahead, size);
         if self.asked.replace(wish) != Some(wish) {
-            self.source.set_pose(pose, size);
+            self.source.set_pose(ahead, size);
         }
         self.refreshed_at = now;
         let is_same = |(last_camera, last_frame): &(Camera, Option<Arc<ReceivedFrame>>)| {
@@ -179,10 +195,72 @@ impl<S: FrameSource> Viewing<S> {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
             turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
+            is_ahead: ahead != pose,
             camera,
             bounds: *bounds,
             frame,
             changed,
+        }
+    }
+
+    /// The size to ask for. `ahead` is the camera of the picture at the pose to ask for, `pose` the one shown, and
+    /// `own` its frame, if it is there.
+    fn size(
+        &self,
+        now: Duration,
+        ahead: Camera,
+        pose: Pose,
+        own: Option<&ReceivedFrame>,
+        max_side: u32,
+        bounds: &Aabb,
+    ) -> Intrinsics {
+        let picture = ahead.intrinsics;
+        let full = self.frame_size.frame_for(picture, max_side);
+        if let Some(own) = own {
+            // The picture is the server's own; what lies beside it is for the movement to come.
+            let has_margin = own.frame.header.camera.intrinsics != full;
+            return match self.foresight.guards {
+                true if has_margin => own.frame.header.camera.intrinsics,
+                true => widest(Camera { intrinsics: full, ..ahead }, bounds, max_side),
+                false => full,
+            };
+        }
+        if !self.is_moving(now) {
+            return full;
+        }
+        let of_size = |growth: f32| {
+            self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list.map(|m| m * growth))
+        };
+        let bare = of_size(1.0);
+        let reach = self.predictor.reach().filter(|_| self.foresight.guards && !self.predictor.is_resting());
+        let Some(reach) = reach else { return bare };
+        let wide = |i| guard_band(Camera { intrinsics: i, ..ahead }, pose, reach, bounds, max_side);
+        let growth = wide(bare).num_pixels() as f32 / bare.num_pixels() as f32;
+        wide(of_size(growth))
+    }
+
+    /// The frame to show: the newest, unless the picture is the server's own already and the newest, of the same
+    /// pose, is not complete.
+    fn choose(
+        &self,
+        now: Duration,
+        newest: Option<Arc<ReceivedFrame>>,
+        own: (Pose, Intrinsics),
+    ) -> Option<Arc<ReceivedFrame>> {
+        let newest = newest?;
+        let shown = self.last.as_ref().and_then(|(_, frame)| frame.as_ref());
+        let shown =
+            shown.filter(|f| !newest.is_complete && is_own(&newest, own) && self.is_settled(now, f, own));
+        Some(shown.cloned().unwrap_or(newest))
+    }
+
+    /// Learns how long a wish takes, when its frame is there for the first time. A pose that is answered again, with
+    /// another look or on another connection, says nothing.
+    fn note_delay(&mut self, now: Duration, frame: Option<&ReceivedFrame>) {
+        let Some(frame) = frame.filter(|f| f.frame.header.pose > self.measured) else { return };
+        self.measured = frame.frame.header.pose;
+        if let Some(asked_at) = frame.times.pose_set {
+            self.predictor.note_shown(now, Duration::from_micros(asked_at));
         }
     }
 
@@ -222,19 +300,22 @@ impl<S: FrameSource> Viewing<S> {
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
-        let header = &frame.frame.header;
-        let server_look = self.source.look();
-        let look_is_current = server_look.as_ref().is_none_or(|(version, _)| *version == header.look)
-            && self.look(now) == server_look.map(|(_, look)| look);
-        // A smaller frame, asked for while the camera moved, settles nothing: the full one has yet to be asked for.
-        let is_own = header.camera.pose == pose && header.camera.intrinsics == full;
-        if is_own && frame.is_complete && look_is_current {
+        if self.is_settled(now, frame, (pose, full)) {
             if full == picture { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
         } else {
             Standing::Refining
         }
+    }
+
+    /// Whether a frame is the camera's own, complete, and of the look that is wished for.
+    fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
+        let server_look = self.source.look();
+        let version = frame.frame.header.look;
+        let look_is_current = server_look.as_ref().is_none_or(|(current, _)| *current == version)
+            && self.look(now) == server_look.map(|(_, look)| look);
+        is_own(frame, own) && frame.is_complete && look_is_current
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, pose: &Pose) -> Option<Duration> {
@@ -247,6 +328,13 @@ impl<S: FrameSource> Viewing<S> {
         let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
         now.checked_sub(since)
     }
+}
+
+/// Whether a frame holds the lists of `full` from `pose`, with or without a margin around them. A smaller frame, asked
+/// for while the camera moved, settles nothing: the full one has yet to be asked for.
+fn is_own(frame: &ReceivedFrame, (pose, full): (Pose, Intrinsics)) -> bool {
+    let camera = &frame.frame.header.camera;
+    camera.pose == pose && camera.intrinsics.margin_around(&full).is_some()
 }
 
 /// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
@@ -376,12 +464,12 @@ pub(crate) mod tests {
     }
 
     fn viewing() -> Viewing<FakeSource> {
-        Viewing::new(FakeSource::default(), FrameSize::default())
+        Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::default())
     }
 
     #[test]
     fn the_picture_has_the_present_camera_whatever_the_frame() {
-        let mut v = viewing();
+        let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
         let mut turned = vec![];
         for i in 0..20u64 {
             let pose = at(i as f32);
@@ -410,20 +498,97 @@ pub(crate) mod tests {
         assert_eq!(v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
         assert_eq!(v.refresh(ms(160), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
         assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-        v.source.answer(2, ms(0), false);
+        // The second wish was for where the camera seemed to go; the third is for where it stopped.
+        assert!(v.source.asked[1].0 != at(5.0));
+        v.source.answer(2, ms(20), true);
+        assert_eq!(v.refresh(ms(175), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+        v.source.answer(3, ms(160), false);
         assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-        v.source.answer(2, ms(0), true);
+        v.source.answer(3, ms(160), true);
         let r = v.refresh(ms(190), at(5.0), PICTURE, &BOUNDS);
         assert_eq!(r.standing, Standing::Exact);
         assert_eq!(r.frame_age, Some(Duration::ZERO));
         // What "exact" promises: the frame's camera is the picture's.
         assert_eq!(r.frame.unwrap().frame.header.camera, r.camera);
+        assert_eq!(v.source.asked.len(), 3, "a resting camera asks for nothing");
+    }
+
+    #[test]
+    fn a_moving_camera_asks_for_where_it_will_be_and_a_resting_one_for_where_it_is() {
+        let play = |foresight: Foresight| {
+            let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+            let mut turned = vec![];
+            let mut last = None;
+            for i in 0..60u64 {
+                let r = v.refresh(ms(i * 16), at(i.min(40) as f32), PICTURE, &BOUNDS);
+                turned.extend(r.turned_degrees);
+                last = Some(r);
+                // The server makes a frame for every wish, which is there ten refreshes later.
+                let wish = v.source.asked.len().min(i.saturating_sub(8) as usize);
+                if i >= 9 && v.source.frame.as_ref().is_none_or(|f| f.frame.header.frame.0 < wish as u32) {
+                    v.source.answer(wish as u32, ms((wish as u64 - 1) * 16), true);
+                }
+            }
+            (v, turned, last.unwrap())
+        };
+        let (asks_now, lagging, _) = play(Foresight::NONE);
+        let (asks_ahead, foreseeing, last) = play(Foresight { predicts: true, guards: false });
+        // In the middle of the steady turn frames are ten refreshes old: ten degrees of azimuth at this elevation.
+        assert!((lagging[20] - 10.0 * 0.2f32.cos()).abs() < 0.1, "{}", lagging[20]);
+        assert!(foreseeing[20] < 0.5, "{}", foreseeing[20]);
+        // At rest both ask for the same, and the frame is the camera's own.
+        assert_eq!(asks_now.source.asked.last(), Some(&(at(40.0), PICTURE)));
+        assert_eq!(asks_ahead.source.asked.last(), Some(&(at(40.0), PICTURE)));
+        assert_eq!(
+            (last.standing, last.is_ahead, last.frame_age),
+            (Standing::Exact, false, Some(Duration::ZERO))
+        );
+    }
+
+    #[test]
+    fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
+        let near = |azimuth: f32| Pose::orbit(Vec3::ZERO, azimuth, 0.2, 2.0);
+        let foresight = Foresight { predicts: false, guards: true };
+        let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+        v.source.max_side = Some(4096);
+        let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+        v.refresh(ms(0), near(0.0), picture, &BOUNDS);
+        assert_eq!(v.source.asked, [(near(0.0), picture)]);
+        v.source.answer(1, ms(0), true);
+        assert_eq!(v.refresh(ms(10), near(0.0), picture, &BOUNDS).standing, Standing::Exact);
+        let wide = v.source.asked[1].1;
+        assert_eq!((v.source.asked[1].0, wide.margin_around(&picture)), (near(0.0), Some(48)));
+        // As long as the wide frame is not complete, the picture stays what it is.
+        v.source.answer(2, ms(10), false);
+        let r = v.refresh(ms(20), near(0.0), picture, &BOUNDS);
+        assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, picture));
+        v.source.answer(2, ms(10), true);
+        let r = v.refresh(ms(30), near(0.0), picture, &BOUNDS);
+        assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, wide));
+        v.refresh(ms(999), near(0.0), picture, &BOUNDS);
         assert_eq!(v.source.asked.len(), 2, "a resting camera asks for nothing");
+        // On the way to another pose there is a margin; where it stops, the bare frame comes first again.
+        v.refresh(ms(1000), near(0.1), picture, &BOUNDS);
+        v.refresh(ms(1016), near(0.2), picture, &BOUNDS);
+        assert!(v.source.asked[3].1.margin_around(&picture).unwrap() > 0);
+        v.refresh(ms(1050), near(0.2), picture, &BOUNDS);
+        assert_eq!(v.source.asked[4], (near(0.2), picture));
+        // A new look begins with the bare frame, too.
+        v.source.answer(5, ms(1050), true);
+        v.refresh(ms(1300), near(0.2), picture, &BOUNDS);
+        assert!(v.source.asked[5].1 != picture);
+        v.source.look = Some((LookVersion(7), Arc::new(look("bone"))));
+        v.refresh(ms(1400), near(0.2), picture, &BOUNDS);
+        assert_eq!(v.source.asked[6], (near(0.2), picture));
     }
 
     #[test]
     fn a_frame_of_another_size_settles_but_is_never_exact() {
-        let mut v = Viewing::new(FakeSource::default(), FrameSize { scale: 0.5, ..Default::default() });
+        let mut v = Viewing::new(
+            FakeSource::default(),
+            FrameSize { scale: 0.5, ..Default::default() },
+            Foresight::NONE,
+        );
         v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
         assert_eq!(v.source.asked[0].1, Intrinsics { width: 30, height: 20, fov_y: 0.7 });
         v.source.answer(1, ms(0), true);
@@ -433,7 +598,7 @@ pub(crate) mod tests {
     #[test]
     fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
         let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
-        let mut v = Viewing::new(FakeSource::default(), size);
+        let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
         v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
         v.source.answer(1, ms(1), true);
         v.source.stats.server =

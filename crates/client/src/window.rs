@@ -1,12 +1,14 @@
 //! Opens the window and closes it.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use isinglass_net::Clock;
 
 use crate::app::ViewerApp;
 use crate::camera_controls::InitialOrbit;
+use crate::camera_path::CameraPath;
+use crate::foresight::Foresight;
 use crate::frame_source::FrameSource;
 use crate::gpu_timer::timer_features;
 use crate::novel_view::{LAYERS, NovelView, NovelViews};
@@ -28,6 +30,8 @@ pub struct WindowOptions {
     pub frame_size: FrameSize,
     /// Whether the picture is for two eyes at first.
     pub stereo: Stereo,
+    /// What is asked for beyond the picture of the moment.
+    pub foresight: Foresight,
     /// Whether the numbers are shown at first.
     pub shows_overlay: bool,
     /// Turns the camera by itself, for pictures of a moving view; 0: not.
@@ -36,6 +40,8 @@ pub struct WindowOptions {
     pub novel_views: Vec<Box<dyn NovelView>>,
     /// The name of the one that is shown at first, or [`LAYERS`].
     pub novel_view: &'static str,
+    /// Is given the way of the camera.
+    pub recorder: Option<Arc<Mutex<CameraPath>>>,
     /// Watches every refresh, for tests and pictures of the window.
     pub script: Option<Script>,
 }
@@ -49,10 +55,12 @@ impl Default for WindowOptions {
             fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
             frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             stereo: Stereo::default(),
+            foresight: Foresight::default(),
             shows_overlay: true,
             auto_orbit_degrees_per_second: 0.0,
             novel_views: Vec::new(),
             novel_view: LAYERS,
+            recorder: None,
             script: None,
         }
     }

@@ -73,6 +73,24 @@ impl Intrinsics {
         (y * self.width as f32 / self.height as f32, y)
     }
 
+    /// The same pixels with `margin` more of them on every side (a guard band): pixel (x, y) of `self` has the ray of
+    /// pixel (x + margin, y + margin) of the result, up to the rounding of the angle.
+    pub fn with_margin(&self, margin: u32) -> Self {
+        if margin == 0 {
+            return *self;
+        }
+        let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);
+        // In double precision, so that the angle is rounded once.
+        let tan = (f64::from(self.fov_y) * 0.5).tan() * f64::from(height) / f64::from(self.height);
+        Self { width, height, fov_y: (2.0 * tan.atan()) as f32 }
+    }
+
+    /// The margin with which `inner` becomes `self`, if there is one.
+    pub fn margin_around(&self, inner: &Self) -> Option<u32> {
+        let margin = self.height.checked_sub(inner.height)? / 2;
+        (inner.with_margin(margin) == *self).then_some(margin)
+    }
+
     /// The distance, in units of a sphere's radius, at which the sphere just fits the view.
     pub fn fit_distance(&self) -> f32 {
         let (x, y) = self.tan_half();
@@ -122,6 +140,19 @@ impl Camera {
     /// The ray through the point (`x`, `y`) of pixel space, and world distance per unit of view depth along it.
     pub fn ray(&self, x: f32, y: f32) -> (Ray, f32) {
         self.basis().ray(x, y)
+    }
+
+    /// By how many pixels the picture of a box exceeds the camera's own on the side where it does most; 0 if all of it
+    /// is inside, infinite if a part of it is behind the eye.
+    pub fn overhang(&self, bounds: &Aabb) -> f32 {
+        let basis = self.basis();
+        let beyond = |corner: Vec3| {
+            let h = basis.pixel_from_world(corner - basis.eye);
+            let (x, y) = (h.x / h.z, h.y / h.z);
+            let beyond = (-x).max(x - basis.width).max(-y).max(y - basis.height);
+            if h.z > 0.0 { beyond } else { f32::INFINITY }
+        };
+        bounds.corners().into_iter().map(beyond).fold(0.0, f32::max)
     }
 
     /// Whether a peer's camera can be used: finite, ordered, of a bounded size.
@@ -215,6 +246,45 @@ mod tests {
             assert!((h.x / h.z - x).abs() < 1e-3 && (h.y / h.z - y).abs() < 1e-3);
             assert!((h.z * s_per_depth - 7.0).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn a_margin_keeps_the_rays_of_all_pixels() {
+        for (width, height, fov_y) in [(64, 48, 0.7), (1920, 1080, 0.7), (31, 255, 2.0), (256, 256, 0.05)] {
+            let inner = Intrinsics { width, height, fov_y };
+            for margin in [0, 1, 16, 37, 200] {
+                let outer = inner.with_margin(margin);
+                assert_eq!((outer.width, outer.height), (width + 2 * margin, height + 2 * margin));
+                assert_eq!(outer.margin_around(&inner), Some(margin));
+                let camera = |intrinsics| Camera { intrinsics, ..camera() };
+                let (a, b) = (camera(inner), camera(outer).basis());
+                let m = margin as f32;
+                for (x, y) in [(0.5, 0.5), (width as f32 - 0.5, 0.5), (7.5, height as f32 - 0.5)] {
+                    let h = b.pixel_from_world(a.ray(x, y).0.dir);
+                    let off = (h.x / h.z - m - x).abs().max((h.y / h.z - m - y).abs());
+                    // A dozen roundings of 2^-24 of the coordinate, and of the angle times 1 + tan²; a list has any
+                    // weight only from a thousandth of a pixel on.
+                    assert!(off < 7e-4, "{inner:?} {margin}: {off}");
+                }
+            }
+            assert_eq!(inner.with_margin(3).margin_around(&inner.with_margin(4)), None);
+            assert_eq!(Intrinsics { width: width + 2, ..inner }.margin_around(&inner), None);
+        }
+    }
+
+    #[test]
+    fn overhang_is_what_a_margin_must_cover() {
+        let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+        let intrinsics = Intrinsics { width: 90, height: 60, fov_y: 0.7 };
+        let at = |distance| Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, distance), intrinsics, &bounds);
+        assert_eq!(at(8.0).overhang(&bounds), 0.0);
+        assert_eq!(at(1.0).overhang(&bounds), f32::INFINITY);
+        let near = at(4.0);
+        let margin = near.overhang(&bounds).ceil() as u32;
+        assert!(margin > 0);
+        let wider = |m| Camera { intrinsics: intrinsics.with_margin(m), ..near };
+        assert_eq!(wider(margin).overhang(&bounds), 0.0);
+        assert!(wider(margin - 1).overhang(&bounds) > 0.0);
     }
 
     #[test]

@@ -229,6 +229,9 @@ fn half_from_f32(x: f32) -> u16 {
 pub const TAU_MAX: f32 = 1000.0;
 /// Greatest list length: Gupta 2022 compares lists of 15 and of 30.
 pub const MAX_K: usize = 32;
+/// Most lists of a frame that a server makes. With 16 segments in each, the planes stay within what a peer of the codec
+/// accepts and within wgpu's default binding size.
+pub const MAX_LISTS: usize = 1920 * 1088;
 /// Depth units between near and far.
 pub const DEPTH_UNITS: f32 = 65535.0;
 /// Greatest finite half float.

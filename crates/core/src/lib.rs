@@ -4,7 +4,7 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`space`], [`camera`], [`picture`], [`volume`], [`transfer`],
+//! Modules use only those above them: [`ids`], [`space`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
 //! [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 pub mod camera;
@@ -15,6 +15,7 @@ pub mod kernels;
 pub mod layer;
 pub mod look;
 pub mod picture;
+pub mod prediction;
 pub mod session;
 pub mod space;
 pub mod transfer;

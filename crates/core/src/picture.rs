@@ -17,6 +17,17 @@ impl Picture {
         Self { width, height, pixels: vec![[0.0; 4]; width as usize * height as usize] }
     }
 
+    /// The same without `margin` pixels on every side; a picture that is not larger than that comes out empty.
+    pub fn cropped(&self, margin: u32) -> Self {
+        let less = |side: u32| side.saturating_sub(2 * margin);
+        let mut inner = Self::new(less(self.width), less(self.height));
+        let rows = self.pixels.chunks(self.width.max(1) as usize).skip(margin as usize);
+        for (to, from) in inner.pixels.chunks_mut(inner.width.max(1) as usize).zip(rows) {
+            to.copy_from_slice(&from[margin as usize..][..to.len()]);
+        }
+        inner
+    }
+
     /// The picture over an opaque linear background, encoded as 8-bit sRGB, three bytes a pixel.
     pub fn to_srgb8(&self, background: [f32; 3]) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.pixels.len() * 3);
@@ -38,4 +49,19 @@ pub fn srgb_from_linear(x: f32) -> f32 {
 /// Inverse of [`srgb_from_linear`] on [0, 1].
 pub fn linear_from_srgb(x: f32) -> f32 {
     if x <= 0.040_45 { x.max(0.0) / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cropping_keeps_the_middle() {
+        let mut p = Picture::new(5, 4);
+        (0..20).for_each(|i| p.pixels[i][0] = i as f32);
+        let reds = |p: &Picture| p.pixels.iter().map(|p| p[0]).collect::<Vec<_>>();
+        assert_eq!(p.cropped(0), p);
+        assert_eq!(reds(&p.cropped(1)), [6.0, 7.0, 8.0, 11.0, 12.0, 13.0]);
+        assert!(p.cropped(2).pixels.is_empty());
+    }
 }

@@ -49,6 +49,15 @@ impl Aabb {
         (s1 > s0).then_some((s0, s1))
     }
 
+    /// The eight corners.
+    pub fn corners(&self) -> [Vec3; 8] {
+        std::array::from_fn(|i| {
+            let side =
+                |bit: usize, axis: usize| if i >> bit & 1 == 0 { self.min[axis] } else { self.max[axis] };
+            Vec3::new(side(0, 0), side(1, 1), side(2, 2))
+        })
+    }
+
     /// Half of the diagonal: the radius of the bounding sphere around [`Aabb::center`].
     pub fn radius(&self) -> f32 {
         (self.max - self.min).length() * 0.5

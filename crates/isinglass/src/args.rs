@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_bench::quality::march_settings;
 use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
-use isinglass_client::DEFAULT_FOV_Y_DEGREES;
+use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
@@ -107,6 +107,47 @@ impl LookArgs {
     /// Whether gradients shade.
     pub(crate) fn is_shaded(&self) -> bool {
         self.shading == Switch::On
+    }
+}
+
+/// What a viewer does against the delay of its frames.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Foresight")]
+pub(crate) struct ForesightArgs {
+    /// Ask for frames from where the camera will be when they are shown
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    predict: Switch,
+    /// Ask for frames with a margin where the volume goes on beyond the picture
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    guard_band: Switch,
+}
+
+impl ForesightArgs {
+    /// In the viewer's terms.
+    pub(crate) fn foresight(&self) -> Foresight {
+        Foresight { predicts: self.predict == Switch::On, guards: self.guard_band == Switch::On }
+    }
+}
+
+/// A camera path from a file.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct PathArgs {
+    /// Play the camera path in FILE, as `view --record` writes it, in place of the orbit
+    #[arg(long, value_name = "FILE")]
+    path: Option<PathBuf>,
+}
+
+impl PathArgs {
+    /// Reads it.
+    pub(crate) fn read(&self) -> Result<Option<CameraPath>> {
+        let Some(path) = &self.path else { return Ok(None) };
+        let name = path.display();
+        let size = std::fs::metadata(path).with_context(|| name.to_string())?.len();
+        if size > MAX_PATH_BYTES {
+            bail!("{name}: found {size} bytes, expected a camera path of at most {MAX_PATH_BYTES}");
+        }
+        let text = std::fs::read_to_string(path).with_context(|| name.to_string())?;
+        Ok(Some(CameraPath::parse(&text).with_context(|| name.to_string())?))
     }
 }
 
@@ -265,6 +306,8 @@ fn parse_three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
 
 /// Segments a pixel if none are named: the design's figures are for this number.
 pub(crate) const DEFAULT_K: u8 = 8;
+/// A path of the greatest length, with every number written out.
+const MAX_PATH_BYTES: u64 = 4 << 20;
 /// Longer times are typing errors.
 const MAX_SECONDS: f64 = 60.0;
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::layer::FrameHeader;
+use isinglass_core::layer::{FrameHeader, MAX_LISTS};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
 use isinglass_core::space::Aabb;
@@ -209,10 +209,6 @@ fn bounded(wish: Intrinsics) -> Intrinsics {
     let shrink = |side: u32| ((side as f32 / excess.sqrt()) as u32).max(1);
     Intrinsics { width: shrink(wish.width), height: shrink(wish.height), ..wish }
 }
-
-/// Most lists of a frame. With 16 segments in each, the planes stay within what a peer of the codec accepts and
-/// within wgpu's default binding size.
-const MAX_LISTS: usize = 1920 * 1088;
 
 #[cfg(test)]
 mod tests {

@@ -62,7 +62,10 @@ pub(crate) fn evaluate(
         let rgb = |picture| Rgb8::of(&picture, [0; 3]);
         let shown = rgb(options.method.draw(backend, frame, &bounds, &tick.camera)?);
         let truth = rgb(renderer.render(&tick.camera)?);
-        let last = rgb(frame.flatten());
+        let last = frame.flatten();
+        // A margin around the picture is not shown.
+        let margin = frame.header.camera.intrinsics.margin_around(&options.intrinsics).unwrap_or(0);
+        let last = rgb(last.cropped(margin));
         if (last.width, last.height) != (shown.width, shown.height) {
             return Err(BenchError::Demo(format!(
                 "the server sent {}x{} pixels, expected {width}x{height}; ask for a smaller size",

@@ -12,6 +12,7 @@ mod script;
 
 use std::path::Path;
 
+use isinglass_client::{CameraPath, Foresight};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
@@ -48,6 +49,10 @@ pub struct DemoOptions {
     pub method: Method,
     /// Where the camera begins.
     pub orbit: Orbit,
+    /// A path to play in place of the orbit.
+    pub path: Option<CameraPath>,
+    /// What the viewer does against the delay.
+    pub foresight: Foresight,
     /// Picture and frame size, field of view.
     pub intrinsics: Intrinsics,
     /// Where kernels run.
@@ -73,6 +78,8 @@ impl Default for DemoOptions {
             k: 8,
             method: Method::default(),
             orbit: Orbit::default(),
+            path: None,
+            foresight: Foresight::default(),
             intrinsics: Intrinsics { width: 256, height: 256, fov_y: 40f32.to_radians() },
             backend: BackendChoice::default(),
             link: LinkModel::default(),

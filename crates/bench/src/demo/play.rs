@@ -9,7 +9,7 @@ use isinglass_core::ids::FrameId;
 use isinglass_net::{Client, ClientOptions, Link, ReceivedFrame, State};
 
 use super::DemoOptions;
-use super::script::Script;
+use super::script::{Motion, Script};
 use crate::error::BenchError;
 use crate::progress::Progress;
 
@@ -32,6 +32,8 @@ pub(crate) struct Tick {
     pub(crate) standing: Standing,
     /// Time since the pose that the frame answers was set.
     pub(crate) frame_age: Option<Duration>,
+    /// Angle between the frame's pose and the camera of the picture.
+    pub(crate) turned_degrees: Option<f32>,
     /// Bytes of the frame that had arrived.
     pub(crate) frame_bytes: u64,
 }
@@ -53,14 +55,18 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
     let client = Client::connect(link, client).map_err(|e| failed(format!("viewer: {e}")))?;
     let clock = client.clock().clone();
     let now = || Duration::from_micros(clock.now_micros());
-    let mut viewer = HeadlessViewer::new(client, options.intrinsics);
+    let mut viewer = HeadlessViewer::new(client, options.intrinsics, options.foresight);
     let interval = Duration::from_secs_f32(1.0 / options.refresh_hz);
+    let motion = match &options.path {
+        Some(path) => Motion::Recorded(path.clone()),
+        None => Motion::Orbit { start: options.orbit, degrees_per_second: options.degrees_per_second },
+    };
 
     let asked = Instant::now();
     let patience = FIRST_FRAME_TIMEOUT + options.link.rtt * 10;
     loop {
         let settled = viewer.bounds().is_some_and(|bounds| {
-            let pose = options.orbit.pose(&options.intrinsics, &bounds);
+            let pose = motion.start(&options.intrinsics, &bounds);
             let record = viewer.tick(now(), pose);
             record.is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled))
         });
@@ -81,7 +87,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
     viewer.take_records();
     // At a stop a frame for an older pose may be in the making; the rest's own comes after it.
     let settle = asked.elapsed().min(MAX_SETTLE).mul_f32(1.5);
-    let script = Script::new(options.orbit, options.degrees_per_second, settle);
+    let script = Script::new(motion, settle);
 
     let num_ticks = (script.duration().as_secs_f32() * options.refresh_hz).ceil() as usize;
     let is_counted = |number: usize| script.is_counted(interval * number as u32);
@@ -96,15 +102,15 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
         let due = interval * number as u32;
         std::thread::sleep(due.saturating_sub(start.elapsed()));
         let at = start.elapsed();
-        let orbit = script.orbit_at(at);
-        let input = orbit.pose(&options.intrinsics, &bounds);
+        let input = script.pose_at(at, &options.intrinsics, &bounds);
+        let azimuth_degrees = script.azimuth_degrees(at, &input, &bounds);
         viewer.tick(now(), input);
         // Frames are kept for the refreshes that are compared only: a long path at a large size would not fit.
         let is_chosen = is_counted(number) && num_counted % stride == 0;
         num_counted += usize::from(is_counted(number));
         for record in viewer.take_records() {
             let kept = is_chosen || ends_rest(&script, at, interval);
-            ticks.extend(tick(record, at, orbit.azimuth_degrees, input, kept));
+            ticks.extend(tick(record, at, azimuth_degrees, input, kept));
         }
         progress.advance(1, "");
     }
@@ -133,6 +139,7 @@ fn tick(record: DisplayRecord, at: Duration, azimuth_degrees: f32, input: Pose, 
         kept: kept.then_some(frame),
         standing: record.standing,
         frame_age: record.frame_age,
+        turned_degrees: record.turned_degrees,
     })
 }
 

@@ -40,6 +40,12 @@ pub struct Report {
     pub pose_lag_frames_max: usize,
     /// Mean time since the pose that the frame on screen answers was set, while the camera moved.
     pub frame_age_ms_mean: f64,
+    /// Mean angle between the poses of the frame on screen and of the picture, while the camera moved.
+    pub frame_turned_deg_mean: f64,
+    /// Whether frames were asked for from where the camera would be.
+    pub predict: bool,
+    /// Whether frames had a margin.
+    pub guard_band: bool,
     /// Mean size of the server frames shown, as far as they had arrived when the next one took their place.
     pub bytes_per_frame_mean: f64,
     /// Gaps between new server frames on the screen while the camera moved that were longer than three mean gaps and
@@ -62,8 +68,9 @@ impl Report {
         let mean = |of: &dyn Fn(&Evaluated) -> f64| {
             counted.iter().map(|p| of(p)).sum::<f64>() / counted.len().max(1) as f64
         };
-        let moving = played.ticks.iter().filter(|t| script.is_moving(t.at));
-        let ages: Vec<f64> = moving.filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
+        let moving = || played.ticks.iter().filter(|t| script.is_moving(t.at));
+        let ages: Vec<f64> = moving().filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
+        let turns: Vec<f64> = moving().filter_map(|t| Some(t.turned_degrees?.into())).collect();
         let link = &options.link;
         Self {
             rtt_ms: link.rtt.as_secs_f64() * 1e3,
@@ -77,6 +84,9 @@ impl Report {
             dssim_last_image_mean: mean(&|p| p.last_image.dssim),
             pose_lag_frames_max: pose_lag(&played.ticks),
             frame_age_ms_mean: ages.iter().sum::<f64>() / ages.len().max(1) as f64,
+            frame_turned_deg_mean: turns.iter().sum::<f64>() / turns.len().max(1) as f64,
+            predict: options.foresight.predicts,
+            guard_band: options.foresight.guards,
             bytes_per_frame_mean: bytes_per_frame(&played.ticks),
             freezes: freezes(script, &played.ticks),
             rest_max_abs_255: rest_pictures(script, &evaluation.pictures)
@@ -128,12 +138,15 @@ pub(super) fn text(
         .collect::<Vec<_>>()
         .join(" and ");
     let mut text = format!(
-        "{} at {}x{}, K = {}, {:.0} degrees/s, on {}\n",
+        "{} at {}x{}, K = {}, {}, on {}\n",
         options.source,
         options.intrinsics.width,
         options.intrinsics.height,
         options.k,
-        options.degrees_per_second,
+        match &options.path {
+            Some(_) => "a path from a file".to_owned(),
+            None => format!("{:.0} degrees/s", options.degrees_per_second),
+        },
         report.backend
     );
     let mut line = |name: &str, value: String| text += &format!("  {name:<22} {value}\n");
@@ -169,8 +182,9 @@ pub(super) fn text(
     line(
         "frame on the screen",
         format!(
-            "{:.0} ms old, {:.0} kB, {} freezes",
+            "{:.0} ms old, {:.1}° away, {:.0} kB, {} freezes",
             report.frame_age_ms_mean,
+            report.frame_turned_deg_mean,
             report.bytes_per_frame_mean / 1e3,
             report.freezes
         ),
@@ -270,6 +284,7 @@ mod tests {
     use isinglass_core::space::Aabb;
 
     use super::*;
+    use crate::demo::script::Motion;
     use crate::view::Orbit;
 
     /// A refresh every 0.1 s; each shows `frame` and is off the input by `late` refreshes.
@@ -287,6 +302,7 @@ mod tests {
             kept: None,
             standing: Standing::Moving,
             frame_age: None,
+            turned_degrees: None,
         };
         frames.iter().enumerate().map(tick).collect()
     }
@@ -299,7 +315,8 @@ mod tests {
 
     #[test]
     fn a_gap_among_steady_frames_is_a_freeze() {
-        let script = Script::new(Orbit::default(), 30.0, Duration::ZERO);
+        let script =
+            Script::new(Motion::Orbit { start: Orbit::default(), degrees_per_second: 30.0 }, Duration::ZERO);
         let steady: Vec<u32> = (1..20).collect();
         assert_eq!(freezes(&script, &ticks(&steady, 0)), 0);
         let mut stuck = steady.clone();

@@ -1,45 +1,97 @@
-//! The camera path: forward, a stop, back, a stop.
+//! The camera path: forward, a stop, back, a stop; or one that somebody has recorded, and a stop.
 
 use std::ops::Range;
 use std::time::Duration;
 
+use isinglass_client::CameraPath;
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::space::Aabb;
+
 use crate::view::Orbit;
 
-/// An orbit at constant speed with a stop and a reversal.
+/// What the camera does, without the rests that are added for measuring.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Motion {
+    /// An orbit at constant speed, there and back.
+    Orbit {
+        /// Where it begins.
+        start: Orbit,
+        /// Its speed.
+        degrees_per_second: f32,
+    },
+    /// A path as it is.
+    Recorded(CameraPath),
+}
+
+impl Motion {
+    /// Where the camera begins.
+    pub(crate) fn start(&self, intrinsics: &Intrinsics, bounds: &Aabb) -> Pose {
+        Script::new(self.clone(), Duration::ZERO).pose_at(Duration::ZERO, intrinsics, bounds)
+    }
+}
+
+/// A motion with its rests.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Script {
-    start: Orbit,
-    degrees_per_second: f32,
-    phases: [Phase; 4],
+    motion: Motion,
+    phases: Vec<Phase>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Phase {
     seconds: f32,
-    /// −1, 0 or 1.
+    /// Of the orbit: −1, 0 or 1. A recorded path moves in a phase that is not 0.
     direction: f32,
 }
 
 impl Script {
-    /// Begins at `start`. After each stop the camera rests for 1.5 s, and then for `settle`, which no mean
-    /// counts: so that the picture can settle on a slow machine without flattering it.
-    pub(crate) fn new(start: Orbit, degrees_per_second: f32, settle: Duration) -> Self {
-        let rest = REST_SECONDS + settle.as_secs_f32();
+    /// After each stop the camera rests for 1.5 s, and then for `settle`, which no mean counts: so that the picture
+    /// can settle on a slow machine without flattering it. A recorded path has one such stop, at its end.
+    pub(crate) fn new(motion: Motion, settle: Duration) -> Self {
         let phase = |seconds, direction| Phase { seconds, direction };
-        let phases =
-            [phase(MOVE_SECONDS, 1.0), phase(rest, 0.0), phase(MOVE_SECONDS, -1.0), phase(rest, 0.0)];
-        Self { start, degrees_per_second, phases }
+        let rest = phase(REST_SECONDS + settle.as_secs_f32(), 0.0);
+        let phases = match &motion {
+            Motion::Orbit { .. } => vec![phase(MOVE_SECONDS, 1.0), rest, phase(MOVE_SECONDS, -1.0), rest],
+            Motion::Recorded(path) => vec![phase(path.duration().as_secs_f32(), 1.0), rest],
+        };
+        Self { motion, phases }
     }
 
     /// Where the camera is at a time.
-    pub(crate) fn orbit_at(&self, at: Duration) -> Orbit {
+    pub(crate) fn pose_at(&self, at: Duration, intrinsics: &Intrinsics, bounds: &Aabb) -> Pose {
+        match &self.motion {
+            Motion::Orbit { start, degrees_per_second } => {
+                start.turned(self.turn(at) * degrees_per_second).pose(intrinsics, bounds)
+            }
+            // A path has a place for every time.
+            Motion::Recorded(path) => path
+                .pose_at(at, intrinsics, bounds)
+                .unwrap_or_else(|| Orbit::default().pose(intrinsics, bounds)),
+        }
+    }
+
+    /// The azimuth at a time, for people; a pan moves it, too.
+    pub(crate) fn azimuth_degrees(&self, at: Duration, pose: &Pose, bounds: &Aabb) -> f32 {
+        match &self.motion {
+            Motion::Orbit { start, degrees_per_second } => {
+                start.turned(self.turn(at) * degrees_per_second).azimuth_degrees
+            }
+            Motion::Recorded(_) => {
+                let from_center = pose.eye - bounds.center();
+                from_center.x.atan2(from_center.z).to_degrees()
+            }
+        }
+    }
+
+    /// Seconds of movement forward less those backward.
+    fn turn(&self, at: Duration) -> f32 {
         let mut left = at.as_secs_f32();
         let mut turn = 0.0;
-        for phase in self.phases {
-            turn += left.clamp(0.0, phase.seconds) * phase.direction * self.degrees_per_second;
+        for phase in &self.phases {
+            turn += left.clamp(0.0, phase.seconds) * phase.direction;
             left -= phase.seconds;
         }
-        self.start.turned(turn)
+        turn
     }
 
     /// Length of the whole.
@@ -51,7 +103,7 @@ impl Script {
     pub(crate) fn rests(&self) -> Vec<Range<Duration>> {
         let mut rests = Vec::new();
         let mut at = 0.0;
-        for phase in self.phases {
+        for phase in &self.phases {
             let end = at + phase.seconds;
             if phase.direction == 0.0 {
                 rests.push(Duration::from_secs_f32(at)..Duration::from_secs_f32(end));
@@ -85,8 +137,18 @@ mod tests {
 
     #[test]
     fn the_path_turns_stops_returns_and_stops() {
-        let script = Script::new(Orbit::default(), 30.0, Duration::from_millis(500));
-        let azimuth = |s: f32| script.orbit_at(Duration::from_secs_f32(s)).azimuth_degrees - 30.0;
+        let motion = Motion::Orbit { start: Orbit::default(), degrees_per_second: 30.0 };
+        let script = Script::new(motion, Duration::from_millis(500));
+        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let bounds = Aabb { min: glam::Vec3::NEG_ONE, max: glam::Vec3::ONE };
+        let azimuth = |s: f32| {
+            let at = Duration::from_secs_f32(s);
+            let pose = script.pose_at(at, &intrinsics, &bounds);
+            let azimuth = script.azimuth_degrees(at, &pose, &bounds);
+            let expect = Orbit { azimuth_degrees: azimuth, ..Orbit::default() }.pose(&intrinsics, &bounds);
+            assert!((pose.eye - expect.eye).length() < 1e-3);
+            azimuth - 30.0
+        };
         // Sums of a few single-precision products of the order of 60.
         let near = |a: f32, b: f32| assert!((a - b).abs() < 1e-3, "{a} {b}");
         near(azimuth(1.0), 30.0);
@@ -102,5 +164,23 @@ mod tests {
         assert!(
             counted(1.0) && counted(3.4) && !counted(3.6) && counted(4.1) && counted(7.4) && !counted(7.6)
         );
+    }
+
+    #[test]
+    fn a_recorded_path_is_played_as_it_is_and_then_rests() {
+        let path = CameraPath::parse("5 10 20\n6 40 20\n8 40 20\n").unwrap();
+        let script = Script::new(Motion::Recorded(path.clone()), Duration::from_secs(1));
+        assert_eq!(script.duration(), Duration::from_secs_f32(5.5));
+        assert_eq!(script.rests().len(), 1);
+        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let bounds = Aabb { min: glam::Vec3::NEG_ONE, max: glam::Vec3::ONE };
+        for s in [0.0, 0.3, 2.5, 5.0] {
+            let at = Duration::from_secs_f32(s);
+            let pose = script.pose_at(at, &intrinsics, &bounds);
+            assert_eq!(Some(pose), path.pose_at(at, &intrinsics, &bounds));
+            assert_eq!((script.is_moving(at), script.is_counted(at)), (s < 3.0, s < 4.5));
+        }
+        let pose = script.pose_at(Duration::from_secs(9), &intrinsics, &bounds);
+        assert!((script.azimuth_degrees(Duration::from_secs(9), &pose, &bounds) - 40.0).abs() < 1e-3);
     }
 }

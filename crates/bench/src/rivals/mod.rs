@@ -15,7 +15,7 @@ mod tests;
 use std::sync::Arc;
 
 use isinglass_client::NovelView;
-use isinglass_core::camera::Camera;
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
@@ -101,7 +101,7 @@ impl Method {
             Self::PointWarp => Views::PointWarp(PointWarp::new(frame)),
             Self::SlabsPlanar => Views::SlabsPlanar(Slabs::new(frame, bounds)),
             Self::SlabsMesh => Views::SlabsMesh(SlabMesh::new(Slabs::new(frame, bounds))),
-            Self::LastImage => Views::LastImage(frame.flatten()),
+            Self::LastImage => Views::LastImage(frame.flatten(), frame.header.camera.intrinsics),
         })
     }
 }
@@ -133,7 +133,7 @@ pub enum Views {
     /// See [`Method::SlabsMesh`].
     SlabsMesh(SlabMesh),
     /// See [`Method::LastImage`].
-    LastImage(Picture),
+    LastImage(Picture, Intrinsics),
 }
 
 impl Views {
@@ -147,7 +147,7 @@ impl Views {
             Self::PointWarp(points) => points.view(camera),
             Self::SlabsPlanar(slabs) => slabs.view(camera),
             Self::SlabsMesh(mesh) => mesh.view(camera),
-            Self::LastImage(picture) => stretch(picture, camera),
+            Self::LastImage(picture, of) => stretch(&picture.cropped(margin(of, camera)), camera),
         })
     }
 }
@@ -181,6 +181,12 @@ impl NovelView for ShownRival {
         let (_, views) = self.kept.as_mut().ok_or("the viewer casts layers itself")?;
         views.view(camera).map_err(|e| e.to_string())
     }
+}
+
+/// Rows of a frame above the camera's field of view: the guard band around what is shown.
+fn margin(frame: &Intrinsics, camera: &Camera) -> u32 {
+    let shown = frame.height as f32 * camera.intrinsics.tan_half().1 / frame.tan_half().1;
+    ((frame.height as f32 - shown) * 0.5).round().max(0.0) as u32
 }
 
 /// The picture at the camera's size; where sizes agree, unchanged.

@@ -17,9 +17,10 @@ use isinglass_core::kernels::layering::Layering;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
+use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, DEFAULT_K, LayeringArgs, LinkArgs, LookArgs, MethodArgs, parse_duration, parse_fov, parse_k,
-    parse_output, parse_size,
+    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PathArgs,
+    parse_duration, parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -139,6 +140,13 @@ struct LatencyArgs {
     rtts: Vec<Duration>,
     #[command(flatten)]
     link: LinkArgs,
+    /// Speed of the camera, degrees a second
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_speed)]
+    speed: f32,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
     /// Keep the pictures and reports of each run in a folder of its own in DIR
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -210,6 +218,9 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             method: args.method.method,
             k: args.layering.k,
             orbit: common.orbit,
+            path: args.path.read()?,
+            foresight: args.foresight.foresight(),
+            degrees_per_second: args.speed,
             intrinsics: common.intrinsics(),
             backend: args.backend.backend,
             link: args.link.model(Duration::ZERO)?,

@@ -16,8 +16,8 @@ use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
 use crate::args::{
-    BackendArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, RawArgs, VolumeArgs, open_volume,
-    parse_duration, parse_fov, parse_size,
+    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PathArgs, RawArgs, VolumeArgs,
+    open_volume, parse_duration, parse_fov, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -55,6 +55,10 @@ pub(crate) struct DemoArgs {
     /// Pictures a second without a window
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = parse_rate)]
     rate: f32,
+    #[command(flatten)]
+    path: PathArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -95,6 +99,8 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         k: args.layering.k,
         method: args.method.method,
         orbit: args.orbit,
+        path: args.path.read()?,
+        foresight: args.foresight.foresight(),
         backend: args.backend.backend,
         link,
         degrees_per_second: args.speed,
@@ -150,6 +156,7 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
             fov_y: args.fov.to_radians(),
             novel_views: rivals::for_viewer(),
             novel_view: args.method.method.name(),
+            foresight: args.foresight.foresight(),
             ..defaults
         },
     });
@@ -166,7 +173,7 @@ pub(crate) fn initial_orbit(orbit: &Orbit) -> InitialOrbit {
     }
 }
 
-fn parse_speed(text: &str) -> Result<f32, String> {
+pub(crate) fn parse_speed(text: &str) -> Result<f32, String> {
     let speed = text.parse::<f32>().ok().filter(|s| s.abs() <= 360.0);
     speed.ok_or_else(|| "expected degrees a second, -360 to 360".into())
 }

@@ -1,17 +1,19 @@
 //! `view`: the viewer on a server's link.
 
-use std::sync::{Arc, OnceLock};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use isinglass_bench::output::write_whole;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
-use isinglass_client::{Waker, WindowOptions, display_available, run_window};
+use isinglass_client::{CameraPath, Waker, WindowOptions, display_available, run_window};
 use isinglass_net::{Client, ClientOptions, Link};
 
 use super::demo::initial_orbit;
-use crate::args::{MethodArgs, parse_fov, parse_size};
+use crate::args::{ForesightArgs, MethodArgs, parse_fov, parse_output, parse_size};
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
@@ -29,6 +31,11 @@ pub(crate) struct ViewerArgs {
     orbit: Orbit,
     #[command(flatten)]
     method: MethodArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
+    /// Write the camera's path to FILE when the window is closed, for `demo --headless --path`
+    #[arg(long, value_name = "FILE", value_parser = parse_output)]
+    record: Option<PathBuf>,
 }
 
 /// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away
@@ -52,6 +59,7 @@ pub(crate) fn run(args: ViewerArgs) -> Result<()> {
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
         bail!("{server_name}: {problem}");
     }
+    let recorder = args.record.as_ref().map(|_| Arc::<Mutex<CameraPath>>::default());
     let window = WindowOptions {
         server_name,
         size: args.size,
@@ -59,6 +67,8 @@ pub(crate) fn run(args: ViewerArgs) -> Result<()> {
         fov_y: args.fov.to_radians(),
         novel_views: rivals::for_viewer(),
         novel_view: args.method.method.name(),
+        foresight: args.foresight.foresight(),
+        recorder: recorder.clone(),
         ..WindowOptions::default()
     };
     run_window(window, clock, move |wake| {
@@ -66,6 +76,10 @@ pub(crate) fn run(args: ViewerArgs) -> Result<()> {
         let _ = waker.set(wake);
         Ok(client)
     })?;
+    if let (Some(file), Some(recorder)) = (args.record, recorder) {
+        let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
+        write_whole(&file, path.to_string().as_bytes())?;
+    }
     Ok(())
 }
 
