@@ -51,6 +51,7 @@ fn bad_usage_is_code_2() {
         ("view isinglass://localhost:4433", &["token"]),
         ("serve builtin:cloud@8 --listen nowhere", &["nowhere"]),
         ("bench quality --k 0", &["1 to 32"]),
+        ("bench quality --method warp", &["warp", "point-warp"]),
         ("bench codecs", &["codecs"]),
     ] {
         bench.fails(line, 2, words);

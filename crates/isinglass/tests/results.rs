@@ -133,13 +133,14 @@ fn background_and_shading_can_be_chosen() {
 fn quality_tells_rules_and_turns_apart() {
     let bench = Bench::new();
     let report = bench.json(
-        "bench quality builtin:cubus@48 --size 64x64 --backend cpu --k 8 --angles 0,10 --json -o table.json",
+        "bench quality builtin:cubus@48 --size 64x64 --backend cpu --k 8 --angles 0,10 --json -o table.json \
+         --layering visibility-merge,equal-transmittance --method layers,point-warp",
     );
     assert_eq!(keys(&report), ["conditions", "rows"]);
     assert_has(&report["conditions"], "version size fov_deg orbit_deg backend shading");
     let rows = report["rows"].as_array().unwrap();
-    // Two rules at two turns, and the last image at one.
-    assert_eq!(rows.len(), 5);
+    // Two rules by two methods at two turns, and the last image at one.
+    assert_eq!(rows.len(), 9);
     let dssim = |method: &str, angle: f64| {
         let row = rows.iter().find(|r| r["method"] == method && r["angle_deg"] == angle).unwrap();
         assert_has(
@@ -151,6 +152,8 @@ fn quality_tells_rules_and_turns_apart() {
     assert!(dssim("visibility-merge", 0.0) <= 1e-3 && dssim("equal-transmittance", 0.0) <= 1e-3);
     assert!(dssim("visibility-merge", 10.0) > dssim("visibility-merge", 0.0));
     assert!(dssim("visibility-merge", 10.0) < dssim("last-image", 10.0));
+    assert!(dssim("point-warp", 0.0) <= 1e-3);
+    assert!(dssim("visibility-merge", 10.0) < dssim("point-warp", 10.0));
     assert_eq!(bench.files(), ["table.json"]);
     let written: serde_json::Value =
         serde_json::from_slice(&std::fs::read(bench.path("table.json")).unwrap()).unwrap();
