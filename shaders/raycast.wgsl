@@ -6,6 +6,8 @@
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
 @group(0) @binding(3) var<storage, read> c_rg: array<u32>;
 @group(0) @binding(4) var<storage, read> c_b_tau: array<u32>;
+// One word a tile: the cells of it that hold a segment (empty_space.wgsl).
+@group(0) @binding(5) var<storage, read> occupied: array<u32>;
 
 // A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
 struct Line {
@@ -84,64 +86,117 @@ fn clip(ray: Ray) -> Line {
     return line;
 }
 
-// Walks the columns of lists along the line.
+// Walks the columns of lists along the line, as many at a time as a tile is wide.
 fn walk(line: Line, acc: ptr<function, Over>) {
     let size = vec2i(i32(caster.basis.width), i32(caster.basis.height));
     let along = select(0u, 1u, abs(line.d.x) + AXIS_BIAS < abs(line.d.y));
     let across = 1u - along;
+    let p_across = line.p0[across];
+    let d_across = line.d[across];
+    let columns = columns_of(line.p0[along], line.d[along]);
+    let is_nearest = caster.is_nearest != 0u;
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
-    let columns = axis(line.p0[along], line.d[along], column);
-    var t_next = columns.t;
     var hints = vec2u(0u);
-    var t_in = 0.0;
-    var enter = at(line, t_in);
+    var enter = at(line, 0.0);
     loop {
-        let t_out = min(t_next, 1.0);
-        let leave = at(line, t_out);
-        if (leave.distance > enter.distance) {
-            let crossing = crossing_between(line, enter, leave);
-            let at_across = line.p0[across] + line.d[across] * (0.5 * (t_in + t_out)) - 0.5;
-            let first = floor(at_across);
-            let nearness = vec2f(1.0 - (at_across - first), at_across - first);
-            var mixed = vec4f(0.0);
-            for (var side = 0u; side < 2u; side++) {
-                if (nearness[side] < MIN_NEARNESS) {
-                    continue;
+        // To the border of the tile, of the frame or to the end of the line.
+        let in_tile = column & i32(TILE - 1u);
+        let num = select(in_tile + 1, min(i32(TILE) - in_tile, size[along] - column), columns.step > 0);
+        let leave = at(line, min(column_end(columns, column, num - 1), 1.0));
+        let row_in = p_across + d_across * enter.t - 0.5;
+        let row_out = p_across + d_across * leave.t - 0.5;
+        if (caster.skips_empty_space == 0u
+            || is_occupied(column, row_in, row_out, enter.depth, leave.depth, along, size[across])) {
+            for (var i = 0; i < num; i++) {
+                let end = at(line, min(column_end(columns, column, i), leave.t));
+                if (is_nearest) {
+                    nearest(line, column + columns.step * i, enter, end, along, &hints, acc);
+                } else {
+                    mixed(line, column + columns.step * i, enter, end, along, &hints, acc);
                 }
-                let row = clamp(i32(first) + i32(side), 0, size[across] - 1);
-                let xy = select(vec2i(row, column), vec2i(column, row), along == 0u);
-                var list = over_identity();
-                hints[side] = cross_list(xy.x, xy.y, crossing, hints[side], &list);
-                mixed += vec4f(list.c, 1.0 - list.transmittance) * nearness[side];
-            }
-            (*acc).c += mixed.xyz * (*acc).transmittance;
-            (*acc).transmittance *= 1.0 - mixed.w;
-            if ((*acc).transmittance < TRANSMITTANCE_MIN) {
-                return;
+                if ((*acc).transmittance < TRANSMITTANCE_MIN) {
+                    return;
+                }
+                enter = end;
+                if (end.t >= leave.t) {
+                    break;
+                }
             }
         }
-        if (t_out >= 1.0) {
-            return;
-        }
-        t_in = t_out;
+        column += columns.step * num;
         enter = leave;
-        column += columns.step;
-        t_next += columns.dt;
-        if (column < 0 || column >= size[along]) {
+        if (leave.t >= 1.0 || column < 0 || column >= size[along]) {
             return;
         }
     }
 }
 
-// A point of the line: depth in units and world distance from its start.
+// Composites one column of lists: the two that the line runs between, mixed by nearness.
+fn mixed(line: Line, column: i32, enter: Point, leave: Point, along: u32, hints: ptr<function, vec2u>, acc: ptr<function, Over>) {
+    if (leave.distance <= enter.distance) {
+        return;
+    }
+    let crossing = crossing_between(line, enter, leave);
+    let at_across = line.p0[1u - along] + line.d[1u - along] * (0.5 * (enter.t + leave.t)) - 0.5;
+    let first = floor(at_across);
+    let nearness = vec2f(1.0 - (at_across - first), at_across - first);
+    var mixture = vec4f(0.0);
+    for (var side = 0u; side < 2u; side++) {
+        if (nearness[side] < MIN_NEARNESS) {
+            continue;
+        }
+        var list = over_identity();
+        (*hints)[side] = cross_list(column, i32(first) + i32(side), along, crossing, (*hints)[side], &list);
+        mixture += vec4f(list.c, 1.0 - list.transmittance) * nearness[side];
+    }
+    (*acc).c += mixture.xyz * (*acc).transmittance;
+    (*acc).transmittance *= 1.0 - mixture.w;
+}
+
+// Composites one column of lists: the list that the line is in. It runs faster along than across, so it changes its row
+// once in a column at most.
+fn nearest(line: Line, column: i32, enter: Point, leave: Point, along: u32, hints: ptr<function, vec2u>, acc: ptr<function, Over>) {
+    let p = line.p0[1u - along];
+    let d = line.d[1u - along];
+    let row = floor(p + d * enter.t);
+    let row_out = floor(p + d * leave.t);
+    var middle = leave;
+    if (row != row_out) {
+        middle = at(line, clamp((max(row, row_out) - p) / d, enter.t, leave.t));
+    }
+    if (middle.distance > enter.distance) {
+        (*hints).x = cross_list(column, i32(row), along, crossing_between(line, enter, middle), (*hints).x, acc);
+    }
+    if (leave.distance > middle.distance) {
+        (*hints).x = cross_list(column, i32(row_out), along, crossing_between(line, middle, leave), (*hints).x, acc);
+    }
+}
+
+// Whether a stretch of the line, inside of one column of tiles, may meet a segment: the rows are its ends across, as
+// those of the first of the two lists that it runs between.
+fn is_occupied(column: i32, row_in: f32, row_out: f32, depth_in: f32, depth_out: f32, along: u32, size_across: i32) -> bool {
+    let first = min(i32(max(min(row_in, row_out), 0.0)), size_across - 1) / i32(TILE);
+    let last = min(i32(max(max(row_in, row_out), 0.0)) + 1, size_across - 1) / i32(TILE);
+    let tiles_x = (i32(caster.basis.width) + i32(TILE) - 1) / i32(TILE);
+    let tile_column = column / i32(TILE);
+    var cells = 0u;
+    for (var tile = first; tile <= last; tile++) {
+        let xy = select(vec2i(tile, tile_column), vec2i(tile_column, tile), along == 0u);
+        cells |= occupied[xy.y * tiles_x + xy.x];
+    }
+    return (cells & cell_bits(cell_of_depth(min(depth_in, depth_out)), cell_of_depth(max(depth_in, depth_out)))) != 0u;
+}
+
+// A point of the line: its parameter, depth in units and world distance from the start.
 struct Point {
+    t: f32,
     depth: f32,
     distance: f32,
 }
 
 fn at(line: Line, t: f32) -> Point {
     let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
-    return Point((line.w0_w1 * r - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
+    return Point(t, (line.w0_w1 * r - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
 }
 
 // The part of a ray inside a column of lists.
@@ -162,9 +217,12 @@ fn crossing_between(line: Line, enter: Point, leave: Point) -> Crossing {
     return Crossing(lo, hi, (leave.distance - enter.distance) / (hi - lo), line.w0_minus_w1 <= 0.0);
 }
 
-// Composites the segments of list (x, y) that the crossing meets. `hint` is the index at which the list before was
-// left; returns that for the next list.
-fn cross_list(x: i32, y: i32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
+// Composites the segments of a list that the crossing meets. `hint` is the index at which the list before was left;
+// returns that for the next list. The twin looks at all of a list's ends at once instead.
+fn cross_list(column: i32, row_unclamped: i32, along: u32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
+    let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
+    let x = select(row, column, along == 0u);
+    let y = select(column, row, along == 0u);
     let list = u32(y) * u32(caster.basis.width) + u32(x);
     let start = offsets[list];
     let end = offsets[list + 1u];
@@ -239,20 +297,28 @@ fn length_of(v: vec3f) -> f32 {
     return sqrt(dot(v, v));
 }
 
-// DDA along one axis: step of the index, parameter of the first crossing, parameter between crossings.
-struct Axis {
+// The columns of lists along a line: a DDA along one axis.
+struct Columns {
+    // Step of the index.
     step: i32,
-    t: f32,
-    dt: f32,
+    // The parameter of the border at pixel position x is x·slope + offset.
+    slope: f32,
+    offset: f32,
+    // 1 if the line leaves a column by its upper border.
+    leaves_by: i32,
 }
 
-fn axis(p: f32, d: f32, index: i32) -> Axis {
+fn columns_of(p: f32, d: f32) -> Columns {
     if (abs(d) < MIN_SLOPE) {
-        return Axis(0, NEVER, NEVER);
+        return Columns(1, 0.0, NEVER, 1);
     }
-    let forward = d > 0.0;
-    let edge = select(f32(index), f32(index) + 1.0, forward);
-    return Axis(select(-1, 1, forward), (edge - p) / d, 1.0 / abs(d));
+    let slope = 1.0 / d;
+    return Columns(select(-1, 1, d > 0.0), slope, -p * slope, select(0, 1, d > 0.0));
+}
+
+// Where the line leaves the column i steps behind `column`.
+fn column_end(columns: Columns, column: i32, i: i32) -> f32 {
+    return f32(column + columns.leaves_by + columns.step * i) * columns.slope + columns.offset;
 }
 
 // Shortest depth interval that is divided by, in depth units.

@@ -55,6 +55,13 @@ struct Raycaster {
     bounds_max: vec3f,
     // 0 before the first frame.
     has_frame: u32,
+    // 1 for the nearest list, 0 for a mixture of two.
+    is_nearest: u32,
+    // Whether empty cells are jumped.
+    skips_empty_space: u32,
+    // Samples a ray, 0 for all that there is.
+    num_samples: u32,
+    padding: u32,
 }
 
 // How a picture goes to the screen.

@@ -14,7 +14,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{self, Layering, Representative};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene, Shading};
-use isinglass_core::kernels::raycast;
+use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
@@ -324,10 +324,19 @@ fn novel_views_are_those_of_the_twin() {
         let frame =
             layering::generate(&scene, header(camera(&scene, 25.0, (90, 77)), 8), Layering::VisibilityMerge);
         let mut reprojector = GpuReprojector::new(gpu, &frame, &bounds).unwrap();
+        let caster = Raycaster::new(&frame, &bounds);
         for (view, camera) in views(&scene) {
             let twin = raycast::raycast(&frame, &bounds, &camera);
             let found = reprojector.raycast(&camera).unwrap();
             Difference::of(&found, &twin).assert_tolerable(&format!("{name}, {view}"));
+            // Jumping over empty cells leaves out nothing.
+            let skips_none = CastOptions { skips_empty_space: false, ..Default::default() };
+            let all = reprojector.raycast_with(&camera, &skips_none).unwrap();
+            assert_eq!(all.pixels, found.pixels, "{name}, {view}");
+            let nearest = CastOptions { reconstruction: Reconstruction::Nearest, ..Default::default() };
+            let found = reprojector.raycast_with(&camera, &nearest).unwrap();
+            let twin_nearest = caster.picture(&camera, &nearest);
+            Difference::of(&found, &twin_nearest).assert_tolerable(&format!("{name}, {view}, nearest"));
             let mut shifted = camera;
             shifted.pose.eye += camera.pose.world_from_view * Vec3::X * (0.02 * bounds.radius());
             let shifted = reprojector.raycast(&shifted).unwrap();

@@ -8,9 +8,10 @@ use std::sync::Arc;
 use glam::{DVec3, Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::{Layering, Representative, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
-use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::{Aabb, Ray};
@@ -96,8 +97,9 @@ fn half_space((s0, s1): &mut (f64, f64), a: f64, b: f64) {
 }
 
 /// Cuts a ray by the sides of every column of lists, intersects it with every segment of the two lists it runs
-/// between there, sorts and composites: in double precision, without a DDA, a search or a clipped line.
-fn brute_force(frame: &LayeredFrame, bounds: &Aabb, ray: &Ray) -> [f64; 4] {
+/// between there (or, for the nearest list, cuts it by the sides of rows too), sorts and composites: in double
+/// precision, without a DDA, a search or a clipped line.
+fn brute_force(frame: &LayeredFrame, bounds: &Aabb, ray: &Ray, reconstruction: Reconstruction) -> [f64; 4] {
     let Some((enter, leave)) = bounds.clip(ray) else { return [0.0; 4] };
     let old = &frame.header.camera;
     let basis = old.basis();
@@ -133,6 +135,20 @@ fn brute_force(frame: &LayeredFrame, bounds: &Aabb, ray: &Ray) -> [f64; 4] {
         half_space(&mut part, oh[along] - lo * oh[2], dh[along] - lo * dh[2]);
         half_space(&mut part, hi * oh[2] - oh[along], hi * dh[2] - dh[along]);
         if part.1 <= part.0 {
+            continue;
+        }
+        if reconstruction == Reconstruction::Nearest {
+            for row in 0..size[across] as u32 {
+                let (lo, hi) = (f64::from(row), f64::from(row) + 1.0);
+                let mut part = part;
+                half_space(&mut part, oh[across] - lo * oh[2], dh[across] - lo * dh[2]);
+                half_space(&mut part, hi * oh[2] - oh[across], hi * dh[2] - dh[across]);
+                if part.1 > part.0 {
+                    let (x, y) = if along == 0 { (column, row) } else { (row, column) };
+                    let (c, t) = brute_force_list(frame, x, y, part, (oh[2], dh[2]), unit);
+                    columns.push((part.0, (c, 1.0 - t)));
+                }
+            }
             continue;
         }
         let at_across = 0.5 * (pixel(part.0, across) + pixel(part.1, across)) - 0.5;
@@ -228,23 +244,99 @@ fn rays_from_anywhere_match_brute_force() {
             let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, old_distance), 28, &bounds);
             for layering in RULES {
                 let frame = frame_of(&scene, old, 6, layering);
+                let caster = Raycaster::new(&frame, &bounds);
                 for (name, pose) in poses_from_anywhere() {
                     let new = camera(pose, 15, &bounds);
-                    let found = raycast(&frame, &bounds, &new);
-                    let mut truth = Picture::new(found.width, found.height);
-                    for (i, pixel) in truth.pixels.iter_mut().enumerate() {
-                        let (x, y) = (i as u32 % found.width, i as u32 / found.width);
-                        let (ray, _) = new.ray(x as f32 + 0.5, y as f32 + 0.5);
-                        *pixel = brute_force(&frame, &bounds, &ray).map(|v| v as f32);
+                    let picture = |reconstruction| {
+                        let options = CastOptions { reconstruction, ..Default::default() };
+                        (reconstruction, caster.picture(&new, &options))
+                    };
+                    for (reconstruction, found) in
+                        [Reconstruction::Nearest, Reconstruction::Mixed].map(picture)
+                    {
+                        let mut truth = Picture::new(found.width, found.height);
+                        for (i, pixel) in truth.pixels.iter_mut().enumerate() {
+                            let (x, y) = (i as u32 % found.width, i as u32 / found.width);
+                            let (ray, _) = new.ray(x as f32 + 0.5, y as f32 + 0.5);
+                            *pixel = brute_force(&frame, &bounds, &ray, reconstruction).map(|v| v as f32);
+                        }
+                        assert!(found.pixels.iter().flatten().all(|v| v.is_finite()), "{name}");
+                        let difference = max_difference(&found, &truth);
+                        assert!(
+                            difference <= 1,
+                            "{} {layering} {name}, {reconstruction:?}: {difference}/255",
+                            builtin.name()
+                        );
                     }
-                    assert!(found.pixels.iter().flatten().all(|v| v.is_finite()), "{name}");
-                    let difference = max_difference(&found, &truth);
-                    // Single precision places a ray to 1/200 of a segment of least thickness, which here holds all that a
-                    // ray sees: 1.3/255 of white.
-                    let limit = if matches!(layering, Layering::SingleDepth(_)) { 2 } else { 1 };
-                    assert!(difference <= limit, "{} {layering} {name}: {difference}/255", builtin.name());
                 }
             }
+        }
+    }
+}
+
+/// Jumping over empty cells leaves out only lists without a segment in the ray's way: equal to the bit.
+#[test]
+fn empty_space_changes_nothing() {
+    for builtin in Builtin::ALL {
+        let scene = scene(builtin);
+        let bounds = scene.volume.bounds();
+        for old_distance in [4.0, 0.5] {
+            let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, old_distance), 60, &bounds);
+            let frame = frame_of(&scene, old, 6, Layering::VisibilityMerge);
+            let caster = Raycaster::new(&frame, &bounds);
+            for (name, pose) in poses_from_anywhere() {
+                let new = camera(pose, 40, &bounds);
+                for reconstruction in [Reconstruction::Nearest, Reconstruction::Mixed] {
+                    let picture = |skips_empty_space| {
+                        caster.picture(&new, &CastOptions { reconstruction, skips_empty_space })
+                    };
+                    assert_eq!(picture(true).pixels, picture(false).pixels, "{} {name}", builtin.name());
+                }
+            }
+        }
+    }
+}
+
+/// Negative control: a grid that says "empty" of what is not changes the picture.
+#[test]
+fn a_wrong_grid_is_noticed() {
+    let scene = scene(Builtin::Cloud);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 60, &bounds);
+    let frame = frame_of(&scene, old, 6, Layering::VisibilityMerge);
+    let new = camera(Pose::orbit(Vec3::ZERO, 0.475, 0.2, 4.0), 40, &bounds);
+    let mut caster = Raycaster::new(&frame, &bounds);
+    let right = caster.picture(&new, &CastOptions::default());
+    let grid = caster.empty_space();
+    assert!(grid.empty_share() > 0.2 && grid.empty_share() < 0.95, "{}", grid.empty_share());
+    // The fullest tile and all cells of it.
+    let mut wrong = grid.clone();
+    let fullest = (0..wrong.occupied.len()).max_by_key(|&tile| wrong.occupied[tile].count_ones()).unwrap();
+    wrong.occupied[fullest] = 0;
+    caster.set_empty_space(wrong);
+    assert!(max_difference(&caster.picture(&new, &CastOptions::default()), &right) > 1);
+}
+
+/// Every segment counts in each cell that it reaches into, by another way to count.
+#[test]
+fn cells_count_their_segments() {
+    let scene = scene(Builtin::Shells);
+    let bounds = scene.volume.bounds();
+    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
+    let frame = frame_of(&scene, old, 6, Layering::VisibilityMerge);
+    let grid = EmptySpace::new(&frame);
+    assert_eq!(grid.tiles, [4, 4]);
+    for (tile, &occupied) in grid.occupied.iter().enumerate() {
+        for cell in 0..DEPTH_CELLS {
+            let (near, far) = (f64::from(cell * CELL_UNITS), f64::from((cell + 1) * CELL_UNITS));
+            let lists = (0..28 * 25).filter(|i| i % 28 / 8 == tile % 4 && i / 28 / 8 == tile / 4);
+            let reaches = |i: &usize| {
+                let segment = frame.segment(*i);
+                f64::from(segment.front) < far && f64::from(segment.back) > near
+            };
+            let expected = lists.flat_map(|i| frame.list(i)).filter(reaches).count();
+            assert_eq!(grid.counts[tile * DEPTH_CELLS as usize + cell as usize], expected as u32);
+            assert_eq!(occupied >> cell & 1 == 1, expected > 0);
         }
     }
 }

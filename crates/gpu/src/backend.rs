@@ -7,7 +7,7 @@ use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::{self, Layering};
 use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
-use isinglass_core::kernels::raycast;
+use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
@@ -122,7 +122,7 @@ impl Backend {
     pub fn reprojector(&self, frame: Arc<LayeredFrame>, bounds: &Aabb) -> Result<Reprojector, GpuError> {
         Ok(match self {
             Self::Gpu(gpu) => Reprojector::Gpu(Box::new(GpuReprojector::new(gpu, &frame, bounds)?)),
-            Self::Cpu => Reprojector::Cpu(frame, *bounds),
+            Self::Cpu => Reprojector::Cpu(Box::new(Raycaster::new(&frame, bounds))),
         })
     }
 }
@@ -192,8 +192,8 @@ impl Renderer {
 pub enum Reprojector {
     /// On a GPU.
     Gpu(Box<GpuReprojector>),
-    /// On the CPU, with the box of the volume.
-    Cpu(Arc<LayeredFrame>, Aabb),
+    /// On the CPU.
+    Cpu(Box<Raycaster>),
 }
 
 impl Reprojector {
@@ -201,8 +201,8 @@ impl Reprojector {
     pub fn set_frame(&mut self, frame: Arc<LayeredFrame>, bounds: &Aabb) -> Result<(), GpuError> {
         match self {
             Self::Gpu(reprojector) => reprojector.set_frame(&frame, bounds),
-            Self::Cpu(old, old_bounds) => {
-                (*old, *old_bounds) = (frame, *bounds);
+            Self::Cpu(caster) => {
+                **caster = Raycaster::new(&frame, bounds);
                 Ok(())
             }
         }
@@ -210,10 +210,15 @@ impl Reprojector {
 
     /// The novel view from a camera. Premultiplied linear.
     pub fn raycast(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        self.raycast_with(camera, &CastOptions::default())
+    }
+
+    /// The novel view from a camera, cast as `options` say.
+    pub fn raycast_with(&mut self, camera: &Camera, options: &CastOptions) -> Result<Picture, GpuError> {
         match self {
-            Self::Gpu(reprojector) => reprojector.raycast(camera),
-            Self::Cpu(..) if !camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(frame, bounds) => Ok(raycast::raycast(frame, bounds, camera)),
+            Self::Gpu(reprojector) => reprojector.raycast_with(camera, options),
+            Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(caster) => Ok(caster.picture(camera, options)),
         }
     }
 
@@ -221,8 +226,10 @@ impl Reprojector {
     pub fn raycast_mean(&mut self, views: &[View]) -> Result<Picture, GpuError> {
         check_views(views)?;
         match self {
-            Self::Gpu(reprojector) => mean_on_gpu(views, |view| reprojector.raycast_view(view)),
-            Self::Cpu(frame, bounds) => Ok(lens::raycast_mean(frame, bounds, views)),
+            Self::Gpu(reprojector) => {
+                mean_on_gpu(views, |view| reprojector.raycast_view(view, &CastOptions::default()))
+            }
+            Self::Cpu(caster) => Ok(lens::mean_of_casts(caster, views)),
         }
     }
 }

@@ -58,6 +58,7 @@ pub(crate) struct Layouts {
     pub(crate) compact: wgpu::BindGroupLayout,
     /// Group 0 of `raycast`.
     pub(crate) caster: wgpu::BindGroupLayout,
+    pub(crate) empty_space: wgpu::BindGroupLayout,
 }
 
 impl Gpu {
@@ -153,21 +154,10 @@ impl Gpu {
             Kernel::Render(kind) => &[Some(layouts.scene(kind)), Some(&layouts.picture)],
             Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
             Kernel::Compact => &[Some(&layouts.compact)],
+            Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             Kernel::RaycastCompute | Kernel::RaycastView => &[Some(&layouts.caster), Some(&layouts.picture)],
         };
-        let layout = self.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(entry),
-            bind_group_layouts: groups,
-            immediate_size: 0,
-        });
-        self.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(entry),
-            layout: Some(&layout),
-            module: &shader_module(self.device(), kernel),
-            entry_point: Some(entry),
-            compilation_options: Default::default(),
-            cache: None,
-        })
+        compute_pipeline(self.device(), kernel, entry, groups)
     }
 
     /// Pixels that one dispatch may work on: short enough for the watchdogs of window systems, long enough to fill a
@@ -216,6 +206,7 @@ impl Layouts {
                 &[UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE],
             ),
             caster: layout(device, "caster", compute, &CASTER),
+            empty_space: layout(device, "empty space", compute, &EMPTY_SPACE),
         }
     }
 
@@ -316,6 +307,28 @@ pub(crate) fn check_binding(device: &wgpu::Device, what: &'static str, bytes: u6
     if bytes > limit { Err(GpuError::TooLarge { what, needed: bytes, limit }) } else { Ok(()) }
 }
 
+/// A pipeline of one entry point of a kernel.
+pub(crate) fn compute_pipeline(
+    device: &wgpu::Device,
+    kernel: Kernel,
+    entry: &'static str,
+    groups: &[Option<&wgpu::BindGroupLayout>],
+) -> wgpu::ComputePipeline {
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(entry),
+        bind_group_layouts: groups,
+        immediate_size: 0,
+    });
+    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(entry),
+        layout: Some(&layout),
+        module: &shader_module(device, kernel),
+        entry_point: Some(entry),
+        compilation_options: Default::default(),
+        cache: None,
+    })
+}
+
 /// The compiled text of a kernel.
 pub(crate) fn shader_module(device: &wgpu::Device, kernel: Kernel) -> wgpu::ShaderModule {
     device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -353,4 +366,6 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
 /// A plane of a frame of 3840×2160 lists of 32 segments.
 const LARGEST_BUFFER: u64 = 1 << 30;
 /// Group 0 of `raycast.wgsl`.
-pub(crate) const CASTER: [BindingType; 5] = [UNIFORM, READ, READ, READ, READ];
+pub(crate) const CASTER: [BindingType; 7] = [UNIFORM, READ, READ, READ, READ, READ, READ];
+/// Group 0 of `empty_space_build.wgsl`.
+pub(crate) const EMPTY_SPACE: [BindingType; 5] = [UNIFORM, READ, READ, WRITE, WRITE];

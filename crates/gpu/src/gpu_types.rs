@@ -5,6 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
+use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::layer::DEPTH_UNITS;
 use isinglass_core::space::Aabb;
 
@@ -99,6 +100,10 @@ pub(crate) struct Raycaster {
     pub(crate) units_per_depth: f32,
     pub(crate) bounds_max: [f32; 3],
     pub(crate) has_frame: u32,
+    pub(crate) is_nearest: u32,
+    pub(crate) skips_empty_space: u32,
+    pub(crate) num_samples: u32,
+    pub(crate) padding: u32,
 }
 
 impl Raycaster {
@@ -113,7 +118,24 @@ impl Raycaster {
             units_per_depth: depth_per_unit.recip(),
             bounds_max: (bounds.max + margin).into(),
             has_frame: 1,
+            is_nearest: 0,
+            skips_empty_space: 1,
+            num_samples: 0,
+            padding: 0,
         }
+    }
+
+    /// How the frame is cast.
+    pub(crate) fn options(&self) -> CastOptions {
+        let reconstruction =
+            if self.is_nearest == 0 { Reconstruction::Mixed } else { Reconstruction::Nearest };
+        CastOptions { reconstruction, skips_empty_space: self.skips_empty_space != 0 }
+    }
+
+    /// Casts so from now on.
+    pub(crate) fn set_options(&mut self, options: &CastOptions) {
+        self.is_nearest = (options.reconstruction == Reconstruction::Nearest).into();
+        self.skips_empty_space = options.skips_empty_space.into();
     }
 }
 

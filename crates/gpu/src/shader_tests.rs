@@ -44,7 +44,17 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             diffuse
         }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
-        layout!(Raycaster { basis, bounds_min, units_per_depth, bounds_max, has_frame }),
+        layout!(Raycaster {
+            basis,
+            bounds_min,
+            units_per_depth,
+            bounds_max,
+            has_frame,
+            is_nearest,
+            skips_empty_space,
+            num_samples,
+            padding
+        }),
         layout!(Display { background, encode_srgb }),
     ]
     .into_iter()
@@ -52,7 +62,7 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
 }
 
 fn all_kernels() -> Vec<Kernel> {
-    let mut kernels = vec![Kernel::Compact, Kernel::RaycastCompute, Kernel::RaycastView];
+    let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::RaycastCompute, Kernel::RaycastView];
     for kind in [TexelKind::Uint, TexelKind::Float] {
         kernels.push(Kernel::Render(kind));
         for layering in Layering::ALL {
@@ -117,13 +127,14 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 15] = [
+const TWINS: [&str; 16] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
     include_str!("../../core/src/volume/bricks.rs"),
     include_str!("../../core/src/volume/lit.rs"),
     include_str!("../../core/src/kernels/march.rs"),
+    include_str!("../../core/src/kernels/empty_space.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),

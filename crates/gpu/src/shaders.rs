@@ -21,6 +21,8 @@ pub(crate) enum Kernel {
     Generate(TexelKind, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
+    /// Entry point `empty_space`.
+    EmptySpace,
     /// Entry point `raycast`.
     RaycastCompute,
     /// Entry points `view_vertex`, `view_fragment`.
@@ -50,8 +52,9 @@ impl Kernel {
                 return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
             }
             Self::Compact => &[TYPES, COMPACT],
-            Self::RaycastCompute => &[TYPES, SPACE, LAYER, RAYCAST, RAYCAST_COMPUTE],
-            Self::RaycastView => &[TYPES, SPACE, LAYER, PICTURE, RAYCAST, RAYCAST_VIEW],
+            Self::EmptySpace => &[TYPES, EMPTY_SPACE, EMPTY_SPACE_BUILD],
+            Self::RaycastCompute => &[TYPES, SPACE, LAYER, EMPTY_SPACE, RAYCAST, RAYCAST_COMPUTE],
+            Self::RaycastView => &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, RAYCAST_VIEW],
         };
         parts.concat()
     }
@@ -83,6 +86,8 @@ const HOMOGENEITY: &str = include_str!("../../../shaders/layering/homogeneity.wg
 const SINGLE_DEPTH: &str = include_str!("../../../shaders/layering/single_depth.wgsl");
 const SLABS: &str = include_str!("../../../shaders/layering/slabs.wgsl");
 const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
+const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
+const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
 const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");

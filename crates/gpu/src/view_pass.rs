@@ -10,13 +10,14 @@
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::lens::View;
+use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
-use crate::device::{CASTER, UNIFORM, bind, buffer, layout, shader_module};
+use crate::device::{CASTER, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout, shader_module};
 use crate::error::{GpuError, scoped};
 use crate::gpu_types::{Basis, Display};
-use crate::raycast::FrameOnGpu;
+use crate::raycast::{FrameOnGpu, GridBuilder};
 use crate::shaders::Kernel;
 
 /// Pipeline, buffers and bind groups for one target format.
@@ -72,6 +73,10 @@ impl ViewPass {
             let frame_layout = layout(device, "frame", fragment, &CASTER);
             let view_layout =
                 layout(device, "view", fragment | wgpu::ShaderStages::VERTEX, &[UNIFORM, UNIFORM]);
+            let grid_layout = layout(device, "empty space", wgpu::ShaderStages::COMPUTE, &EMPTY_SPACE);
+            let grid_pipeline =
+                compute_pipeline(device, Kernel::EmptySpace, "empty_space", &[Some(&grid_layout)]);
+            let builder = GridBuilder { pipeline: grid_pipeline, layout: grid_layout };
             let module = shader_module(device, Kernel::RaycastView);
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some("view"),
@@ -80,7 +85,7 @@ impl ViewPass {
             });
             let pipelines =
                 Channels::ALL.map(|channels| pipeline(device, target, &module, &layout, channels));
-            let frame = FrameOnGpu::new(device, &frame_layout);
+            let frame = FrameOnGpu::new(device, &frame_layout, builder);
             let uniform =
                 |label, bytes: usize| buffer(device, label, bytes as u64, wgpu::BufferUsages::UNIFORM);
             let display = uniform("display", size_of::<Display>());
@@ -108,6 +113,11 @@ impl ViewPass {
         scoped(device, "uploading a layered frame", || {
             on_gpu.upload(device, queue, frame_layout, frame, bounds)
         })
+    }
+
+    /// How frames are cast from now on.
+    pub fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
+        self.frame.set_options(queue, options);
     }
 
     /// Sets the camera of the next [`ViewPass::paint`]; its aspect ratio should be that of the viewport. `background`

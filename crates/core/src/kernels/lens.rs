@@ -19,7 +19,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::march::{Marcher, OverSink, Scene, Texels, with_texels};
-use super::raycast::Raycaster;
+use super::raycast::{CastOptions, Raycaster};
 use crate::camera::{Basis, Camera, MAX_SIDE, Pose};
 use crate::layer::LayeredFrame;
 use crate::picture::Picture;
@@ -138,8 +138,13 @@ pub fn pose_between(open: &Pose, close: &Pose, center: Vec3, t: f32) -> Pose {
 /// The mean over `views` of the pictures of a layered frame. Premultiplied linear. `bounds` is the box of the volume. All
 /// views have the size of the first; without any the picture has no pixels.
 pub fn raycast_mean(frame: &LayeredFrame, bounds: &Aabb, views: &[View]) -> Picture {
-    let caster = Raycaster::new(frame, bounds);
-    mean_of(views, |view, x, y| caster.cast(&view.basis.ray(x, y).0).rgba())
+    mean_of_casts(&Raycaster::new(frame, bounds), views)
+}
+
+/// The same for a frame that is made ready.
+pub fn mean_of_casts(caster: &Raycaster, views: &[View]) -> Picture {
+    let options = CastOptions::default();
+    mean_of(views, |view, x, y| caster.cast(&view.basis.ray(x, y).0, &options).rgba())
 }
 
 /// The mean over `views` of full volume renderings: what [`raycast_mean`] is held against.

@@ -1,0 +1,92 @@
+//! Where a layered frame holds nothing: the number of segments in coarse cells (Gupta 2022, section 5). Twin of
+//! `shaders/empty_space.wgsl`.
+//!
+//! A cell is a tile of [`TILE`]×[`TILE`] lists times one of [`DEPTH_CELLS`] slices of equal view depth between near and
+//! far. A segment counts in every cell that it reaches into. The grid is derived from the frame and never transmitted.
+//! Next to the counts each tile has a word with a bit for every cell that is not empty: a ray tests a stretch of its
+//! way, however many slices it runs through, with one *and*.
+//!
+//! The counts are kept beside the bits because a subsampled cast spreads its samples by them ([`super::subsample`]).
+
+use rayon::prelude::*;
+
+use crate::layer::LayeredFrame;
+
+/// The counts and bits of one frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EmptySpace {
+    /// Tiles along x and y.
+    pub tiles: [u32; 2],
+    /// One word a tile, row by row: bit i says that cell i holds a segment.
+    pub occupied: Vec<u32>,
+    /// [`DEPTH_CELLS`] counts a tile, in the order of `occupied`.
+    pub counts: Vec<u32>,
+}
+
+impl EmptySpace {
+    /// The grid of a frame.
+    pub fn new(frame: &LayeredFrame) -> Self {
+        let size = frame.header.camera.intrinsics;
+        let tiles = [size.width.div_ceil(TILE), size.height.div_ceil(TILE)];
+        let cells = DEPTH_CELLS as usize;
+        let num_tiles = tiles[0] as usize * tiles[1] as usize;
+        let (mut occupied, mut counts) = (vec![0; num_tiles], vec![0; num_tiles * cells]);
+        let count = |tile: usize, counts: &mut [u32]| {
+            let (tile_x, tile_y) = (tile as u32 % tiles[0], tile as u32 / tiles[0]);
+            count_tile(frame, tile_x, tile_y, counts)
+        };
+        (&mut occupied, counts.par_chunks_mut(cells))
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(tile, (occupied, counts))| *occupied = count(tile, counts));
+        Self { tiles, occupied, counts }
+    }
+
+    /// Share of the cells that hold nothing.
+    pub fn empty_share(&self) -> f32 {
+        let num_occupied: u32 = self.occupied.iter().map(|bits| bits.count_ones()).sum();
+        1.0 - num_occupied as f32 / self.counts.len() as f32
+    }
+}
+
+/// Counts the segments of one tile into its cells and returns the bits.
+fn count_tile(frame: &LayeredFrame, tile_x: u32, tile_y: u32, counts: &mut [u32]) -> u32 {
+    let size = frame.header.camera.intrinsics;
+    let mut occupied = 0;
+    for y in tile_y * TILE..size.height.min((tile_y + 1) * TILE) {
+        for x in tile_x * TILE..size.width.min((tile_x + 1) * TILE) {
+            for i in frame.list((y * size.width + x) as usize) {
+                let (first, last) = cells_of_segment(frame.depth[i]);
+                for cell in first..=last {
+                    counts[cell as usize] += 1;
+                }
+                occupied |= cell_bits(first, last);
+            }
+        }
+    }
+    occupied
+}
+
+/// First and last cell of a segment by its word of the depth plane. A segment that ends on a border does not reach
+/// into the cell behind.
+fn cells_of_segment(word: u32) -> (u32, u32) {
+    ((word & 0xffff) / CELL_UNITS, ((word >> 16).max(1) - 1) / CELL_UNITS)
+}
+
+/// The cell of a depth in units.
+pub(super) fn cell_of_depth(depth: f32) -> u32 {
+    (depth * (1.0 / CELL_UNITS as f32)).clamp(0.0, DEPTH_CELLS as f32 - 1.0) as u32
+}
+
+/// Bits `first` to `last`.
+pub(super) fn cell_bits(first: u32, last: u32) -> u32 {
+    // In two steps: a shift by 32 is none.
+    (0xffff_ffff << first) & !(0xffff_fffe << last)
+}
+
+/// Lists along the side of a tile.
+pub const TILE: u32 = 8;
+/// Slices between near and far: one bit each of a word.
+pub const DEPTH_CELLS: u32 = 32;
+/// Depth units of a slice.
+pub const CELL_UNITS: u32 = 2048;
