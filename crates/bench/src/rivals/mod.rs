@@ -147,7 +147,7 @@ impl Views {
             Self::PointWarp(points) => points.view(camera),
             Self::SlabsPlanar(slabs) => slabs.view(camera),
             Self::SlabsMesh(mesh) => mesh.view(camera),
-            Self::LastImage(picture, of) => stretch(&picture.cropped(margin(of, camera)), camera),
+            Self::LastImage(picture, of) => stretch(picture, of, camera),
         })
     }
 }
@@ -183,25 +183,28 @@ impl NovelView for ShownRival {
     }
 }
 
-/// Rows of a frame above the camera's field of view: the guard band around what is shown.
-fn margin(frame: &Intrinsics, camera: &Camera) -> u32 {
-    let shown = frame.height as f32 * camera.intrinsics.tan_half().1 / frame.tan_half().1;
-    ((frame.height as f32 - shown) * 0.5).round().max(0.0) as u32
-}
-
-/// The picture at the camera's size; where sizes agree, unchanged.
-fn stretch(picture: &Picture, camera: &Camera) -> Picture {
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    if (picture.width, picture.height) == (width, height) {
+/// The part of a picture, made with `of`, that the camera's field of view takes up, at the camera's size, as if both
+/// cameras looked the same way; where they agree, unchanged. Transparent beyond the picture.
+fn stretch(picture: &Picture, of: &Intrinsics, camera: &Camera) -> Picture {
+    let shown = camera.intrinsics;
+    if shown == *of {
         return picture.clone();
     }
-    let mut out = Picture::new(width, height);
-    let scale = [picture.width as f32 / width as f32, picture.height as f32 / height as f32];
+    let mut out = Picture::new(shown.width, shown.height);
+    let size = [of.width as usize, of.height as usize];
+    let ((of_x, of_y), (shown_x, shown_y)) = (of.tan_half(), shown.tan_half());
+    // From the middle of one to the middle of the other, by the tangents that a pixel spans.
+    let map = |p: u32, n: u32, tan: f32, n_of: u32, tan_of: f32| {
+        let from_middle = (p as f32 + 0.5) / n as f32 - 0.5;
+        (from_middle * (tan / tan_of) + 0.5) * n_of as f32
+    };
     for (i, pixel) in out.pixels.iter_mut().enumerate() {
-        let (x, y) = (i as u32 % width, i as u32 / width);
-        let at = [(x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1]];
-        let texel = |x: usize, y: usize| picture.pixels[y * picture.width as usize + x];
-        *pixel = warp::bilinear([picture.width as usize, picture.height as usize], at, texel);
+        let (x, y) = (i as u32 % shown.width, i as u32 / shown.width);
+        let at =
+            [map(x, shown.width, shown_x, of.width, of_x), map(y, shown.height, shown_y, of.height, of_y)];
+        if (0.0..=size[0] as f32).contains(&at[0]) && (0.0..=size[1] as f32).contains(&at[1]) {
+            *pixel = warp::bilinear(size, at, |x, y| picture.pixels[y * size[0] + x]);
+        }
     }
     out
 }

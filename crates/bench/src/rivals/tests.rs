@@ -413,6 +413,23 @@ fn every_camera_gives_a_picture() {
     }
 }
 
+/// A frame with a margin around the picture, seen from its own pose, is its middle by every method.
+#[test]
+fn a_margin_is_not_shown() {
+    let frame = busy_frame();
+    let margin = 7;
+    let shown = Intrinsics { width: SIDE - 2 * margin, height: SIDE - 2 * margin, ..camera().intrinsics };
+    let tan = camera().intrinsics.tan_half().1 * shown.height as f32 / SIDE as f32;
+    let inner = Camera { intrinsics: Intrinsics { fov_y: 2.0 * tan.atan(), ..shown }, ..camera() };
+    let whole_view = Camera { intrinsics: shown, ..camera() };
+    let middle = frame.flatten().cropped(margin);
+    for method in Method::ALL {
+        // The least differences of the angle turn weights of 0 into 1e-4 or less.
+        assert!(max_difference(&view(method, &frame, &inner), &middle) <= 1, "{method}");
+        assert!(max_difference(&view(method, &frame, &whole_view), &middle) > 50, "{method}");
+    }
+}
+
 #[test]
 fn names_are_read_and_others_refused() {
     for method in Method::ALL {
