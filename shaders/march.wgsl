@@ -49,9 +49,67 @@ fn pace_behind(transmittance: f32) -> u32 {
     return select(1u, STRIDE, transmittance < TRANSMITTANCE_HIDDEN);
 }
 
-fn occupied(brick: vec3u) -> bool {
+// Jumps over invisible bricks along one ray.
+struct Skipper {
+    origin: vec3f,
+    dir: vec3f,
+    inv_dir: vec3f,
+    lattice: Lattice,
+    // Whether neighbouring ends of steps are in one brick or in bricks that touch.
+    is_fine: bool,
+}
+
+// A brick, and how many bricks away the nearest visible one is.
+struct Brick {
+    brick: vec3f,
+    empty: u32,
+}
+
+fn skipper_new(origin: vec3f, dir: vec3f, lattice: Lattice) -> Skipper {
+    let step = max(max(abs(dir.x), abs(dir.y)), abs(dir.z)) * lattice.h;
+    return Skipper(origin, dir, 1.0 / dir, lattice, step * f32(STRIDE) < f32(BRICK));
+}
+
+// The first lattice point from first on, by strides, whose step may be visible; or n.
+fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
+    let s0 = skipper.lattice.s0;
+    let h = skipper.lattice.h;
+    let n = skipper.lattice.n;
+    var i = first;
+    var at = brick_at(skipper, i);
+    while (at.empty > 0u) {
+        // The last lattice point inside of the invisible bricks around.
+        let reach = select(1.0, f32(at.empty), skipper.is_fine);
+        let leaves = at.brick + select(vec3f(1.0 - reach), vec3f(reach), skipper.dir > vec3f(0.0));
+        let exits = (leaves * f32(BRICK) - skipper.origin) * skipper.inv_dir;
+        let exit = min(min(exits.x, exits.y), exits.z);
+        let j = u32(clamp((exit - s0) / h, 0.0, f32(n)));
+        if (j > i) {
+            i += (j - i) / stride * stride;
+        }
+        // A step between invisible bricks that touch is invisible as well.
+        let next = min(i + stride, n);
+        if (i >= n || !skipper.is_fine) {
+            break;
+        }
+        at = brick_at(skipper, next);
+        if (at.empty > 0u) {
+            i = next;
+        }
+    }
+    return i;
+}
+
+fn brick_at(skipper: Skipper, i: u32) -> Brick {
+    let p = skipper.origin + skipper.dir * (skipper.lattice.s0 + f32(i) * skipper.lattice.h);
+    let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(scene.brick_dims) - 1.0));
+    return Brick(brick, distance_from(vec3u(brick)));
+}
+
+// core::volume::Occupancy::distance.
+fn distance_from(brick: vec3u) -> u32 {
     let i = (brick.z * scene.brick_dims.y + brick.y) * scene.brick_dims.x + brick.x;
-    return ((occupancy[i / 32u] >> (i % 32u)) & 1u) != 0u;
+    return (occupancy[i / 4u] >> (8u * (i % 4u))) & 0xffu;
 }
 
 fn march(ray: Ray, lattice: Lattice) {
@@ -60,32 +118,25 @@ fn march(ray: Ray, lattice: Lattice) {
     let n = lattice.n;
     let origin = ray.origin * scene.voxel_from_world + scene.half_dims;
     let dir = safe_dir(ray.dir) * scene.voxel_from_world;
-    let inv_dir = 1.0 / dir;
-    let leaves_high = select(vec3f(0.0), vec3f(f32(BRICK)), dir > vec3f(0.0));
-    let max_brick = vec3f(scene.brick_dims) - 1.0;
+    let skipper = skipper_new(origin, dir, lattice);
     var i = 0u;
     var stride = 1u;
     // Position x in the domain of the last sample, if it was lattice point i.
     var x_front = 0.0;
     var has_x_front = false;
     while (i < n) {
-        let s_front = s0 + f32(i) * h;
-        let p_front = origin + dir * s_front;
-        let brick = clamp(floor(p_front * (1.0 / f32(BRICK))), vec3f(0.0), max_brick);
-        if (!occupied(vec3u(brick))) {
-            let exits = (brick * f32(BRICK) + leaves_high - origin) * inv_dir;
-            let exit = min(min(exits.x, exits.y), exits.z);
-            // The last lattice point inside the brick.
-            let j = u32(clamp(floor((exit - s0) / h), 0.0, f32(n)));
-            if (j > i) {
-                i = j;
-                has_x_front = false;
-                continue;
+        let visible = skip(skipper, i, stride);
+        if (visible > i) {
+            i = visible;
+            has_x_front = false;
+            if (i >= n) {
+                return;
             }
         }
+        let s_front = s0 + f32(i) * h;
         var x0 = x_front;
         if (!has_x_front) {
-            x0 = domain_at(p_front);
+            x0 = domain_at(origin + dir * s_front);
         }
         let next = min(i + stride, n);
         let s_back = s0 + f32(next) * h;

@@ -1,6 +1,8 @@
 // The picture of the volume from a camera: full volume rendering. Second half of the twin
 // crates/core/src/kernels/march.rs (OverSink, render).
 
+// The part before this one defines STOP_AT: the march stops when no more than that of what is behind can be seen.
+
 @group(1) @binding(0) var<uniform> camera: Basis;
 @group(1) @binding(1) var<uniform> band: Band;
 // Premultiplied linear colour of the band's pixels.
@@ -11,7 +13,7 @@ var<private> over_sink: Over;
 fn sink_step(step: Step) -> u32 {
     over_sink.c += step.c * over_sink.transmittance;
     over_sink.transmittance *= 1.0 - step.alpha;
-    return select(0u, 1u, over_sink.transmittance > TRANSMITTANCE_MIN);
+    return select(0u, 1u, over_sink.transmittance > STOP_AT);
 }
 
 @compute @workgroup_size(8, 8)

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::march::{MarchSettings, Scene, render, render_through};
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{
     ControlPoint, Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength,
@@ -143,18 +143,36 @@ fn cubus_scene() -> Scene {
 
 #[test]
 fn skipping_empty_bricks_changes_nothing() {
-    let scene = cubus_scene();
+    let mut scene = cubus_scene();
     assert!(scene.occupancy.fraction() < 0.9, "nothing to skip: {}", scene.occupancy.fraction());
-    let everything = Scene { occupancy: Occupancy::full(scene.occupancy.dims), ..scene.clone() };
-    for azimuth in [0.0, 0.5, 1.57, 3.0] {
-        let camera = camera(&scene, azimuth);
-        assert!(render(&scene, &camera) == render(&everything, &camera), "azimuth {azimuth}");
+    // The longest step is longer than a brick.
+    for step_in_voxels in [11.0, 3.0, 0.5] {
+        scene.settings.step_in_voxels = step_in_voxels;
+        let everything = Scene { occupancy: Occupancy::full(scene.occupancy.dims), ..scene.clone() };
+        for azimuth in [0.0, 0.5, 1.57, 3.0] {
+            let camera = camera(&scene, azimuth);
+            assert!(render(&scene, &camera) == render(&everything, &camera), "azimuth {azimuth}");
+        }
     }
     // Negative control: a brick wrongly called empty shows.
     let mut holes = scene.clone();
-    holes.occupancy.words.iter_mut().for_each(|w| *w &= 0x5555_5555);
+    holes.occupancy.words.iter_mut().for_each(|w| *w |= 0x0001_0001);
     let camera = camera(&scene, 0.5);
     assert!(render(&scene, &camera) != render(&holes, &camera));
+}
+
+#[test]
+fn marching_through_opaque_matter_changes_no_more_than_is_left_of_the_light() {
+    let scene = cubus_scene();
+    let camera = camera(&scene, 0.5);
+    let (stopped, through) = (render(&scene, &camera), render_through(&scene, &camera));
+    let differences =
+        stopped.pixels.iter().flatten().zip(through.pixels.iter().flatten()).map(|(a, b)| b - a);
+    let greatest = differences.fold(0.0, f32::max);
+    // What is left at a stop is at most 1e-4 of the light, and no matter is brighter than 0.25 + 0.85.
+    assert!(greatest <= 1.1e-4 + 1e-6, "{greatest}");
+    // Negative control: some ray did stop.
+    assert!(greatest > 0.0);
 }
 
 #[test]

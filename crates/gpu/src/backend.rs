@@ -178,6 +178,15 @@ impl Renderer {
         }
     }
 
+    /// The picture of [`Self::render`], by a march that goes on behind opaque matter to the far side.
+    pub fn render_through(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.render_through(camera),
+            Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(scene) => Ok(march::render_through(scene, camera)),
+        }
+    }
+
     /// A layered frame by a rule, with at most `header.k` segments a list.
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
         match self {

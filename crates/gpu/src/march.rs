@@ -13,7 +13,7 @@ use crate::error::GpuError;
 use crate::layering::FrameTarget;
 use crate::picture_target::PictureTarget;
 use crate::scene::SceneOnGpu;
-use crate::shaders::Kernel;
+use crate::shaders::{Extent, Kernel};
 
 /// A scene on the GPU with the buffers to draw it; they are kept from one picture to the next.
 pub struct GpuRenderer {
@@ -54,9 +54,21 @@ impl GpuRenderer {
 
     /// The same for a view that may be off-axis.
     pub fn render_view(&mut self, view: &View) -> Result<Picture, GpuError> {
+        self.render_to(view, Extent::Opaque)
+    }
+
+    /// See [`isinglass_core::kernels::march::render_through`].
+    pub fn render_through(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        if !camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        self.render_to(&camera.into(), Extent::Through)
+    }
+
+    fn render_to(&mut self, view: &View, extent: Extent) -> Result<Picture, GpuError> {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
-            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind), "render");
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, extent), "render");
             picture.draw(gpu, &pipeline, &on_gpu.bind_group, view)
         })
     }

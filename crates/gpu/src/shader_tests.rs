@@ -8,7 +8,7 @@ use isinglass_core::layer::MAX_K;
 use wgpu::naga;
 
 use crate::gpu_types::{BLOCK, Band, Basis, Display, Raycaster, Scene, WORKGROUP_SIDE};
-use crate::shaders::{Kernel, TexelKind};
+use crate::shaders::{Extent, Kernel, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -64,7 +64,7 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::RaycastCompute, Kernel::RaycastView];
     for kind in [TexelKind::Uint, TexelKind::Float] {
-        kernels.push(Kernel::Render(kind));
+        kernels.extend([Extent::Opaque, Extent::Through].map(|extent| Kernel::Render(kind, extent)));
         for layering in Layering::ALL {
             // K is a number in the text: the ends of its range stand for all of it.
             kernels.extend([1, 2, MAX_K as u8].map(|k| Kernel::Generate(kind, layering, k)));
@@ -147,8 +147,8 @@ const TWINS: [&str; 16] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 7] =
-    ["K", "REPRESENTATIVE", "BLOCK", "HALF_NORMAL_MIN", "HALF_SUBNORMAL", "NEVER", "OUT_OF_REACH"];
+const SHADER_ONLY: [&str; 8] =
+    ["K", "STOP_AT", "REPRESENTATIVE", "BLOCK", "HALF_NORMAL_MIN", "HALF_SUBNORMAL", "NEVER", "OUT_OF_REACH"];
 
 #[test]
 fn every_concatenation_is_valid() {
@@ -158,7 +158,8 @@ fn every_concatenation_is_valid() {
         }
     }
     // Negative control: a call of a function that a missing part would define.
-    let without_sink = Kernel::Render(TexelKind::Uint).source().replace("fn sink_step", "fn other_step");
+    let without_sink =
+        Kernel::Render(TexelKind::Uint, Extent::Opaque).source().replace("fn sink_step", "fn other_step");
     assert!(check(&without_sink).is_err());
 }
 
@@ -186,7 +187,7 @@ fn shared_structs_have_the_layout_of_their_mirrors() {
 
 #[test]
 fn a_shifted_or_renamed_field_is_noticed() {
-    let source = Kernel::Render(TexelKind::Uint).source();
+    let source = Kernel::Render(TexelKind::Uint, Extent::Opaque).source();
     let layouts = rust_layouts();
     for (from, to) in [
         ("    x_scale: f32,\n    bounds_max: vec3f,\n", "    bounds_max: vec3f,\n    x_scale: f32,\n"),

@@ -12,11 +12,20 @@ pub(crate) enum TexelKind {
     Float,
 }
 
+/// How far a rendering marches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Extent {
+    /// To matter that nothing can be seen through.
+    Opaque,
+    /// To the far side.
+    Through,
+}
+
 /// A kernel in one of its variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
     /// Entry point `render`.
-    Render(TexelKind),
+    Render(TexelKind, Extent),
     /// Entry point `generate`: rule and greatest list length.
     Generate(TexelKind, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
@@ -33,7 +42,7 @@ impl Kernel {
     /// The whole WGSL text.
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
-            Self::Render(kind) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, RENDER],
+            Self::Render(kind, extent) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, extent.part(), RENDER],
             Self::Generate(kind, layering, k) => {
                 let representative;
                 let [shared, rule] = match layering {
@@ -57,6 +66,15 @@ impl Kernel {
             Self::RaycastView => &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, RAYCAST_VIEW],
         };
         parts.concat()
+    }
+}
+
+impl Extent {
+    fn part(self) -> &'static str {
+        match self {
+            Self::Opaque => "const STOP_AT: f32 = TRANSMITTANCE_MIN;\n",
+            Self::Through => "const STOP_AT: f32 = -1.0;\n",
+        }
     }
 }
 

@@ -159,7 +159,7 @@ fn render_mean_with<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, views: &
         if let Some(lattice) = scene.lattice(&ray, view.near * s_per_depth) {
             marcher.march(&ray, lattice, &mut sink);
         }
-        sink.0.rgba()
+        sink.over.rgba()
     })
 }
 

@@ -9,11 +9,15 @@
 //! seen. Steps between lattice points that lie in one invisible brick are jumped; the lattice stays, so the picture
 //! with and without skipping is the same.
 
+mod grid;
+
 use std::sync::Arc;
 
-use glam::Vec3;
+use glam::{BVec3, Vec3};
 use rayon::prelude::*;
 
+pub use self::grid::Texels;
+use self::grid::{Grid, LANES, Lanes, mix};
 use crate::camera::Camera;
 use crate::layer::Over;
 use crate::picture::Picture;
@@ -147,30 +151,6 @@ pub fn opacity(tau: f32) -> f32 {
     if tau < 0.01 { tau * (1.0 - tau * (0.5 - tau * (1.0 / 6.0))) } else { 1.0 - (-tau).exp() }
 }
 
-/// Stored numbers in memory, by index.
-pub trait Texels: Copy + Send + Sync {
-    /// The stored number at index `i`.
-    fn at(self, i: usize) -> f32;
-}
-
-impl Texels for &[u8] {
-    fn at(self, i: usize) -> f32 {
-        f32::from(self[i])
-    }
-}
-
-impl Texels for &[u16] {
-    fn at(self, i: usize) -> f32 {
-        f32::from(self[i])
-    }
-}
-
-impl Texels for &[f32] {
-    fn at(self, i: usize) -> f32 {
-        self[i]
-    }
-}
-
 /// Calls `$body` with `$texels` bound to the typed voxels of `$scene`.
 macro_rules! with_texels {
     ($scene:expr, $texels:ident => $body:expr) => {
@@ -195,13 +175,13 @@ pub(crate) use with_texels;
 /// A scene with typed voxels and what is constant over all rays.
 pub struct Marcher<'a, T> {
     scene: &'a Scene,
-    texels: T,
-    lit: Option<(&'a [u8], Shading)>,
-    dims: [i32; 3],
-    strides: [usize; 3],
+    voxels: Grid<T>,
+    lit: Option<(Grid<&'a [u8]>, Shading)>,
+    visible_bins: VisibleBins,
     voxel_from_world: Vec3,
     half_dims: Vec3,
     max_brick: Vec3,
+    has_avx2: bool,
 }
 
 impl<'a, T: Texels> Marcher<'a, T> {
@@ -209,69 +189,110 @@ impl<'a, T: Texels> Marcher<'a, T> {
     pub fn new(scene: &'a Scene, texels: T) -> Self {
         let dims = scene.volume.dims();
         let [bx, by, bz] = scene.occupancy.dims;
+        let lit = scene.lit.as_ref().zip(scene.settings.shading);
         Self {
             scene,
-            texels,
-            lit: scene
-                .lit
-                .as_ref()
-                .zip(scene.settings.shading)
-                .map(|(lit, shading)| (&lit.shares[..], shading)),
-            dims: dims.map(|d| d as i32),
-            strides: [1, dims[0] as usize, dims[0] as usize * dims[1] as usize],
+            voxels: Grid::new(texels, dims),
+            lit: lit.map(|(lit, shading)| (Grid::new(&lit.shares[..], dims), shading)),
+            visible_bins: VisibleBins::of(&scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
             half_dims: scene.volume.dims_f32() * 0.5,
             max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
+            has_avx2: has_avx2(),
         }
     }
 
     /// Marches the lattice of one ray; stops when the sink says so.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        #[cfg(target_arch = "x86_64")]
+        if self.has_avx2 {
+            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
+            // SAFETY: this processor has them.
+            unsafe {
+                self.march_avx2(ray, lattice, sink);
+            }
+            return;
+        }
+        self.march_lanes(ray, lattice, sink);
+    }
+
+    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn march_avx2(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        self.march_lanes(ray, lattice, sink);
+    }
+
+    /// The shader takes step after step. Here [`LANES`] steps are sampled at once, whether they will be needed or not,
+    /// and then taken in order.
+    #[inline(always)]
+    fn march_lanes(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let dir = safe_dir(ray.dir) * self.voxel_from_world;
-        let inv_dir = dir.recip();
-        let leaves_high = Vec3::select(dir.cmpgt(Vec3::ZERO), Vec3::splat(BRICK as f32), Vec3::ZERO);
+        let skipper = Skipper::new(self, origin, dir, lattice);
         let mut i = 0;
         let mut stride = 1;
         // Position x in the domain of the last sample, if it was lattice point i.
         let mut x_front = None;
-        while i < n {
-            let s_front = s0 + i as f32 * h;
-            let p_front = origin + dir * s_front;
-            let brick = (p_front * (1.0 / BRICK as f32)).clamp(Vec3::ZERO, self.max_brick);
-            let [x, y, z] = [brick.x as u32, brick.y as u32, brick.z as u32];
-            if !self.scene.occupancy.get(x, y, z) {
-                let brick = Vec3::new(x as f32, y as f32, z as f32);
-                let exit = ((brick * BRICK as f32 + leaves_high - origin) * inv_dir).min_element();
-                // The last lattice point inside the brick.
-                let j = ((exit - s0) / h).floor().clamp(0.0, n as f32) as u32;
-                if j > i {
-                    i = j;
-                    x_front = None;
-                    continue;
+        'batch: while i < n {
+            let visible = skipper.skip(i, stride);
+            if visible > i {
+                i = visible;
+                x_front = None;
+                if i >= n {
+                    return;
                 }
             }
-            let x0 = x_front.unwrap_or_else(|| self.domain_at(p_front));
-            let next = (i + stride).min(n);
-            let s_back = s0 + next as f32 * h;
-            let x1 = self.domain_at(origin + dir * s_back);
-            let (color, tau) = self.classify(x0, x1, s_back - s_front);
-            if tau > TAU_MIN {
-                let alpha = opacity(tau);
-                let c = color * (self.shade(origin + dir * (0.5 * (s_front + s_back))) * alpha);
-                match sink.step(Step { s0: s_front, s1: s_back, c, tau, alpha }) {
-                    Pace::Stop => return,
-                    Pace::Step => stride = 1,
-                    Pace::Stride => stride = STRIDE,
+            // The backs of the next steps, and the samples there.
+            let mut s_back = [0.0; LANES];
+            for (m, s) in s_back.iter_mut().enumerate() {
+                let back = (i + stride * (m as u32 + 1)).min(n) as i32;
+                *s = s0 + back as f32 * h;
+            }
+            let s_first = s0 + i as f32 * h;
+            let mut x1 = self.voxels.sample_lanes(origin, dir, &s_back);
+            for x in &mut x1 {
+                *x = self.domain(*x);
+            }
+            let x_first = x_front.unwrap_or_else(|| self.domain(self.voxels.sample(origin + dir * s_first)));
+            let (s_front, x0) = (behind(s_first, &s_back), behind(x_first, &x1));
+            let mut steps = self.visible_bins.between(&x0, &x1);
+            let num_steps = (n - i).div_ceil(stride);
+            if num_steps < LANES as u32 {
+                steps &= (1 << num_steps) - 1;
+            }
+            if steps != 0 {
+                let brightness = self.shade_lanes(origin, dir, &s_front, &s_back);
+                while steps != 0 {
+                    let m = steps.trailing_zeros() as usize % LANES;
+                    steps &= steps - 1;
+                    let (color, tau) = self.classify(x0[m], x1[m], s_back[m] - s_front[m]);
+                    if tau > TAU_MIN {
+                        let alpha = opacity(tau);
+                        let c = color * (brightness[m] * alpha);
+                        let pace = sink.step(Step { s0: s_front[m], s1: s_back[m], c, tau, alpha });
+                        let next_stride = match pace {
+                            Pace::Stop => return,
+                            Pace::Step => 1,
+                            Pace::Stride => STRIDE,
+                        };
+                        if next_stride != stride {
+                            i = (i + stride * (m as u32 + 1)).min(n);
+                            stride = next_stride;
+                            x_front = Some(x1[m]);
+                            continue 'batch;
+                        }
+                    }
                 }
             }
-            x_front = Some(x1);
-            i = next;
+            i = (i + stride * LANES as u32).min(n);
+            x_front = Some(x1[LANES - 1]);
         }
     }
 
     /// Colour (not premultiplied) and optical depth of a step of length `h` between the domain positions `x0`, `x1`.
+    #[inline(always)]
     fn classify(&self, x0: f32, x1: f32, h: f32) -> (Vec3, f32) {
         let table = &self.scene.table;
         let dx = x1 - x0;
@@ -293,100 +314,220 @@ impl<'a, T: Texels> Marcher<'a, T> {
         (color.max(Vec3::ZERO).min(Vec3::ONE), h * d_t / dx)
     }
 
-    /// Trilinear sample at a point of voxel space, as a position in the transfer function's domain.
-    fn domain_at(&self, p: Vec3) -> f32 {
-        let stored = self.trilinear(self.texels, p);
-        let table = &self.scene.table;
-        (stored * table.x_scale + table.x_offset).clamp(0.0, 1.0)
+    /// A stored number as a position in the transfer function's domain.
+    #[inline(always)]
+    fn domain(&self, stored: f32) -> f32 {
+        let x = stored * self.scene.table.x_scale + self.scene.table.x_offset;
+        let x = if x > 0.0 { x } else { 0.0 };
+        if x < 1.0 { x } else { 1.0 }
     }
 
-    /// Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.
-    fn shade(&self, p: Vec3) -> f32 {
-        let Some((lit, shading)) = self.lit else { return 1.0 };
-        let share = self.trilinear(lit, p) * (1.0 / LIT_MAX);
-        shading.ambient + shading.diffuse * share
-    }
-
-    /// The value between eight voxels.
-    fn trilinear(&self, texels: impl Texels, p: Vec3) -> f32 {
-        let (corner, t) = cell(p);
-        let [ix, iy, iz] = self.neighbours(corner);
-        let v = |x: usize, y: usize, z: usize| texels.at(iz[z] + iy[y] + ix[x]);
-        let x00 = mix(v(0, 0, 0), v(1, 0, 0), t.x);
-        let x10 = mix(v(0, 1, 0), v(1, 1, 0), t.x);
-        let x01 = mix(v(0, 0, 1), v(1, 0, 1), t.x);
-        let x11 = mix(v(0, 1, 1), v(1, 1, 1), t.x);
-        mix(mix(x00, x10, t.y), mix(x01, x11, t.y), t.z)
-    }
-
-    /// Memory offsets of the two voxels along each axis from `corner` on, clamped to the grid.
-    fn neighbours(&self, corner: [i32; 3]) -> [[usize; 2]; 3] {
-        std::array::from_fn(|axis| {
-            std::array::from_fn(|i| {
-                let at = corner[axis].saturating_add(i as i32);
-                at.clamp(0, self.dims[axis] - 1) as usize * self.strides[axis]
-            })
-        })
+    /// Brightness of matter in the middles of steps: that of the voxels, interpolated trilinearly.
+    #[inline(always)]
+    fn shade_lanes(&self, origin: Vec3, dir: Vec3, s_front: &Lanes, s_back: &Lanes) -> Lanes {
+        let Some((lit, shading)) = &self.lit else { return [1.0; LANES] };
+        let mut middle = [0.0; LANES];
+        for m in 0..LANES {
+            middle[m] = 0.5 * (s_front[m] + s_back[m]);
+        }
+        let mut brightness = lit.sample_lanes(origin, dir, &middle);
+        for b in &mut brightness {
+            *b = shading.ambient + shading.diffuse * (*b * (1.0 / LIT_MAX));
+        }
+        brightness
     }
 }
 
-/// Composites steps front to back until what is behind cannot be seen.
-#[derive(Default)]
-pub(crate) struct OverSink(pub(crate) Over);
+/// What a front of the steps is, given the first and what is at their backs.
+#[inline(always)]
+fn behind(first: f32, backs: &Lanes) -> Lanes {
+    let mut fronts = [first; LANES];
+    fronts[1..].copy_from_slice(&backs[..LANES - 1]);
+    fronts
+}
+
+/// Whether this processor has the instructions of `march_avx2`.
+fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return std::arch::is_x86_feature_detected!("avx2");
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
+}
+
+/// Jumps over invisible bricks along one ray.
+struct Skipper<'a> {
+    occupancy: &'a Occupancy,
+    max_brick: Vec3,
+    origin: Vec3,
+    dir: Vec3,
+    inv_dir: Vec3,
+    is_ascending: BVec3,
+    lattice: Lattice,
+    /// Whether neighbouring ends of steps are in one brick or in bricks that touch.
+    is_fine: bool,
+}
+
+impl<'a> Skipper<'a> {
+    #[inline(always)]
+    fn new<T>(marcher: &'a Marcher<'_, T>, origin: Vec3, dir: Vec3, lattice: Lattice) -> Self {
+        let step = dir.abs().max_element() * lattice.h;
+        Self {
+            occupancy: &marcher.scene.occupancy,
+            max_brick: marcher.max_brick,
+            origin,
+            dir,
+            inv_dir: dir.recip(),
+            is_ascending: dir.cmpgt(Vec3::ZERO),
+            lattice,
+            is_fine: step * (STRIDE as f32) < BRICK as f32,
+        }
+    }
+
+    /// The first lattice point from `i` on, by strides, whose step may be visible; or n.
+    #[inline(always)]
+    fn skip(&self, mut i: u32, stride: u32) -> u32 {
+        let Lattice { s0, h, n } = self.lattice;
+        let (mut brick, mut empty) = self.brick_at(i);
+        while empty > 0 {
+            // The last lattice point inside of the invisible bricks around.
+            let reach = if self.is_fine { empty as f32 } else { 1.0 };
+            let leaves =
+                brick + Vec3::select(self.is_ascending, Vec3::splat(reach), Vec3::splat(1.0 - reach));
+            let exit = ((leaves * BRICK as f32 - self.origin) * self.inv_dir).min_element();
+            let j = ((exit - s0) / h).clamp(0.0, n as f32) as u32;
+            if j > i {
+                i += (j - i) / stride * stride;
+            }
+            // A step between invisible bricks that touch is invisible as well.
+            let next = (i + stride).min(n);
+            if i >= n || !self.is_fine {
+                break;
+            }
+            (brick, empty) = self.brick_at(next);
+            if empty > 0 {
+                i = next;
+            }
+        }
+        i
+    }
+
+    /// The brick of lattice point `i`, and how many bricks away the nearest visible one is.
+    #[inline(always)]
+    fn brick_at(&self, i: u32) -> (Vec3, u32) {
+        let p = self.origin + self.dir * (self.lattice.s0 + i as f32 * self.lattice.h);
+        let brick = (p * (1.0 / BRICK as f32)).clamp(Vec3::ZERO, self.max_brick);
+        let [x, y, z] = [brick.x as u32, brick.y as u32, brick.z as u32];
+        (Vec3::new(x as f32, y as f32, z as f32), self.occupancy.distance(x, y, z))
+    }
+}
+
+/// Which bins of a table have any extinction, in a form that tells it of a range of bins by two look-ups: how many there
+/// are before each bin, and, in the upper half of the word, up to and with it.
+struct VisibleBins(Box<[u32; TABLE_BINS]>);
+
+impl VisibleBins {
+    fn of(table: &TransferTable) -> Self {
+        let mut counts = Box::new([0; TABLE_BINS]);
+        let mut before = 0;
+        for (bin, count) in counts.iter_mut().enumerate() {
+            let grows = table.integral[bin + 1][3] > table.integral[bin][3];
+            let is_dense = table.density[bin][3] > 0.0 || table.density[bin + 1][3] > 0.0;
+            let with = before + u32::from(grows || is_dense);
+            *count = before | with << 16;
+            before = with;
+        }
+        Self(counts)
+    }
+
+    /// One bit a step between the domain positions `x0` and `x1`, set where it may have any extinction.
+    #[inline(always)]
+    fn between(&self, x0: &Lanes, x1: &Lanes) -> u32 {
+        let (mut a, mut b) = ([0; LANES], [0; LANES]);
+        for m in 0..LANES {
+            a[m] = self.0[bin(x0[m])];
+            b[m] = self.0[bin(x1[m])];
+        }
+        let mut bits = 0;
+        for m in 0..LANES {
+            let before = (a[m] & 0xffff).min(b[m] & 0xffff);
+            let with = (a[m] >> 16).max(b[m] >> 16);
+            bits |= u32::from(before != with) << m;
+        }
+        bits
+    }
+}
+
+/// Composites steps front to back until no more than `stop_at` of what is behind can be seen.
+pub(crate) struct OverSink {
+    pub(crate) over: Over,
+    stop_at: f32,
+}
+
+impl Default for OverSink {
+    fn default() -> Self {
+        Self { over: Over::default(), stop_at: TRANSMITTANCE_MIN }
+    }
+}
 
 impl Sink for OverSink {
     fn step(&mut self, step: Step) -> Pace {
-        self.0.c += step.c * self.0.transmittance;
-        self.0.transmittance *= 1.0 - step.alpha;
-        if self.0.transmittance > TRANSMITTANCE_MIN { Pace::Step } else { Pace::Stop }
+        self.over.c += step.c * self.over.transmittance;
+        self.over.transmittance *= 1.0 - step.alpha;
+        if self.over.transmittance > self.stop_at { Pace::Step } else { Pace::Stop }
     }
 }
 
 /// The picture of the volume from a camera: full volume rendering, the reference of all novel views. Premultiplied
 /// linear.
 pub fn render(scene: &Scene, camera: &Camera) -> Picture {
-    with_texels!(scene, texels => render_with(&Marcher::new(scene, texels), camera))
+    render_until(scene, camera, TRANSMITTANCE_MIN)
 }
 
-fn render_with<T: Texels>(marcher: &Marcher<'_, T>, camera: &Camera) -> Picture {
+/// The same picture by a march that goes on behind opaque matter, step by step to the far side: what a layered frame,
+/// which must know all matter, is compared with in time.
+pub fn render_through(scene: &Scene, camera: &Camera) -> Picture {
+    render_until(scene, camera, STOP_NOWHERE)
+}
+
+fn render_until(scene: &Scene, camera: &Camera, stop_at: f32) -> Picture {
+    with_texels!(scene, texels => render_with(&Marcher::new(scene, texels), camera, stop_at))
+}
+
+fn render_with<T: Texels>(marcher: &Marcher<'_, T>, camera: &Camera, stop_at: f32) -> Picture {
     let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
     let basis = camera.basis();
     let width = picture.width as usize;
     picture.pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.iter_mut().enumerate() {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-            let mut sink = OverSink::default();
+            let mut sink = OverSink { over: Over::default(), stop_at };
             if let Some(lattice) = marcher.scene.lattice(&ray, camera.near * s_per_depth) {
                 marcher.march(&ray, lattice, &mut sink);
             }
-            *pixel = sink.0.rgba();
+            *pixel = sink.over.rgba();
         }
     });
     picture
 }
 
-/// Cell and position inside of it of a point of voxel space; the corners of the cell are voxel centres.
-fn cell(p: Vec3) -> ([i32; 3], Vec3) {
-    // Truncation is the floor above zero, and cheaper where the processor has no instruction for the floor; the march
-    // stays within half a voxel of the box.
-    let up = p + 0.5;
-    let i = [up.x as i32, up.y as i32, up.z as i32];
-    // Saturating: an eye that is very far away puts its points anywhere.
-    (i.map(|i| i.saturating_sub(1)), up - Vec3::new(i[0] as f32, i[1] as f32, i[2] as f32))
+/// The bin of a table that the position `x` in [0, 1] lies in.
+#[inline(always)]
+fn bin(x: f32) -> usize {
+    ((x * TABLE_BINS as f32) as i32 as usize).min(TABLE_BINS - 1)
 }
 
 /// Linear interpolation in a table over [0, 1].
+#[inline(always)]
 fn lookup(table: &[[f32; 4]], x: f32) -> [f32; 4] {
     let u = x * TABLE_BINS as f32;
-    let i = (u as usize).min(TABLE_BINS - 1);
-    let t = u - i as f32;
+    let i = bin(x);
+    let t = u - i as i32 as f32;
     let (a, b) = (table[i], table[i + 1]);
-    std::array::from_fn(|ch| mix(a[ch], b[ch], t))
-}
-
-/// a + (b − a)·t.
-fn mix(a: f32, b: f32, t: f32) -> f32 {
-    a + (b - a) * t
+    let mut value = [0.0; 4];
+    for ch in 0..4 {
+        value[ch] = mix(a[ch], b[ch], t);
+    }
+    value
 }
 
 /// Steps at or below this optical depth are dropped: 4000 of them in a row have an opacity below 1/2000 (design,
@@ -395,6 +536,8 @@ pub const TAU_MIN: f32 = 1e-7;
 /// A picture stops marching below this transmittance. In sRGB, 1e-4 of full brightness on black is a third of one
 /// step of 1/255.
 pub const TRANSMITTANCE_MIN: f32 = 1e-4;
+/// A transmittance that no matter has: nothing stops at it.
+const STOP_NOWHERE: f32 = -1.0;
 /// Matter behind this transmittance is marched by strides. The pre-integrated classification loses no matter by them, and
 /// what they change in its colour is seen at most a thousandth from here.
 pub const TRANSMITTANCE_HIDDEN: f32 = 1e-3;

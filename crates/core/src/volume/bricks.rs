@@ -38,43 +38,84 @@ impl Bricks {
 
     /// The bricks that `table` leaves visible.
     pub fn occupancy(&self, table: &TransferTable) -> Occupancy {
-        let mut words = vec![0u32; self.ranges.len().div_ceil(32)];
-        for (i, &(lo, hi)) in self.ranges.iter().enumerate() {
-            if table.is_visible(lo, hi) {
-                words[i / 32] |= 1 << (i % 32);
-            }
-        }
-        Occupancy { dims: self.dims, words }
+        let visible = self.ranges.iter().map(|&(lo, hi)| table.is_visible(lo, hi));
+        Occupancy::of(self.dims, visible)
     }
 }
 
-/// One bit a brick, set where something is visible; x fastest.
+/// How many bricks away the nearest visible brick is, for each brick; x fastest.
+///
+/// Away is meant as a king moves, also across corners: within a distance d of a brick, all bricks less than d away
+/// are invisible, a cube of 2d − 1 bricks that can be jumped over at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occupancy {
     /// Bricks along x, y, z.
     pub dims: [u32; 3],
-    /// The bits, 32 a word, lowest first.
+    /// The distances, 0 where something is visible and at most [`DISTANCE_MAX`], four a word, lowest first.
     pub words: Vec<u32>,
 }
 
 impl Occupancy {
+    /// The distances to the bricks for which `visible` has true; x fastest.
+    fn of(dims: [u32; 3], visible: impl Iterator<Item = bool>) -> Self {
+        let mut distances: Vec<u8> = visible.map(|v| if v { 0 } else { DISTANCE_MAX }).collect();
+        let [nx, ny, nz] = dims.map(|d| d as usize);
+        // Twice across the grid, each time from the neighbours that have been visited: a cube's moves need no more.
+        for is_back in [false, true] {
+            let turn = |i: usize, n: usize| if is_back { n - 1 - i } else { i };
+            for (z, y, x) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (z, y, x))))
+            {
+                let at = |x, y, z| (turn(z, nz) * ny + turn(y, ny)) * nx + turn(x, nx);
+                let here = at(x, y, z);
+                let mut least = distances[here];
+                if least == 0 {
+                    continue;
+                }
+                let mut visit = |dx: Option<usize>, dy: Option<usize>, dz: Option<usize>| {
+                    if let (Some(x), Some(y), Some(z)) = (dx, dy, dz)
+                        && x < nx
+                        && y < ny
+                    {
+                        least = least.min(distances[at(x, y, z)].saturating_add(1));
+                    }
+                };
+                let around = |i: usize| [i.checked_sub(1), Some(i), Some(i + 1)];
+                for x in around(x) {
+                    for y in around(y) {
+                        visit(x, y, z.checked_sub(1));
+                    }
+                    visit(x, y.checked_sub(1), Some(z));
+                }
+                visit(x.checked_sub(1), Some(y), Some(z));
+                distances[here] = least;
+            }
+        }
+        let words = distances
+            .chunks(4)
+            .map(|four| four.iter().rev().fold(0, |word, &distance| word << 8 | u32::from(distance)));
+        Self { dims, words: words.collect() }
+    }
+
     /// Every brick visible: the negative control of empty-space skipping.
     pub fn full(dims: [u32; 3]) -> Self {
         let n = dims.iter().map(|&d| d as usize).product::<usize>();
-        Self { dims, words: vec![u32::MAX; n.div_ceil(32)] }
+        Self { dims, words: vec![0; n.div_ceil(4)] }
     }
 
-    /// The bit of brick (x, y, z), which must be inside.
-    pub fn get(&self, x: u32, y: u32, z: u32) -> bool {
+    /// How many bricks away from brick (x, y, z), which must be inside, the nearest visible one is: 0 if it is visible
+    /// itself, at most [`DISTANCE_MAX`].
+    #[inline]
+    pub fn distance(&self, x: u32, y: u32, z: u32) -> u32 {
         let i = (z * self.dims[1] + y) * self.dims[0] + x;
-        self.words[i as usize / 32] >> (i % 32) & 1 != 0
+        self.words[i as usize / 4] >> (8 * (i % 4)) & 0xff
     }
 
     /// Share of the bricks that are visible.
     pub fn fraction(&self) -> f32 {
-        let n = self.dims.iter().map(|&d| u64::from(d)).product::<u64>();
-        let set = (0..n).filter(|&i| self.words[i as usize / 32] >> (i % 32) & 1 != 0).count();
-        set as f32 / n as f32
+        let [nx, ny, nz] = self.dims;
+        let bricks = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+        let set = bricks.filter(|&[x, y, z]| self.distance(x, y, z) == 0).count();
+        set as f32 / (nx as f32 * ny as f32 * nz as f32)
     }
 }
 
@@ -109,4 +150,32 @@ fn range_of<T: Copy + Ord + Into<f32>>(row: &[T]) -> (f32, f32) {
     let first = row[0];
     let (lo, hi) = row.iter().fold((first, first), |(a, b), &x| (a.min(x), b.max(x)));
     (lo.into(), hi.into())
+}
+
+/// Greatest distance that is told apart.
+const DISTANCE_MAX: u8 = 32;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distances_are_those_of_a_search() {
+        let dims = [9u32, 5, 40];
+        let bricks: Vec<[u32; 3]> = (0..dims[2])
+            .flat_map(|z| (0..dims[1]).flat_map(move |y| (0..dims[0]).map(move |x| [x, y, z])))
+            .collect();
+        let is_visible = |b: [u32; 3]| [[7, 1, 2], [0, 4, 2], [3, 3, 36]].contains(&b);
+        let occupancy = Occupancy::of(dims, bricks.iter().map(|&b| is_visible(b)));
+        let away = |a: &[u32; 3], b: &[u32; 3]| (0..3).map(|i| a[i].abs_diff(b[i])).max().unwrap();
+        for b in &bricks {
+            let nearest = bricks.iter().filter(|&&v| is_visible(v)).map(|v| away(b, v)).min().unwrap();
+            assert_eq!(occupancy.distance(b[0], b[1], b[2]), nearest, "{b:?}");
+        }
+        assert!((occupancy.fraction() - 3.0 / 1800.0).abs() < 1e-6);
+        // Nothing visible, and everything.
+        let nothing = Occupancy::of([3, 1, 1], [false; 3].into_iter());
+        assert_eq!(nothing.distance(1, 0, 0), u32::from(DISTANCE_MAX));
+        assert_eq!(Occupancy::of([3, 1, 1], [true; 3].into_iter()), Occupancy::full([3, 1, 1]));
+    }
 }

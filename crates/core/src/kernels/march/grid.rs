@@ -1,0 +1,247 @@
+//! Trilinear samples of a grid in memory: one at a time, as the shader reads them, and eight along a ray at once, as a
+//! processor likes them. Both do the same arithmetic in the same order, so they have the same bits.
+
+use glam::Vec3;
+
+/// Points that are sampled at once.
+pub(super) const LANES: usize = 8;
+
+/// A number for each of [`LANES`] points.
+pub(super) type Lanes = [f32; LANES];
+
+/// Stored numbers in memory, by index.
+pub trait Texels: Copy + Send + Sync {
+    /// The stored number at index `i`.
+    fn at(self, i: usize) -> f32;
+
+    /// The stored numbers at the indices `i` and those behind each.
+    fn pairs(self, i: [u32; LANES]) -> [Lanes; 2];
+
+    /// How many there are.
+    fn count(self) -> usize;
+}
+
+impl Texels for &[u8] {
+    fn at(self, i: usize) -> f32 {
+        f32::from(self[i])
+    }
+
+    #[inline(always)]
+    fn pairs(self, i: [u32; LANES]) -> [Lanes; 2] {
+        // One load for both, taken apart by vector instructions.
+        let mut both = [0u16; LANES];
+        for m in 0..LANES {
+            let i = i[m] as usize;
+            both[m] = u16::from(self[i]) | u16::from(self[i + 1]) << 8;
+        }
+        let (mut a, mut b) = ([0.0; LANES], [0.0; LANES]);
+        for m in 0..LANES {
+            a[m] = f32::from(both[m] & 0xff);
+            b[m] = f32::from(both[m] >> 8);
+        }
+        [a, b]
+    }
+
+    fn count(self) -> usize {
+        self.len()
+    }
+}
+
+impl Texels for &[u16] {
+    fn at(self, i: usize) -> f32 {
+        f32::from(self[i])
+    }
+
+    #[inline(always)]
+    fn pairs(self, i: [u32; LANES]) -> [Lanes; 2] {
+        let (mut a, mut b) = ([0u16; LANES], [0u16; LANES]);
+        for m in 0..LANES {
+            let i = i[m] as usize;
+            (a[m], b[m]) = (self[i], self[i + 1]);
+        }
+        let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+        for m in 0..LANES {
+            (x[m], y[m]) = (f32::from(a[m]), f32::from(b[m]));
+        }
+        [x, y]
+    }
+
+    fn count(self) -> usize {
+        self.len()
+    }
+}
+
+impl Texels for &[f32] {
+    fn at(self, i: usize) -> f32 {
+        self[i]
+    }
+
+    #[inline(always)]
+    fn pairs(self, i: [u32; LANES]) -> [Lanes; 2] {
+        let (mut a, mut b) = ([0.0; LANES], [0.0; LANES]);
+        for m in 0..LANES {
+            let i = i[m] as usize;
+            (a[m], b[m]) = (self[i], self[i + 1]);
+        }
+        [a, b]
+    }
+
+    fn count(self) -> usize {
+        self.len()
+    }
+}
+
+/// Texels on a grid, x fastest; outside of the outermost centres the nearest face holds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Grid<T> {
+    texels: T,
+    strides: [u32; 3],
+    /// Coordinates of the last centre.
+    last: [f32; 3],
+    /// Greatest corner of a cell.
+    greatest: [i32; 3],
+    /// Whether every cell has two texels along each axis, at indices of 32 bits.
+    has_lanes: bool,
+}
+
+impl<T: Texels> Grid<T> {
+    /// `texels` of a grid of `dims`.
+    pub(super) fn new(texels: T, dims: [u32; 3]) -> Self {
+        let has_lanes = texels.count() <= u32::MAX as usize && dims.iter().all(|&d| d > 1);
+        Self {
+            texels,
+            strides: [1, dims[0], dims[0] * dims[1]],
+            last: dims.map(|d| d as f32 - 1.0),
+            greatest: dims.map(|d| d.saturating_sub(2) as i32),
+            has_lanes,
+        }
+    }
+
+    /// The value at a point of voxel space.
+    pub(super) fn sample(&self, p: Vec3) -> f32 {
+        let (cx, tx) = self.cell(0, p.x);
+        let (cy, ty) = self.cell(1, p.y);
+        let (cz, tz) = self.cell(2, p.z);
+        let v = |dx: usize, dy: usize, dz: usize| {
+            let at = |axis: usize, i: usize| (i).min(self.last[axis] as usize) * self.strides[axis] as usize;
+            self.texels.at(at(2, cz as usize + dz) + at(1, cy as usize + dy) + at(0, cx as usize + dx))
+        };
+        let x00 = mix(v(0, 0, 0), v(1, 0, 0), tx);
+        let x10 = mix(v(0, 1, 0), v(1, 1, 0), tx);
+        let x01 = mix(v(0, 0, 1), v(1, 0, 1), tx);
+        let x11 = mix(v(0, 1, 1), v(1, 1, 1), tx);
+        mix(mix(x00, x10, ty), mix(x01, x11, ty), tz)
+    }
+
+    /// The values at the points origin + dir·s of voxel space.
+    // Loops over the lanes and not `map`: the compiler leaves closures where wider instructions are not allowed.
+    #[inline(always)]
+    pub(super) fn sample_lanes(&self, origin: Vec3, dir: Vec3, s: &Lanes) -> Lanes {
+        let mut value = [0.0; LANES];
+        if !self.has_lanes {
+            for m in 0..LANES {
+                value[m] = self.sample(origin + dir * s[m]);
+            }
+            return value;
+        }
+        let (cx, tx) = self.cells(0, origin.x, dir.x, s);
+        let (cy, ty) = self.cells(1, origin.y, dir.y, s);
+        let (cz, tz) = self.cells(2, origin.z, dir.z, s);
+        let [_, sy, sz] = self.strides;
+        let mut at = [0u32; LANES];
+        for m in 0..LANES {
+            at[m] = cz[m].wrapping_mul(sz).wrapping_add(cy[m].wrapping_mul(sy)).wrapping_add(cx[m]);
+        }
+        let x00 = self.rows(&at, 0, &tx);
+        let x10 = self.rows(&at, sy, &tx);
+        let x01 = self.rows(&at, sz, &tx);
+        let x11 = self.rows(&at, sz.wrapping_add(sy), &tx);
+        for m in 0..LANES {
+            value[m] = mix(mix(x00[m], x10[m], ty[m]), mix(x01[m], x11[m], ty[m]), tz[m]);
+        }
+        value
+    }
+
+    /// The values between the texels that are `offset` behind `at` and those next to them along x.
+    #[inline(always)]
+    fn rows(&self, at: &[u32; LANES], offset: u32, tx: &Lanes) -> Lanes {
+        let mut i = [0u32; LANES];
+        for m in 0..LANES {
+            i[m] = at[m].wrapping_add(offset);
+        }
+        let [a, b] = self.texels.pairs(i);
+        let mut x = [0.0; LANES];
+        for m in 0..LANES {
+            x[m] = mix(a[m], b[m], tx[m]);
+        }
+        x
+    }
+
+    /// Corners and places of the points origin + dir·s along one axis.
+    #[inline(always)]
+    fn cells(&self, axis: usize, origin: f32, dir: f32, s: &Lanes) -> ([u32; LANES], Lanes) {
+        let (mut c, mut t) = ([0u32; LANES], [0.0; LANES]);
+        for m in 0..LANES {
+            let (corner, inside) = self.cell(axis, origin + dir * s[m]);
+            (c[m], t[m]) = (corner as u32, inside);
+        }
+        (c, t)
+    }
+
+    /// The cell along one axis that the coordinate `p` of voxel space lies in, its corners voxel centres, and the place
+    /// in there.
+    #[inline(always)]
+    fn cell(&self, axis: usize, p: f32) -> (i32, f32) {
+        // Where the nearest face holds, so does its point; and an eye that is very far away puts its points anywhere.
+        let u = p - 0.5;
+        let u = if u > 0.0 { u } else { 0.0 };
+        let u = if u < self.last[axis] { u } else { self.last[axis] };
+        let corner = (u as i32).min(self.greatest[axis]);
+        (corner, u - corner as f32)
+    }
+}
+
+/// a + (b − a)·t.
+#[inline(always)]
+pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lanes_are_the_samples_one_by_one() {
+        for dims in [[7u32, 5, 6], [2, 2, 2], [1, 4, 3], [1, 1, 1]] {
+            let n = dims.iter().product::<u32>();
+            let bytes: Vec<u8> = (0..n).map(|i| (i * 197 % 251) as u8).collect();
+            let words: Vec<u16> = bytes.iter().map(|&b| u16::from(b) * 257).collect();
+            let floats: Vec<f32> = bytes.iter().map(|&b| f32::from(b) - 100.5).collect();
+            agree(&bytes[..], dims);
+            agree(&words[..], dims);
+            agree(&floats[..], dims);
+        }
+    }
+
+    /// Compares bits along rays through and beside the grid, and from an eye so far away that nothing is left of it.
+    fn agree<T: Texels>(texels: T, dims: [u32; 3]) {
+        let grid = Grid::new(texels, dims);
+        let mut seen = std::collections::BTreeSet::new();
+        for (origin, dir, first) in [
+            (Vec3::new(-1.0, 0.3, 7.1), Vec3::new(0.61, 0.27, -0.43), 0.0),
+            (Vec3::new(3.0, 2.5, -2.0), Vec3::new(1e-9, -1e-9, 1.0), 0.5),
+            (Vec3::new(-3e37, 1e20, 5.0), Vec3::new(0.9, -0.4, 0.1), 3e37),
+        ] {
+            let s: Lanes = std::array::from_fn(|m| first + m as f32 * 1.3);
+            let lanes = grid.sample_lanes(origin, dir, &s);
+            for m in 0..LANES {
+                let sample = grid.sample(origin + dir * s[m]);
+                assert_eq!(sample.to_bits(), lanes[m].to_bits(), "{dims:?}, lane {m}: {sample} {}", lanes[m]);
+                seen.insert(sample.to_bits());
+            }
+        }
+        // Negative control: the samples differ from each other, unless there is one voxel.
+        assert!(seen.len() > 3 || texels.count() == 1);
+    }
+}
