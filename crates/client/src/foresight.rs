@@ -11,17 +11,19 @@ pub struct Foresight {
     pub predicts: bool,
     /// Frames are asked for with a margin around the picture where the volume goes on beyond it.
     pub guards: bool,
+    /// What the newest frame does not see is taken from older ones.
+    pub keeps: bool,
 }
 
 impl Default for Foresight {
     fn default() -> Self {
-        Self { predicts: true, guards: true }
+        Self { predicts: true, guards: true, keeps: true }
     }
 }
 
 impl Foresight {
-    /// Neither.
-    pub const NONE: Self = Self { predicts: false, guards: false };
+    /// Nothing.
+    pub const NONE: Self = Self { predicts: false, guards: false, keeps: false };
 }
 
 /// The largest margin that a frame gets whose picture alone would be `frame`: as much as there is to see beside it, a

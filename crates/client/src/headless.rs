@@ -22,6 +22,8 @@ pub struct DisplayRecord {
     pub camera: Camera,
     /// The frame that was cast; none before the first.
     pub frame: Option<Arc<ReceivedFrame>>,
+    /// Older frames for what it does not see.
+    pub kept: Vec<Arc<ReceivedFrame>>,
     /// How the picture stood to the server's.
     pub standing: Standing,
     /// Time since the camera was last at the pose that the frame answers.
@@ -68,6 +70,7 @@ impl<S: FrameSource> HeadlessViewer<S> {
             at: now,
             camera: refresh.camera,
             frame: refresh.frame,
+            kept: refresh.kept,
             standing: refresh.standing,
             frame_age: refresh.frame_age,
             turned_degrees: refresh.turned_degrees,

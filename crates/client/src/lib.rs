@@ -13,6 +13,7 @@ mod foresight;
 mod frame_source;
 mod gpu_timer;
 mod headless;
+mod kept;
 mod meters;
 mod novel_view;
 mod overlay;

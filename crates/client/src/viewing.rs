@@ -15,6 +15,7 @@ use isinglass_net::ReceivedFrame;
 use crate::camera_controls::angle_between_degrees;
 use crate::foresight::{Foresight, guard_band, widest};
 use crate::frame_source::FrameSource;
+use crate::kept::KeptFrames;
 
 /// How the picture on screen stands to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +90,8 @@ pub struct Refresh {
     pub bounds: Aabb,
     /// The frame to cast.
     pub frame: Option<Arc<ReceivedFrame>>,
+    /// Older frames for what it does not see; most often none.
+    pub kept: Vec<Arc<ReceivedFrame>>,
     /// How picture and server stand.
     pub standing: Standing,
     /// Time since the pose that the frame answers was last wished for: zero as long as the camera rests there.
@@ -109,6 +112,7 @@ pub struct Viewing<S> {
     pub frame_size: FrameSize,
     foresight: Foresight,
     predictor: Predictor,
+    kept: KeptFrames,
     /// The pose of the newest frame whose delay was measured.
     measured: PoseId,
     asked: Option<(Pose, Intrinsics)>,
@@ -130,6 +134,7 @@ impl<S: FrameSource> Viewing<S> {
             frame_size,
             foresight,
             predictor: Predictor::default(),
+            kept: KeptFrames::default(),
             measured: PoseId(0),
             asked: None,
             left: VecDeque::new(),
@@ -190,12 +195,18 @@ impl<S: FrameSource> Viewing<S> {
             self.source.note_shown(f.frame.header.frame);
         }
         self.last = Some((camera, frame.clone()));
+        let mut kept = Vec::new();
+        if let Some(frame) = frame.as_ref().filter(|_| self.foresight.keeps) {
+            self.kept.note(frame, bounds);
+            kept = self.kept.choose(frame, &camera, bounds);
+        }
         let header = frame.as_ref().map(|f| f.frame.header);
         Refresh {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
             turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
             is_ahead: ahead != pose,
+            kept,
             camera,
             bounds: *bounds,
             frame,
@@ -532,7 +543,7 @@ pub(crate) mod tests {
             (v, turned, last.unwrap())
         };
         let (asks_now, lagging, _) = play(Foresight::NONE);
-        let (asks_ahead, foreseeing, last) = play(Foresight { predicts: true, guards: false });
+        let (asks_ahead, foreseeing, last) = play(Foresight { predicts: true, ..Foresight::NONE });
         // In the middle of the steady turn frames are ten refreshes old: ten degrees of azimuth at this elevation.
         assert!((lagging[20] - 10.0 * 0.2f32.cos()).abs() < 0.1, "{}", lagging[20]);
         assert!(foreseeing[20] < 0.5, "{}", foreseeing[20]);
@@ -548,7 +559,7 @@ pub(crate) mod tests {
     #[test]
     fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
         let near = |azimuth: f32| Pose::orbit(Vec3::ZERO, azimuth, 0.2, 2.0);
-        let foresight = Foresight { predicts: false, guards: true };
+        let foresight = Foresight { predicts: false, ..Foresight::default() };
         let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
         v.source.max_side = Some(4096);
         let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
@@ -580,6 +591,26 @@ pub(crate) mod tests {
         v.source.look = Some((LookVersion(7), Arc::new(look("bone"))));
         v.refresh(ms(1400), near(0.2), picture, &BOUNDS);
         assert_eq!(v.source.asked[6], (near(0.2), picture));
+    }
+
+    #[test]
+    fn a_frame_that_was_shown_comes_in_for_what_the_newest_does_not_see() {
+        let near = |azimuth: f32| Pose::orbit(Vec3::ZERO, azimuth, 0.2, 2.0);
+        for keeps in [true, false] {
+            let foresight = Foresight { keeps, ..Foresight::NONE };
+            let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+            for (i, azimuth) in [0.0, 0.6].into_iter().enumerate() {
+                let at = ms(1000 * i as u64);
+                v.refresh(at, near(azimuth), PICTURE, &BOUNDS);
+                v.source.answer(i as u32 + 1, at, true);
+                let r = v.refresh(at + ms(500), near(azimuth), PICTURE, &BOUNDS);
+                assert!(r.standing == Standing::Exact && r.kept.is_empty());
+            }
+            // On the way back the newest frame is that of 0.6.
+            let r = v.refresh(ms(2000), near(0.1), PICTURE, &BOUNDS);
+            let kept: Vec<u32> = r.kept.iter().map(|f| f.frame.header.frame.0).collect();
+            assert_eq!(kept, if keeps { vec![1] } else { vec![] });
+        }
     }
 
     #[test]

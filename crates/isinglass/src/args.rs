@@ -120,12 +120,20 @@ pub(crate) struct ForesightArgs {
     /// Ask for frames with a margin where the volume goes on beyond the picture
     #[arg(long, value_enum, default_value_t = Switch::On)]
     guard_band: Switch,
+    /// Take what the newest frame does not see from older ones
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    kept_frames: Switch,
 }
 
 impl ForesightArgs {
     /// In the viewer's terms.
     pub(crate) fn foresight(&self) -> Foresight {
-        Foresight { predicts: self.predict == Switch::On, guards: self.guard_band == Switch::On }
+        let is_on = |switch| switch == Switch::On;
+        Foresight {
+            predicts: is_on(self.predict),
+            guards: is_on(self.guard_band),
+            keeps: is_on(self.kept_frames),
+        }
     }
 }
 

@@ -198,6 +198,7 @@ fn the_headless_demo_reports_what_was_shown() {
         "freezes",
         "guard_band",
         "jitter_ms",
+        "kept_frames",
         "loss",
         "pose_lag_frames_max",
         "predict",

@@ -1,7 +1,9 @@
 //! Makes the pictures that were shown, and compares them with the truth.
 
 use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::combine::combine;
 use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::LayeredFrame;
 use isinglass_gpu::Backend;
 use std::time::Duration;
 
@@ -10,6 +12,7 @@ use super::play::Played;
 use crate::error::BenchError;
 use crate::output::Rgb8;
 use crate::progress::Progress;
+use crate::rivals::Method;
 
 /// What the compared pictures showed.
 #[derive(Clone, Debug, Default)]
@@ -60,7 +63,15 @@ pub(crate) fn evaluate(
     for (number, (tick, frame)) in kept.into_iter().enumerate() {
         let frame = &frame.frame;
         let rgb = |picture| Rgb8::of(&picture, [0; 3]);
-        let shown = rgb(options.method.draw(backend, frame, &bounds, &tick.camera)?);
+        let shown = rgb(match options.method {
+            // Only the ray cast can go from one frame into another.
+            Method::Layers if !tick.older.is_empty() => {
+                let frames: Vec<&LayeredFrame> =
+                    std::iter::once(frame).chain(tick.older.iter().map(|f| &f.frame)).collect();
+                combine(&frames, &bounds, &tick.camera)
+            }
+            method => method.draw(backend, frame, &bounds, &tick.camera)?,
+        });
         let truth = rgb(renderer.render(&tick.camera)?);
         let last = frame.flatten();
         // A margin around the picture is not shown.

@@ -28,6 +28,8 @@ pub(crate) struct Tick {
     pub(crate) frame: FrameId,
     /// The frame itself, at the refreshes that are compared.
     pub(crate) kept: Option<Arc<ReceivedFrame>>,
+    /// Older frames beside it, of which the picture was made.
+    pub(crate) older: Vec<Arc<ReceivedFrame>>,
     /// How picture and server stood.
     pub(crate) standing: Standing,
     /// Time since the pose that the frame answers was set.
@@ -137,6 +139,7 @@ fn tick(record: DisplayRecord, at: Duration, azimuth_degrees: f32, input: Pose, 
         frame: frame.frame.header.frame,
         frame_bytes: frame.times.bytes,
         kept: kept.then_some(frame),
+        older: if kept { record.kept } else { Vec::new() },
         standing: record.standing,
         frame_age: record.frame_age,
         turned_degrees: record.turned_degrees,

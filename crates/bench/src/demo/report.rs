@@ -46,6 +46,8 @@ pub struct Report {
     pub predict: bool,
     /// Whether frames had a margin.
     pub guard_band: bool,
+    /// Whether older frames showed what the newest did not see.
+    pub kept_frames: bool,
     /// Mean size of the server frames shown, as far as they had arrived when the next one took their place.
     pub bytes_per_frame_mean: f64,
     /// Gaps between new server frames on the screen while the camera moved that were longer than three mean gaps and
@@ -87,6 +89,7 @@ impl Report {
             frame_turned_deg_mean: turns.iter().sum::<f64>() / turns.len().max(1) as f64,
             predict: options.foresight.predicts,
             guard_band: options.foresight.guards,
+            kept_frames: options.foresight.keeps,
             bytes_per_frame_mean: bytes_per_frame(&played.ticks),
             freezes: freezes(script, &played.ticks),
             rest_max_abs_255: rest_pictures(script, &evaluation.pictures)
@@ -300,6 +303,7 @@ mod tests {
             frame: FrameId(frame),
             frame_bytes: u64::from(frame) * 100,
             kept: None,
+            older: Vec::new(),
             standing: Standing::Moving,
             frame_age: None,
             turned_degrees: None,

@@ -1,6 +1,7 @@
 //! The Rust twins of the kernels in `shaders/`: same names, same order, a function for one invocation and a parallel
 //! loop. They are the oracle of the GPU's tests and the `cpu` backend.
 
+pub mod combine;
 pub mod empty_space;
 pub mod layering;
 pub mod lens;

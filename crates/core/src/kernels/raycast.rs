@@ -247,8 +247,17 @@ impl Raycaster {
         self.cast_with(ray, options, &mut Pieces::new())
     }
 
+    /// The same between two world distances from the ray's origin.
+    pub fn cast_between(&self, ray: &Ray, within: (f32, f32), options: &CastOptions) -> Over {
+        self.cast_line(self.clip(ray, within), options, &mut Pieces::new())
+    }
+
     fn cast_with(&self, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
-        match self.clip(ray) {
+        self.cast_line(self.clip(ray, (0.0, f32::INFINITY)), options, pieces)
+    }
+
+    fn cast_line(&self, line: Option<Line>, options: &CastOptions, pieces: &mut Pieces) -> Over {
+        match line {
             None => Over::default(),
             Some(line) => match self.row_length {
                 ROW_8 => self.walk_by::<ROW_8>(&line, options, pieces),
@@ -288,8 +297,9 @@ impl Raycaster {
     }
 
     /// Clips in homogeneous coordinates.
-    fn clip(&self, ray: &Ray) -> Option<Line> {
-        let (mut s0, mut s1) = self.bounds.clip(ray)?;
+    fn clip(&self, ray: &Ray, within: (f32, f32)) -> Option<Line> {
+        let (s0, s1) = self.bounds.clip(ray)?;
+        let (mut s0, mut s1) = (s0.max(within.0), s1.min(within.1));
         let pixel_from_world = |v: Vec3| {
             let [x, y, w] = self.pixel_rows;
             Vec3::new(v.dot(x), v.dot(y), v.dot(w))

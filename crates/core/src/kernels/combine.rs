@@ -1,0 +1,320 @@
+//! Novel views from several layered frames: what the newest frame does not see is taken from older ones (the open
+//! question of Mueller 1999).
+//!
+//! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, since every plane of the
+//! frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces, and in each piece
+//! the first frame, the newest first, that sees it is cast. Frames of different cameras show the same matter by
+//! different segments, so a hard change would be a seam. Inside a frame's border its coverage c therefore grows over a
+//! band of a few lists from 0 to 1, and in the band the media of the frames are mixed: frame n has the weight
+//! w_n = c_n·Π_{m<n}(1 − c_m), normalised to a sum of 1, so that where no other frame sees anything the one that does is
+//! shown as it is. Extinctions are weighted, source colours with them:
+//!
+//!   τ = Σ w_n·τ_n,  C = Σ w_n·τ_n·E_n / τ · (1 − e^−τ).
+//!
+//! The newest frame's band is no wider than what the picture shows beyond its border. So from its own pose, and as long
+//! as it sees all of the picture, the picture is that of the newest frame alone; and a camera that turns away from
+//! it makes the band grow from nothing.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::raycast::{CastOptions, Raycaster};
+use crate::camera::{Basis, Camera};
+use crate::layer::{DEPTH_UNITS, LayeredFrame, Over, TAU_MAX};
+use crate::picture::Picture;
+use crate::space::{Aabb, Ray};
+
+/// Frames with what is constant over all rays of a picture.
+pub struct Combiner {
+    layers: Vec<Layer>,
+    bounds: Aabb,
+}
+
+/// One frame.
+struct Layer {
+    caster: Raycaster,
+    view: View,
+    /// Lists from the border on which its coverage grows to 1.
+    band: f32,
+}
+
+/// The frustum of a frame's camera.
+#[derive(Clone, Copy)]
+struct View {
+    basis: Basis,
+    near: f32,
+}
+
+/// A ray in the homogeneous pixel coordinates of a frame's camera: `o + d·s`.
+#[derive(Clone, Copy)]
+struct Line {
+    o: Vec3,
+    d: Vec3,
+}
+
+/// Parts of a ray, in world distance.
+#[derive(Clone, Copy)]
+struct Parts {
+    line: Line,
+    /// Where the frame sees anything.
+    outer: (f32, f32),
+    /// Where its coverage is 1.
+    inner: (f32, f32),
+}
+
+impl View {
+    fn of(camera: &Camera) -> Self {
+        Self { basis: camera.basis(), near: camera.near }
+    }
+
+    fn line(&self, ray: &Ray) -> Line {
+        let o = self.basis.pixel_from_world(ray.origin - self.basis.eye);
+        Line { o, d: self.basis.pixel_from_world(ray.dir) }
+    }
+
+    /// The part of `within` that lies at least `inset` pixels inside the frustum; empty if its end is not after its
+    /// start.
+    fn clip(&self, Line { o, d }: Line, inset: f32, within: (f32, f32)) -> (f32, f32) {
+        let (mut s0, mut s1) = within;
+        let (right, bottom) = (self.basis.width - inset, self.basis.height - inset);
+        let planes = [
+            (o.z - self.near, d.z),
+            (o.x - inset * o.z, d.x - inset * d.z),
+            (right * o.z - o.x, right * d.z - d.x),
+            (o.y - inset * o.z, d.y - inset * d.z),
+            (bottom * o.z - o.y, bottom * d.z - d.y),
+        ];
+        for (a, b) in planes {
+            // Inside where a + b·s ≥ 0.
+            if b > 0.0 {
+                s0 = s0.max(-a / b);
+            } else if b < 0.0 {
+                s1 = s1.min(-a / b);
+            } else if a < 0.0 {
+                return (s1, s1);
+            }
+        }
+        (s0, s1)
+    }
+
+    /// Pixels from the nearest border, negative outside and minus infinity behind the near plane.
+    fn inset(&self, h: Vec3) -> f32 {
+        if h.z < self.near {
+            return f32::NEG_INFINITY;
+        }
+        let (x, y) = (h.x / h.z, h.y / h.z);
+        x.min(self.basis.width - x).min(y).min(self.basis.height - y)
+    }
+}
+
+impl Line {
+    fn at(&self, s: f32) -> Vec3 {
+        self.o + self.d * s
+    }
+}
+
+impl Combiner {
+    /// At most [`MAX_FRAMES`] frames of one volume and look, the newest first; `bounds` is the box of the volume, `display`
+    /// the camera of the picture.
+    pub fn new(frames: &[&LayeredFrame], bounds: &Aabb, display: &Camera) -> Self {
+        let mut rounding = 0f32;
+        let layers = frames.iter().take(MAX_FRAMES).enumerate().map(|(n, frame)| {
+            let camera = &frame.header.camera;
+            rounding = rounding.max(2.0 * (camera.far - camera.near) / DEPTH_UNITS);
+            let view = View::of(camera);
+            let band = if n == 0 { beyond(&view, display, bounds).clamp(0.0, BAND) } else { BAND };
+            Layer { caster: Raycaster::new(frame, bounds), view, band }
+        });
+        let layers = layers.collect();
+        let margin = Vec3::splat(rounding);
+        Self { layers, bounds: Aabb { min: bounds.min - margin, max: bounds.max + margin } }
+    }
+
+    /// Premultiplied colour and opacity seen along a ray of world space.
+    pub fn cast(&self, ray: &Ray) -> Over {
+        let Some((newest, older)) = self.layers.split_first() else { return Over::default() };
+        let Some(all) = self.bounds.clip(ray) else { return Over::default() };
+        let line = newest.view.line(ray);
+        if older.is_empty() || newest.view.clip(line, newest.band, all) == all {
+            return newest.caster.cast(ray, &CastOptions::default());
+        }
+        self.cast_pieces(ray, all)
+    }
+
+    fn cast_pieces(&self, ray: &Ray, all: (f32, f32)) -> Over {
+        let mut cuts = [all.1; 4 * MAX_FRAMES + 2];
+        cuts[0] = all.0;
+        let parts: [Option<Parts>; MAX_FRAMES] = std::array::from_fn(|n| {
+            let layer = self.layers.get(n)?;
+            let line = layer.view.line(ray);
+            let outer = layer.view.clip(line, 0.0, all);
+            if outer.1 <= outer.0 {
+                return None;
+            }
+            let inner = layer.view.clip(line, layer.band, all);
+            cuts[4 * n + 2..4 * n + 4].copy_from_slice(&[outer.0, outer.1]);
+            if inner.1 > inner.0 {
+                cuts[4 * n + 4..4 * n + 6].copy_from_slice(&[inner.0, inner.1]);
+            }
+            Some(Parts { line, outer, inner })
+        });
+        cuts.sort_unstable_by(f32::total_cmp);
+        let mut acc = Over::default();
+        // A frame that is alone from one cut to the next is cast over both pieces at once.
+        let mut alone: Option<(usize, (f32, f32))> = None;
+        for pair in cuts.windows(2) {
+            let [from, to] = [pair[0], pair[1]];
+            if to <= from {
+                continue;
+            }
+            let middle = 0.5 * (from + to);
+            let holds = |(a, b): (f32, f32)| a <= middle && middle <= b;
+            let first = parts.iter().position(|p| p.is_some_and(|p| holds(p.outer)));
+            let sole = first.filter(|&n| {
+                let is_full = parts[n].is_some_and(|p| holds(p.inner));
+                is_full || !parts[n + 1..].iter().any(|p| p.is_some_and(|p| holds(p.outer)))
+            });
+            match (sole, &mut alone) {
+                (Some(n), Some((layer, piece))) if *layer == n => piece.1 = to,
+                _ => {
+                    if let Some((layer, piece)) = alone.take() {
+                        self.add(&mut acc, ray, layer, piece);
+                    }
+                    match (first, sole) {
+                        (Some(_), None) => self.add_mixed(&mut acc, ray, &parts, (from, to)),
+                        _ => alone = sole.map(|n| (n, (from, to))),
+                    }
+                }
+            }
+        }
+        if let Some((layer, piece)) = alone {
+            self.add(&mut acc, ray, layer, piece);
+        }
+        acc
+    }
+
+    /// Puts a piece of one frame behind what is there.
+    fn add(&self, acc: &mut Over, ray: &Ray, layer: usize, piece: (f32, f32)) {
+        let seen = self.layers[layer].caster.cast_between(ray, piece, &CastOptions::default());
+        acc.c += seen.c * acc.transmittance;
+        acc.transmittance *= seen.transmittance;
+    }
+
+    /// Puts a piece behind what is there over which the coverage of a frame changes, in steps of about a list.
+    fn add_mixed(&self, acc: &mut Over, ray: &Ray, parts: &[Option<Parts>; MAX_FRAMES], piece: (f32, f32)) {
+        let insets = |s: f32| -> [f32; MAX_FRAMES] {
+            std::array::from_fn(|n| match (parts[n], self.layers.get(n)) {
+                (Some(p), Some(layer)) => layer.view.inset(p.line.at(s)).clamp(0.0, layer.band),
+                _ => 0.0,
+            })
+        };
+        let (a, b) = (insets(piece.0), insets(piece.1));
+        let change = (0..MAX_FRAMES).map(|n| (a[n] - b[n]).abs()).fold(0.0, f32::max);
+        let steps = (change.ceil() as usize).clamp(1, BAND as usize);
+        let at = |i: usize| piece.0 + (piece.1 - piece.0) * (i as f32 / steps as f32);
+        for i in 0..steps {
+            let (from, to) = (at(i), at(i + 1));
+            let insets = insets(0.5 * (from + to));
+            let mut weights = [0.0; MAX_FRAMES];
+            let mut rest = 1.0;
+            for (n, layer) in self.layers.iter().enumerate() {
+                // The newest frame's band can have no width: then all that it sees is covered.
+                let covered = if layer.band > 0.0 {
+                    insets[n] / layer.band
+                } else {
+                    f32::from(u8::from(parts[n].is_some()))
+                };
+                weights[n] = rest * covered;
+                rest -= weights[n];
+            }
+            let sum = 1.0 - rest;
+            if sum <= 0.0 {
+                continue;
+            }
+            let (mut tau, mut light) = (0.0, Vec3::ZERO);
+            for (n, weight) in weights.into_iter().enumerate().filter(|(_, w)| *w > LEAST_WEIGHT) {
+                let seen = self.layers[n].caster.cast_between(ray, (from, to), &CastOptions::default());
+                let tau_n = (-seen.transmittance.ln()).min(TAU_MAX);
+                if tau_n > 0.0 {
+                    tau += weight / sum * tau_n;
+                    light += seen.c * (weight / sum * tau_n / (1.0 - seen.transmittance));
+                }
+            }
+            if tau > 0.0 {
+                let transmittance = (-tau).exp();
+                acc.c += light * (acc.transmittance * (1.0 - transmittance) / tau);
+                acc.transmittance *= transmittance;
+            }
+        }
+    }
+}
+
+/// The picture of several layered frames of one volume and look from a camera, the newest first; with one frame that of
+/// [`super::raycast::raycast`]. Premultiplied linear. `bounds` is the box of the volume.
+pub fn combine(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera) -> Picture {
+    let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
+    let combiner = Combiner::new(frames, bounds, camera);
+    let basis = camera.basis();
+    let width = picture.width as usize;
+    picture.pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        for (x, pixel) in row.iter_mut().enumerate() {
+            let (ray, _) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
+            *pixel = combiner.cast(&ray).rgba();
+        }
+    });
+    picture
+}
+
+/// Which of the `kept` frames show what the newest does not see of a picture: at most [`MAX_FRAMES`] − 1 of them, by
+/// their cameras, the one that adds most first, and of two alike the later in the list. None if the newest sees all.
+pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb) -> Vec<usize> {
+    let sees = |camera: &Camera, p: Vec3, inset: f32| {
+        let view = View::of(camera);
+        view.inset(view.basis.pixel_from_world(p - view.basis.eye)) > inset
+    };
+    let all = points(display, bounds);
+    // Half a list: from its own pose a frame sees all points, which lie on the rays of pixels.
+    let mut unseen: Vec<Vec3> = all.iter().copied().filter(|p| !sees(newest, *p, -0.5)).collect();
+    let worth_while = all.len() / 100 + 1;
+    let mut chosen = Vec::new();
+    while chosen.len() < MAX_FRAMES - 1 {
+        let gain = |n: usize| unseen.iter().filter(|p| sees(&kept[n], **p, 0.0)).count();
+        let gains = (0..kept.len()).filter(|n| !chosen.contains(n)).map(|n| (gain(n), n));
+        let Some((_, best)) = gains.max().filter(|(gain, _)| *gain >= worth_while) else { break };
+        unseen.retain(|p| !sees(&kept[best], *p, 0.0));
+        chosen.push(best);
+    }
+    chosen
+}
+
+/// By how many pixels a picture shows matter beyond the border of a frame, at most; infinite behind its near plane.
+fn beyond(view: &View, display: &Camera, bounds: &Aabb) -> f32 {
+    let inset = |p: Vec3| view.inset(view.basis.pixel_from_world(p - view.basis.eye));
+    points(display, bounds).into_iter().map(|p| -inset(p)).fold(0.0, f32::max)
+}
+
+/// Points of the box that a picture shows: on a grid of its rays, from the first pixel to the last, where each enters
+/// the box, leaves it, and between.
+fn points(display: &Camera, bounds: &Aabb) -> Vec<Vec3> {
+    let basis = display.basis();
+    let side = |n: f32, i: usize| 0.5 + (n - 1.0) * (i as f32 / (GRID - 1) as f32);
+    let mut points = Vec::with_capacity(GRID * GRID * DEPTHS);
+    for (i, j) in (0..GRID).flat_map(|j| (0..GRID).map(move |i| (i, j))) {
+        let (ray, _) = basis.ray(side(basis.width, i), side(basis.height, j));
+        if let Some((s0, s1)) = bounds.clip(&ray) {
+            points.extend((0..DEPTHS).map(|k| ray.at(s0 + (s1 - s0) * (k as f32 / (DEPTHS - 1) as f32))));
+        }
+    }
+    points
+}
+
+/// Most frames that a picture is made of.
+pub const MAX_FRAMES: usize = 4;
+/// Width of the band in which frames are mixed, lists: wide enough that no border shows, and a hundredth or two of a
+/// frame, so that it costs little.
+const BAND: f32 = 8.0;
+/// A frame with less weight is left out: a quarter of one step of 1/255.
+const LEAST_WEIGHT: f32 = 1e-3;
+/// Rays of a picture that are looked at along each side, and points on each.
+const GRID: usize = 9;
+const DEPTHS: usize = 4;
