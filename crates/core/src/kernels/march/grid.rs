@@ -31,8 +31,9 @@ impl Texels for &[u8] {
         // One load for both, taken apart by vector instructions.
         let mut both = [0u16; LANES];
         for m in 0..LANES {
-            let i = i[m] as usize;
-            both[m] = u16::from(self[i]) | u16::from(self[i + 1]) << 8;
+            if let Some(&pair) = self[i[m] as usize..].first_chunk() {
+                both[m] = u16::from_le_bytes(pair);
+            }
         }
         let (mut a, mut b) = ([0.0; LANES], [0.0; LANES]);
         for m in 0..LANES {
