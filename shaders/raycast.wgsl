@@ -30,7 +30,9 @@ fn cast_ray(ray: Ray) -> Over {
         return acc;
     }
     let line = clip(ray);
-    if (line.hit) {
+    if (line.hit && caster.num_samples > 0u) {
+        sample_line(line, &acc);
+    } else if (line.hit) {
         walk(line, &acc);
     }
     return acc;
@@ -100,8 +102,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     var enter = at(line, 0.0);
     loop {
         // To the border of the tile, of the frame or to the end of the line.
-        let in_tile = column & i32(TILE - 1u);
-        let num = select(in_tile + 1, min(i32(TILE) - in_tile, size[along] - column), columns.step > 0);
+        let num = num_in_tile(columns, column, size[along]);
         let leave = at(line, min(column_end(columns, column, num - 1), 1.0));
         let row_in = p_across + d_across * enter.t - 0.5;
         let row_out = p_across + d_across * leave.t - 0.5;
@@ -175,16 +176,43 @@ fn nearest(line: Line, column: i32, enter: Point, leave: Point, along: u32, hint
 // Whether a stretch of the line, inside of one column of tiles, may meet a segment: the rows are its ends across, as
 // those of the first of the two lists that it runs between.
 fn is_occupied(column: i32, row_in: f32, row_out: f32, depth_in: f32, depth_out: f32, along: u32, size_across: i32) -> bool {
-    let first = min(i32(max(min(row_in, row_out), 0.0)), size_across - 1) / i32(TILE);
-    let last = min(i32(max(max(row_in, row_out), 0.0)) + 1, size_across - 1) / i32(TILE);
-    let tiles_x = (i32(caster.basis.width) + i32(TILE) - 1) / i32(TILE);
-    let tile_column = column / i32(TILE);
+    let tiles = tiles_across(vec2f(row_in, row_out), size_across);
     var cells = 0u;
-    for (var tile = first; tile <= last; tile++) {
-        let xy = select(vec2i(tile, tile_column), vec2i(tile_column, tile), along == 0u);
-        cells |= occupied[xy.y * tiles_x + xy.x];
+    for (var tile = tiles.x; tile <= tiles.y; tile++) {
+        cells |= occupied[tile_index(column, tile, along)];
     }
     return (cells & cell_bits(cell_of_depth(min(depth_in, depth_out)), cell_of_depth(max(depth_in, depth_out)))) != 0u;
+}
+
+// The first and the last tile, across the way, of the lists that a stretch of a line runs between.
+fn tiles_across(rows: vec2f, size_across: i32) -> vec2i {
+    let first = min(i32(max(min(rows.x, rows.y), 0.0)), size_across - 1);
+    let last = min(i32(max(max(rows.x, rows.y), 0.0)) + 1, size_across - 1);
+    return vec2i(first, last) / i32(TILE);
+}
+
+// The index of a tile, across the way, of the column of tiles of a column of lists.
+fn tile_index(column: i32, tile: i32, along: u32) -> i32 {
+    let tiles_x = (i32(caster.basis.width) + i32(TILE) - 1) / i32(TILE);
+    let tile_column = column / i32(TILE);
+    return select(tile_column * tiles_x + tile, tile * tiles_x + tile_column, along == 0u);
+}
+
+// A list by its column and row along and across the way; a row outside of the frame is the one at its border.
+struct List {
+    index: u32,
+    // World length along its centre for each unit of view depth.
+    length_per_depth: f32,
+}
+
+fn list_at(column: i32, row_unclamped: i32, along: u32) -> List {
+    let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
+    let x = select(row, column, along == 0u);
+    let y = select(column, row, along == 0u);
+    let nx = (2.0 * f32(x) + 1.0) / caster.basis.width - 1.0;
+    let ny = 1.0 - (2.0 * f32(y) + 1.0) / caster.basis.height;
+    let center = caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny;
+    return List(u32(y) * u32(caster.basis.width) + u32(x), length_of(center));
 }
 
 // A point of the line: its parameter, depth in units and world distance from the start.
@@ -220,22 +248,15 @@ fn crossing_between(line: Line, enter: Point, leave: Point) -> Crossing {
 // Composites the segments of a list that the crossing meets. `hint` is the index at which the list before was left;
 // returns that for the next list. The twin looks at all of a list's ends at once instead.
 fn cross_list(column: i32, row_unclamped: i32, along: u32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
-    let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
-    let x = select(row, column, along == 0u);
-    let y = select(column, row, along == 0u);
-    let list = u32(y) * u32(caster.basis.width) + u32(x);
-    let start = offsets[list];
-    let end = offsets[list + 1u];
+    let list = list_at(column, row_unclamped, along);
+    let start = offsets[list.index];
+    let end = offsets[list.index + 1u];
     if (start >= end) {
         return hint;
     }
     let lo = crossing.lo;
     let hi = crossing.hi;
-    // World length of one depth unit along the centre of this list.
-    let nx = (2.0 * f32(x) + 1.0) / caster.basis.width - 1.0;
-    let ny = 1.0 - (2.0 * f32(y) + 1.0) / caster.basis.height;
-    let center = caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny;
-    let ratio = crossing.length_per_unit * caster.units_per_depth / length_of(center);
+    let ratio = crossing.length_per_unit * caster.units_per_depth / list.length_per_depth;
     // Previous-index search (Gupta 2022, algorithm 1): neighbouring lists are alike, so start where the last list was
     // left and walk to the first segment that the ray meets.
     var i = start + min(hint, end - start - 1u);
@@ -314,6 +335,12 @@ fn columns_of(p: f32, d: f32) -> Columns {
     }
     let slope = 1.0 / d;
     return Columns(select(-1, 1, d > 0.0), slope, -p * slope, select(0, 1, d > 0.0));
+}
+
+// From `column` on, how many columns there are to the border of the tile or of the frame.
+fn num_in_tile(columns: Columns, column: i32, size: i32) -> i32 {
+    let in_tile = column & i32(TILE - 1u);
+    return select(in_tile + 1, min(i32(TILE) - in_tile, size - column), columns.step > 0);
 }
 
 // Where the line leaves the column i steps behind `column`.

@@ -337,6 +337,13 @@ fn novel_views_are_those_of_the_twin() {
             let found = reprojector.raycast_with(&camera, &nearest).unwrap();
             let twin_nearest = caster.picture(&camera, &nearest);
             Difference::of(&found, &twin_nearest).assert_tolerable(&format!("{name}, {view}, nearest"));
+            for reconstruction in [Reconstruction::Nearest, Reconstruction::Mixed] {
+                let sampled = CastOptions { reconstruction, num_samples: 40, ..Default::default() };
+                let found = reprojector.raycast_with(&camera, &sampled).unwrap();
+                let sampled = Difference::of(&found, &caster.picture(&camera, &sampled));
+                // A sample at a segment's end may fall to either side.
+                assert!(sampled.is_another_choice(), "{name}, {view}, sampled: {sampled:?}");
+            }
             let mut shifted = camera;
             shifted.pose.eye += camera.pose.world_from_view * Vec3::X * (0.02 * bounds.radius());
             let shifted = reprojector.raycast(&shifted).unwrap();

@@ -129,13 +129,15 @@ impl Raycaster {
     pub(crate) fn options(&self) -> CastOptions {
         let reconstruction =
             if self.is_nearest == 0 { Reconstruction::Mixed } else { Reconstruction::Nearest };
-        CastOptions { reconstruction, skips_empty_space: self.skips_empty_space != 0 }
+        let skips_empty_space = self.skips_empty_space != 0;
+        CastOptions { reconstruction, skips_empty_space, num_samples: self.num_samples }
     }
 
     /// Casts so from now on.
     pub(crate) fn set_options(&mut self, options: &CastOptions) {
         self.is_nearest = (options.reconstruction == Reconstruction::Nearest).into();
         self.skips_empty_space = options.skips_empty_space.into();
+        self.num_samples = options.num_samples;
     }
 }
 

@@ -115,7 +115,11 @@ fn wgsl_constants(module: &naga::Module) -> BTreeMap<String, f64> {
 /// Constants with a literal value in Rust text, private ones too, as the `f32` they are.
 fn rust_constants(text: &str) -> BTreeMap<String, f64> {
     let parse_line = |line: &str| {
-        let line = line.trim().trim_start_matches("pub ").strip_prefix("const ")?;
+        let line = line
+            .trim()
+            .trim_start_matches("pub(super) ")
+            .trim_start_matches("pub ")
+            .strip_prefix("const ")?;
         let (name, rest) = line.split_once(':')?;
         let (ty, value) = rest.trim_end_matches(';').split_once('=')?;
         let value = value.trim().replace('_', "");
@@ -127,7 +131,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 16] = [
+const TWINS: [&str; 17] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
@@ -136,6 +140,7 @@ const TWINS: [&str; 16] = [
     include_str!("../../core/src/kernels/march.rs"),
     include_str!("../../core/src/kernels/empty_space.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
+    include_str!("../../core/src/kernels/subsample.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),

@@ -62,8 +62,10 @@ impl Kernel {
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::EmptySpace => &[TYPES, EMPTY_SPACE, EMPTY_SPACE_BUILD],
-            Self::RaycastCompute => &[TYPES, SPACE, LAYER, EMPTY_SPACE, RAYCAST, RAYCAST_COMPUTE],
-            Self::RaycastView => &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, RAYCAST_VIEW],
+            Self::RaycastCompute => &[TYPES, SPACE, LAYER, EMPTY_SPACE, RAYCAST, SUBSAMPLE, RAYCAST_COMPUTE],
+            Self::RaycastView => {
+                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, SUBSAMPLE, RAYCAST_VIEW]
+            }
         };
         parts.concat()
     }
@@ -107,5 +109,6 @@ const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
 const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
+const SUBSAMPLE: &str = include_str!("../../../shaders/subsample.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
 const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");

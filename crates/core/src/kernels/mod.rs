@@ -7,3 +7,4 @@ pub mod layering;
 pub mod lens;
 pub mod march;
 pub mod raycast;
+pub mod subsample;

@@ -45,11 +45,13 @@ pub struct CastOptions {
     pub reconstruction: Reconstruction,
     /// Whether empty cells are jumped; the picture is the same without.
     pub skips_empty_space: bool,
+    /// Samples a ray ([`super::subsample`]), or 0 for the full cast.
+    pub num_samples: u32,
 }
 
 impl Default for CastOptions {
     fn default() -> Self {
-        Self { reconstruction: Reconstruction::default(), skips_empty_space: true }
+        Self { reconstruction: Reconstruction::default(), skips_empty_space: true, num_samples: 0 }
     }
 }
 
@@ -63,7 +65,7 @@ pub struct Raycaster {
     /// Bit i of a list says that cell i of its depth holds a segment.
     occupied: Vec<u64>,
     empty_space: EmptySpace,
-    size: [i32; 2],
+    pub(super) size: [i32; 2],
     eye: Vec3,
     /// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector are its products with these.
     pixel_rows: [Vec3; 3],
@@ -75,39 +77,39 @@ pub struct Raycaster {
 /// A segment as a homogeneous medium, in 16 bytes: casting waits for memory as much as it computes.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(16))]
-struct Medium {
+pub(super) struct Medium {
     /// Front and back as in a frame's depth plane.
     depth: u32,
     /// Extinction along the list's centre, 1/world unit.
-    sigma: f32,
+    pub(super) sigma: f32,
     /// Source colour E = C/α, and 1, as half floats.
     e: [u16; 4],
 }
 
 impl Medium {
-    fn front(&self) -> f32 {
+    pub(super) fn front(&self) -> f32 {
         (self.depth & 0xffff) as i32 as f32
     }
 
-    fn back(&self) -> f32 {
+    pub(super) fn back(&self) -> f32 {
         (self.depth >> 16) as i32 as f32
     }
 
     /// E and 1.
-    fn e(&self) -> Vec4 {
+    pub(super) fn e(&self) -> Vec4 {
         Vec4::from_array(self.e.map(|h| f32::from_bits(u32::from(h) << 13))) * HALF_SCALE
     }
 }
 
 /// A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
-struct Line {
+pub(super) struct Line {
     /// Pixel position at t = 0.
-    p0: [f32; 2],
+    pub(super) p0: [f32; 2],
     /// Pixel position at t = 1 minus that at t = 0.
-    d: [f32; 2],
-    s_w0: f32,
-    w1: f32,
-    w0_minus_w1: f32,
+    pub(super) d: [f32; 2],
+    pub(super) s_w0: f32,
+    pub(super) w1: f32,
+    pub(super) w0_minus_w1: f32,
     w0_w1: f32,
 }
 
@@ -259,6 +261,9 @@ impl Raycaster {
     fn cast_line(&self, line: Option<Line>, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match line {
             None => Over::default(),
+            Some(line) if options.num_samples > 0 => {
+                self.sample(&line, options.reconstruction, options.num_samples)
+            }
             Some(line) => match self.row_length {
                 ROW_8 => self.walk_by::<ROW_8>(&line, options, pieces),
                 ROW_16 => self.walk_by::<ROW_16>(&line, options, pieces),
@@ -363,9 +368,7 @@ impl Raycaster {
         let (mut t_in, mut enter) = (0.0, self.at(line, 0.0));
         loop {
             // To the border of the tile, of the frame or to the end of the line.
-            let in_tile = column & (TILE as i32 - 1);
-            let num =
-                if columns.step > 0 { (TILE as i32 - in_tile).min(size_along - column) } else { in_tile + 1 };
+            let num = columns.num_in_tile(column, size_along);
             let t_out = lesser(columns.t(column, num - 1), 1.0);
             let leave = self.at(line, t_out);
             let rows = [t_in, t_out].map(|t| line.p0[across] + line.d[across] * t - 0.5);
@@ -461,24 +464,42 @@ impl Raycaster {
         along: usize,
         size_across: i32,
     ) -> bool {
-        let tile_of = |row: f32, side: i32| (row.max(0.0) as i32 + side).min(size_across - 1) / TILE as i32;
-        let first = tile_of(rows[0].min(rows[1]), 0);
-        let last = tile_of(rows[0].max(rows[1]), 1);
-        let tiles_x = self.empty_space.tiles[0] as i32;
-        let tile_column = column / TILE as i32;
-        let (start, stride) = if along == 0 { (tile_column, tiles_x) } else { (tile_column * tiles_x, 1) };
+        let [first, last] = self.tiles_across(rows, size_across);
+        let (start, stride) = self.tiles_along(column, along);
         let mut occupied = 0;
         for tile in first..=last {
             occupied |= self.empty_space.occupied[(start + tile * stride) as usize];
         }
-        let cells =
-            cell_bits(cell_of_depth(depths[0].min(depths[1])), cell_of_depth(depths[0].max(depths[1])));
-        occupied & cells != 0
+        let first_cell = cell_of_depth(lesser(depths[0], depths[1]));
+        occupied & cell_bits(first_cell, cell_of_depth(greater(depths[0], depths[1]))) != 0
+    }
+
+    /// The first and the last tile, across the way, of the lists that a stretch of a line runs between.
+    #[inline]
+    pub(super) fn tiles_across(&self, rows: [f32; 2], size_across: i32) -> [i32; 2] {
+        let tile_of = |row: f32, side: i32| (row.max(0.0) as i32 + side).min(size_across - 1) / TILE as i32;
+        [tile_of(lesser(rows[0], rows[1]), 0), tile_of(greater(rows[0], rows[1]), 1)]
+    }
+
+    /// The index of the first tile of a column of tiles, and the step from one to the next.
+    #[inline]
+    pub(super) fn tiles_along(&self, column: i32, along: usize) -> (i32, i32) {
+        let tiles_x = self.empty_space.tiles[0] as i32;
+        let tile_column = column / TILE as i32;
+        if along == 0 { (tile_column, tiles_x) } else { (tile_column * tiles_x, 1) }
+    }
+
+    /// The segments of a list; a row outside of the frame is the one at its border.
+    pub(super) fn list(&self, column: i32, row: i32, along: usize) -> &[Medium] {
+        let row = row.clamp(0, self.size[1 - along] - 1);
+        let (x, y) = if along == 0 { (column, row) } else { (row, column) };
+        let list = (y * self.size[0] + x) as usize;
+        &self.media[self.offsets[list] as usize..self.offsets[list + 1] as usize]
     }
 
     /// Depth in units and world distance from the start of the line.
     #[inline]
-    fn at(&self, line: &Line, t: f32) -> (f32, f32) {
+    pub(super) fn at(&self, line: &Line, t: f32) -> (f32, f32) {
         let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
         ((line.w0_w1 * r - self.near) * self.units_per_depth, line.s_w0 * t * r)
     }
@@ -580,19 +601,19 @@ fn list_cells(lo: u16, hi: u16) -> u64 {
 
 /// As the machine has it: without a thought for NaN.
 #[inline]
-fn lesser(a: f32, b: f32) -> f32 {
+pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
 #[inline]
-fn greater(a: f32, b: f32) -> f32 {
+pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
 /// The columns of lists along a line: a DDA along one axis.
-struct Columns {
+pub(super) struct Columns {
     /// Step of the index.
-    step: i32,
+    pub(super) step: i32,
     /// The parameter of the border at pixel position x is x·slope + offset.
     slope: f32,
     offset: f32,
@@ -601,7 +622,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn new(p: f32, d: f32) -> Self {
+    pub(super) fn new(p: f32, d: f32) -> Self {
         if d.abs() < MIN_SLOPE {
             return Self { step: 1, slope: 0.0, offset: f32::INFINITY, leaves_by: 1 };
         }
@@ -610,9 +631,16 @@ impl Columns {
         Self { step: if forward { 1 } else { -1 }, slope, offset: -p * slope, leaves_by: forward.into() }
     }
 
+    /// From `column` on, how many columns there are to the border of the tile or of the frame.
+    #[inline]
+    pub(super) fn num_in_tile(&self, column: i32, size: i32) -> i32 {
+        let in_tile = column & (TILE as i32 - 1);
+        if self.step > 0 { (TILE as i32 - in_tile).min(size - column) } else { in_tile + 1 }
+    }
+
     /// Where the line leaves the column `i` steps behind `column`.
     #[inline]
-    fn t(&self, column: i32, i: i32) -> f32 {
+    pub(super) fn t(&self, column: i32, i: i32) -> f32 {
         (column + self.leaves_by + self.step * i) as f32 * self.slope + self.offset
     }
 }
@@ -629,7 +657,7 @@ fn floor_and_fraction(x: f32) -> (i32, f32) {
 /// Opacity 1 − e^−τ to single precision, relative for small τ too, without a branch or a call: 2^−y with
 /// y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
 #[inline]
-fn opacity(tau: f32) -> f32 {
+pub(super) fn opacity(tau: f32) -> f32 {
     let y = lesser(tau * std::f32::consts::LOG2_E, 126.0);
     let shifted = y + ROUNDER;
     let f = (shifted - ROUNDER) - y;
@@ -724,6 +752,6 @@ const MIN_CROSSING: f32 = 1e-2;
 /// A list with less weight than this is left out: a quarter of one step of 1/255.
 const MIN_NEARNESS: f32 = 1e-3;
 /// A row must win by so many pixels: where the eye has not moved and no line moves, rounding must not choose.
-const AXIS_BIAS: f32 = 1e-2;
+pub(super) const AXIS_BIAS: f32 = 1e-2;
 /// A line that moves less than this many pixels in all crosses no border worth a division.
 const MIN_SLOPE: f32 = 1e-6;
