@@ -414,12 +414,34 @@ fn what_does_not_fit_is_refused_by_name() {
     Difference::of(&found, &march::render(&scene, &good)).assert_tolerable("after errors");
 }
 
+/// Twice as large each way, linear between the centres of pixels.
+fn enlarged(picture: &Picture) -> Picture {
+    let mut large = Picture::new(2 * picture.width, 2 * picture.height);
+    // Left or upper neighbour, the other one, and the share of the other.
+    let between = |x: u32, side: u32| {
+        let at = (x as f32 * 0.5 - 0.25).clamp(0.0, side as f32 - 1.0);
+        (at as u32, (at as u32 + 1).min(side - 1), at.fract())
+    };
+    for (i, pixel) in large.pixels.iter_mut().enumerate() {
+        let (x0, x1, right) = between(i as u32 % large.width, picture.width);
+        let (y0, y1, below) = between(i as u32 / large.width, picture.height);
+        let at = |x: u32, y: u32| glam::Vec4::from(picture.pixels[(y * picture.width + x) as usize]);
+        let row = |y| at(x0, y).lerp(at(x1, y), right);
+        *pixel = row(y0).lerp(row(y1), below).into();
+    }
+    large
+}
+
 /// Draws a view pass into the right half of a target twice as wide; the bytes of both halves.
-fn paint(
+fn paint(gpu: &Gpu, pass: &ViewPass, format: wgpu::TextureFormat, size: (u32, u32)) -> [Vec<u8>; 2] {
+    paint_by(gpu, format, size, |render_pass| pass.paint(render_pass))
+}
+
+fn paint_by(
     gpu: &Gpu,
-    pass: &ViewPass,
     format: wgpu::TextureFormat,
     (width, height): (u32, u32),
+    draw: impl FnOnce(&mut wgpu::RenderPass<'_>),
 ) -> [Vec<u8>; 2] {
     let size = wgpu::Extent3d { width: 2 * width, height, depth_or_array_layers: 1 };
     let target = gpu.device().create_texture(&wgpu::TextureDescriptor {
@@ -457,7 +479,7 @@ fn paint(
             })
             .forget_lifetime();
         render_pass.set_viewport(width as f32, 0.0, width as f32, height as f32, 0.0, 1.0);
-        pass.paint(&mut render_pass);
+        draw(&mut render_pass);
     }
     encoder.copy_texture_to_buffer(
         target.as_image_copy(),
@@ -507,6 +529,18 @@ fn the_view_pass_paints_what_the_twin_casts() {
             Difference::of_srgb8(&found, &twin).assert_tolerable(&format!("{name}, {format:?}"));
             Difference::of_srgb8(&found, &background).assert_noticed("nothing painted");
         }
+        // Half as many pixels each way, enlarged: the same as the twin's picture of that size, enlarged by hand.
+        let whole = camera(&scene, 33.0, (100, 76));
+        let smaller =
+            Camera { intrinsics: Intrinsics { width: 50, height: 38, ..whole.intrinsics }, ..whole };
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        pass.prepare_smaller(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND);
+        gpu.queue().submit([encoder.finish()]);
+        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_enlarged(render_pass));
+        let twin = enlarged(&raycast::raycast(&frame, &bounds, &smaller));
+        Difference::of_srgb8(&found, &twin.to_srgb8(BACKGROUND)).assert_tolerable("enlarged");
+        let full = raycast::raycast(&frame, &bounds, &whole).to_srgb8(BACKGROUND);
+        Difference::of_srgb8(&found, &full).assert_noticed("half of the pixels");
         let mut bad = frame.clone();
         bad.offsets.pop();
         assert!(pass.upload(gpu.device(), gpu.queue(), &bad, &bounds).is_err());

@@ -18,6 +18,7 @@ use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
+use crate::quality_control::QualityControl;
 use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh, Standing, Viewing};
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
@@ -31,7 +32,9 @@ pub(crate) struct ViewerApp<S> {
     opened_at: Duration,
     last_refresh: Duration,
     was_active: bool,
+    last_standing: Option<Standing>,
     refreshes: RefreshMeter,
+    quality: QualityControl,
     picture_status: Arc<PictureStatus>,
     novel_views: NovelViews,
     method_problem: Option<String>,
@@ -66,7 +69,9 @@ impl<S: FrameSource> ViewerApp<S> {
             opened_at,
             last_refresh: opened_at,
             was_active: false,
+            last_standing: None,
             refreshes: RefreshMeter::default(),
+            quality: QualityControl::new(TARGET_RATE),
             picture_status,
             novel_views,
             method_problem: None,
@@ -213,6 +218,12 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         if is_active {
             self.refreshes.record(now, self.was_active);
         }
+        // What was drawn at the refresh before took until now, if that one moved too.
+        if is_active && self.was_active && self.last_standing == Some(Standing::Moving) {
+            let drawn = self.quality.quality(true);
+            self.quality.handle_cast(now, drawn, elapsed);
+        }
+        self.last_standing = refresh.as_ref().map(|r| r.standing);
         self.was_active = is_active;
 
         let seconds = now.saturating_sub(self.opened_at).as_secs_f64();
@@ -235,7 +246,8 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());
 
-        if auto_orbit != 0.0 {
+        // A moving picture is drawn without a rest, so that the time between two refreshes tells what one costs.
+        if auto_orbit != 0.0 || self.last_standing == Some(Standing::Moving) {
             ctx.request_repaint();
         } else if let Some(wait) = self.rest(refresh.as_ref(), &state) {
             ctx.request_repaint_after(wait);
@@ -259,7 +271,8 @@ impl<S: FrameSource> ViewerApp<S> {
             None => {}
         }
         let stereo = self.stereo();
-        ui.painter().add(PicturePaint { frame, camera, bounds, stereo }.shape(rect));
+        let quality = self.quality.quality(refresh.standing == Standing::Moving);
+        ui.painter().add(PicturePaint { frame, camera, bounds, stereo, quality }.shape(rect));
     }
 
     /// Only the ray cast has two eyes.
@@ -361,3 +374,5 @@ const NOTICE_TIME: Duration = Duration::from_secs(8);
 const SCRIPT_REFRESH: Duration = Duration::from_millis(30);
 /// The largest texture, and so window, that egui's device allows.
 const MAX_PICTURE_SIDE: f32 = 8192.0;
+/// While the camera moves, the picture is cast as finely as this many refreshes a second allow.
+const TARGET_RATE: f32 = 30.0;

@@ -3,11 +3,13 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::space::Aabb;
 use isinglass_gpu::{Channels, Eye, ViewPass};
 use isinglass_net::ReceivedFrame;
 
 use crate::gpu_timer::{GpuTime, GpuTimer};
+use crate::quality_control::Quality;
 use crate::stereo::{Stereo, StereoMode};
 
 /// What one refresh draws.
@@ -20,6 +22,8 @@ pub(crate) struct PicturePaint {
     pub(crate) bounds: Aabb,
     /// Whether it is for two eyes.
     pub(crate) stereo: Stereo,
+    /// How finely to cast, if for one eye.
+    pub(crate) quality: Quality,
 }
 
 /// What the painting tells the application.
@@ -86,7 +90,12 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
             // Also after an error: the same frame would fail again at every refresh.
             r.uploaded = Some(self.frame.clone());
         }
-        if self.stereo.is_mono() {
+        let num_samples = self.quality.num_samples;
+        r.pass.set_options(queue, &CastOptions { num_samples, ..Default::default() });
+        if self.is_enlarged() {
+            let smaller = Camera { intrinsics: self.quality.size_of(self.camera.intrinsics), ..self.camera };
+            r.pass.prepare_smaller(device, queue, encoder, &smaller, BACKGROUND);
+        } else if self.stereo.is_mono() {
             r.pass.prepare(queue, &self.camera, BACKGROUND);
         } else {
             r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), BACKGROUND);
@@ -112,8 +121,13 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
 }
 
 impl PicturePaint {
+    fn is_enlarged(&self) -> bool {
+        self.stereo.is_mono() && self.quality.scale < 1.0
+    }
+
     fn paint_eyes(&self, view: &ViewPass, pass: &mut wgpu::RenderPass<'_>, info: &egui::PaintCallbackInfo) {
         match self.stereo.mode {
+            StereoMode::Off if self.is_enlarged() => view.paint_enlarged(pass),
             StereoMode::Off => view.paint(pass),
             StereoMode::SideBySide => {
                 let whole = info.viewport_in_pixels();

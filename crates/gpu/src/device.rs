@@ -155,6 +155,8 @@ impl Gpu {
             Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
+            // Pipelines of vertices and fragments are their owners'.
+            Kernel::Upscale => &[],
             Kernel::RaycastCompute | Kernel::RaycastView => &[Some(&layouts.caster), Some(&layouts.picture)],
         };
         compute_pipeline(self.device(), kernel, entry, groups)

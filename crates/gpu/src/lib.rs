@@ -16,7 +16,8 @@ mod scene;
 #[cfg(test)]
 mod shader_tests;
 mod shaders;
-pub mod view_pass;
+pub mod upscale;
+mod view_pass;
 
 pub use backend::{Backend, BackendChoice, Renderer, Reprojector};
 pub use device::{Gpu, GpuInfo};

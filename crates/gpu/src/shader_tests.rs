@@ -62,7 +62,13 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
 }
 
 fn all_kernels() -> Vec<Kernel> {
-    let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::RaycastCompute, Kernel::RaycastView];
+    let mut kernels = vec![
+        Kernel::Compact,
+        Kernel::EmptySpace,
+        Kernel::Upscale,
+        Kernel::RaycastCompute,
+        Kernel::RaycastView,
+    ];
     for kind in [TexelKind::Uint, TexelKind::Float] {
         kernels.extend([Extent::Opaque, Extent::Through].map(|extent| Kernel::Render(kind, extent)));
         for layering in Layering::ALL {

@@ -36,6 +36,8 @@ pub(crate) enum Kernel {
     RaycastCompute,
     /// Entry points `view_vertex`, `view_fragment`.
     RaycastView,
+    /// Entry points `upscale_vertex`, `upscale_fragment`.
+    Upscale,
 }
 
 impl Kernel {
@@ -61,6 +63,7 @@ impl Kernel {
                 return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
             }
             Self::Compact => &[TYPES, COMPACT],
+            Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, EMPTY_SPACE, EMPTY_SPACE_BUILD],
             Self::RaycastCompute => &[TYPES, SPACE, LAYER, EMPTY_SPACE, RAYCAST, SUBSAMPLE, RAYCAST_COMPUTE],
             Self::RaycastView => {
@@ -111,4 +114,5 @@ const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
 const SUBSAMPLE: &str = include_str!("../../../shaders/subsample.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
+const UPSCALE: &str = include_str!("../../../shaders/upscale.wgsl");
 const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");

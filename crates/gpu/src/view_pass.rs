@@ -19,6 +19,7 @@ use crate::error::{GpuError, scoped};
 use crate::gpu_types::{Basis, Display};
 use crate::raycast::{FrameOnGpu, GridBuilder};
 use crate::shaders::Kernel;
+use crate::upscale::Upscale;
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
@@ -29,6 +30,9 @@ pub struct ViewPass {
     /// Of the left and of the right eye; a picture of one eye is the left one's.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
     display: wgpu::Buffer,
+    /// View and group of the smaller picture that is enlarged.
+    smaller: (wgpu::Buffer, wgpu::BindGroup),
+    upscale: Upscale,
     encode_srgb: bool,
 }
 
@@ -85,6 +89,7 @@ impl ViewPass {
             });
             let pipelines =
                 Channels::ALL.map(|channels| pipeline(device, target, &module, &layout, channels));
+            let upscale = Upscale::new(device, target, &layout, &module);
             let frame = FrameOnGpu::new(device, &frame_layout, builder);
             let uniform =
                 |label, bytes: usize| buffer(device, label, bytes as u64, wgpu::BufferUsages::UNIFORM);
@@ -95,8 +100,12 @@ impl ViewPass {
                 let bind_group = bind(device, label, &view_layout, &resources);
                 (view, bind_group)
             });
+            let smaller = uniform("smaller view", size_of::<Basis>());
+            let resources = [smaller.as_entire_binding(), upscale.cast_display.as_entire_binding()];
+            let smaller_group = bind(device, "smaller view", &view_layout, &resources);
+            let smaller = (smaller, smaller_group);
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipelines, frame_layout, frame, eyes, display, encode_srgb })
+            Ok(Self { pipelines, frame_layout, frame, eyes, display, smaller, upscale, encode_srgb })
         })
     }
 
@@ -129,6 +138,31 @@ impl ViewPass {
     /// Sets the views of the left and of the right eye for the next two [`ViewPass::paint_eye`].
     pub fn prepare_eyes(&self, queue: &wgpu::Queue, views: &[View; 2], background: [f32; 3]) {
         self.prepare_views(queue, views, background);
+    }
+
+    /// Casts a smaller picture of `camera`, whose own size it has, for [`ViewPass::paint_enlarged`]: by `encoder`, before
+    /// the pass. `background` is linear and opaque.
+    pub fn prepare_smaller(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        encoder: &mut wgpu::CommandEncoder,
+        camera: &Camera,
+        background: [f32; 3],
+    ) {
+        queue.write_buffer(&self.smaller.0, 0, bytemuck::bytes_of(&Basis::of(camera)));
+        let linear = Display { background, encode_srgb: 0 };
+        queue.write_buffer(&self.upscale.cast_display, 0, bytemuck::bytes_of(&linear));
+        let display = Display { background, encode_srgb: self.encode_srgb.into() };
+        queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        let groups = [&self.frame.bind_group, &self.smaller.1];
+        self.upscale.cast(device, encoder, size, &self.display, groups);
+    }
+
+    /// Fills the viewport with the smaller picture, enlarged.
+    pub fn paint_enlarged(&self, pass: &mut wgpu::RenderPass<'_>) {
+        self.upscale.paint(pass);
     }
 
     fn prepare_views(&self, queue: &wgpu::Queue, views: &[View], background: [f32; 3]) {

@@ -1,0 +1,154 @@
+//! Novel views of fewer pixels than are shown: cast into a texture before the pass of the user interface and enlarged
+//! inside it. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
+
+use crate::device::{UNIFORM, bind, buffer, layout, shader_module};
+use crate::gpu_types::Display;
+use crate::shaders::Kernel;
+
+/// The texture and what draws into and from it.
+pub(crate) struct Upscale {
+    cast: wgpu::RenderPipeline,
+    enlarge: wgpu::RenderPipeline,
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    /// Of the smaller picture, whose values stay linear.
+    pub(crate) cast_display: wgpu::Buffer,
+    target: Option<Target>,
+}
+
+struct Target {
+    size: [u32; 2],
+    view: wgpu::TextureView,
+    bind_group: wgpu::BindGroup,
+}
+
+impl Upscale {
+    /// `cast_layout` and `cast_module` are those of the view's own pipelines; `format` is what is enlarged into.
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        format: wgpu::TextureFormat,
+        cast_layout: &wgpu::PipelineLayout,
+        cast_module: &wgpu::ShaderModule,
+    ) -> Self {
+        let texture = wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension: wgpu::TextureViewDimension::D2,
+            multisampled: false,
+        };
+        let sampling = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+        let group_layout =
+            layout(device, "upscale", wgpu::ShaderStages::FRAGMENT, &[texture, sampling, UNIFORM]);
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("upscale"),
+            bind_group_layouts: &[Some(&group_layout)],
+            immediate_size: 0,
+        });
+        let module = shader_module(device, Kernel::Upscale);
+        let pipeline = |layout, module, [vertex, fragment]: [&str; 2], format: wgpu::TextureFormat| {
+            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some("upscale"),
+                layout: Some(layout),
+                vertex: wgpu::VertexState {
+                    module,
+                    entry_point: Some(vertex),
+                    compilation_options: Default::default(),
+                    buffers: &[],
+                },
+                primitive: wgpu::PrimitiveState::default(),
+                depth_stencil: None,
+                multisample: wgpu::MultisampleState::default(),
+                fragment: Some(wgpu::FragmentState {
+                    module,
+                    entry_point: Some(fragment),
+                    compilation_options: Default::default(),
+                    targets: &[Some(format.into())],
+                }),
+                multiview_mask: None,
+                cache: None,
+            })
+        };
+        Self {
+            cast: pipeline(cast_layout, cast_module, ["view_vertex", "view_fragment"], FORMAT),
+            enlarge: pipeline(&pipeline_layout, &module, ["upscale_vertex", "upscale_fragment"], format),
+            layout: group_layout,
+            sampler: device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("between pixels"),
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                ..Default::default()
+            }),
+            cast_display: buffer(
+                device,
+                "display of the smaller picture",
+                size_of::<Display>() as u64,
+                wgpu::BufferUsages::UNIFORM,
+            ),
+            target: None,
+        }
+    }
+
+    /// Casts into a texture of `size`; `display` is that of the larger picture.
+    pub(crate) fn cast(
+        &mut self,
+        device: &wgpu::Device,
+        encoder: &mut wgpu::CommandEncoder,
+        size: [u32; 2],
+        display: &wgpu::Buffer,
+        groups: [&wgpu::BindGroup; 2],
+    ) {
+        if self.target.as_ref().is_none_or(|t| t.size != size) {
+            self.target = Some(self.target(device, size, display));
+        }
+        let Some(target) = &self.target else { return };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("smaller picture"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &target.view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            ..Default::default()
+        });
+        pass.set_pipeline(&self.cast);
+        for (i, group) in (0..).zip(groups) {
+            pass.set_bind_group(i, group, &[]);
+        }
+        pass.draw(0..3, 0..1);
+    }
+
+    /// Fills the viewport with what was cast.
+    pub(crate) fn paint(&self, pass: &mut wgpu::RenderPass<'_>) {
+        let Some(target) = &self.target else { return };
+        pass.set_pipeline(&self.enlarge);
+        pass.set_bind_group(0, &target.bind_group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+
+    fn target(&self, device: &wgpu::Device, size: [u32; 2], display: &wgpu::Buffer) -> Target {
+        let texture = device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("smaller picture"),
+            size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let resources = [
+            wgpu::BindingResource::TextureView(&view),
+            wgpu::BindingResource::Sampler(&self.sampler),
+            display.as_entire_binding(),
+        ];
+        let bind_group = bind(device, "upscale", &self.layout, &resources);
+        Target { size, view, bind_group }
+    }
+}
+
+/// Linear light, so that pixels mix as light does.
+const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
