@@ -60,6 +60,10 @@ fn compact(
     }
     offsets[band.first_pixel + id.x + 1u] = end;
     let start = end - len;
+    // What does not fit is made again with longer segments.
+    if (end > arrayLength(&depth)) {
+        return;
+    }
     for (var j = 0u; j < len; j++) {
         depth[start + j] = slots[3u * j * band.num_pixels + id.x];
         c_rg[start + j] = slots[(3u * j + 1u) * band.num_pixels + id.x];

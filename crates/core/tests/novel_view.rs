@@ -447,6 +447,19 @@ fn k_segments_mean_k_segments() {
             let frame = frame_of(&scene, old, k, layering);
             let longest = (0..frame.offsets.len() - 1).map(|i| frame.list(i).len()).max().unwrap();
             match layering {
+                Layering::VisibilityMerge => {
+                    let bound = usize::from(layering.longest_list(k));
+                    assert_eq!(usize::from(frame.header.k), bound);
+                    let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+                    let mean = frame.num_segments() as f32 / num_filled as f32;
+                    // The threshold comes from one ray in sixteen: 49 of this frame's. A list's length differs from the
+                    // mean by about its square root.
+                    let tolerance = 3.0 * (f32::from(k) / 49.0).sqrt();
+                    assert!(longest <= bound && mean <= f32::from(k) + tolerance, "{k}: {mean}");
+                    // Rays of more steps than K use the budget up, and unevenly.
+                    assert!(k > 3 || mean >= f32::from(k) - tolerance, "{k}: {mean}");
+                    assert!(k != 3 || longest > usize::from(k), "{k}: {longest}");
+                }
                 Layering::SingleDepth(_) => assert_eq!(longest, 1, "{layering}"),
                 // No ray runs through both the nearest and the farthest corner of the box.
                 Layering::Slabs => {

@@ -200,7 +200,7 @@ impl Layouts {
             scene_uint: scene(TextureSampleType::Uint),
             scene_float: scene(TextureSampleType::Float { filterable: false }),
             picture: layout(device, "picture", compute, &[UNIFORM, UNIFORM, WRITE]),
-            generate: layout(device, "generate", compute, &[UNIFORM, UNIFORM, WRITE, WRITE]),
+            generate: layout(device, "generate", compute, &[UNIFORM, UNIFORM, WRITE, WRITE, WRITE]),
             compact: layout(
                 device,
                 "compact",

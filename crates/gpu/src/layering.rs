@@ -2,6 +2,7 @@
 //! them into the planes behind those of the band before, and the planes are read back.
 
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::visibility_merge::{COST_BINS, SAMPLE_STRIDE};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
 
 use crate::device::{Gpu, bands, bind, rows_per_band};
@@ -15,11 +16,16 @@ use crate::shaders::Kernel;
 pub(crate) struct FrameTarget {
     width: u32,
     height: u32,
+    layering: Layering,
     k: u8,
     max_pixels: u32,
+    /// Segments that the planes hold.
+    capacity: usize,
     camera: wgpu::Buffer,
     band: wgpu::Buffer,
     offsets: wgpu::Buffer,
+    /// `Budget` of `visibility_merge.wgsl`.
+    budget: wgpu::Buffer,
     /// Depth, c_rg, c_b_tau.
     planes: [wgpu::Buffer; 3],
     generate: wgpu::BindGroup,
@@ -28,16 +34,20 @@ pub(crate) struct FrameTarget {
 }
 
 impl FrameTarget {
-    pub(crate) fn new(gpu: &Gpu, header: &FrameHeader) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, header: &FrameHeader, layering: Layering) -> Result<Self, GpuError> {
         if !header.camera.is_valid() {
             return Err(GpuError::Camera);
         }
         let (width, height) = (header.camera.intrinsics.width, header.camera.intrinsics.height);
         let k = clamp_k(header.k);
         let num_pixels = u64::from(width) * u64::from(height);
-        let plane_bytes = num_pixels * u64::from(k) * 4;
+        let longest = layering.longest_list(k);
+        // A budget estimated from a sample may be missed by some.
+        let slack = if longest == k { 0 } else { num_pixels * u64::from(k) / 8 + SLACK_SEGMENTS };
+        let capacity = (num_pixels * u64::from(k) + slack).min(num_pixels * u64::from(longest));
+        let plane_bytes = capacity * 4;
         gpu.check_binding("plane of segments in bytes", plane_bytes)?;
-        let slot_bytes_per_pixel = u32::from(k) * 12;
+        let slot_bytes_per_pixel = u32::from(longest) * 12;
         let max_pixels = gpu.max_dispatch_pixels().min(SLOT_BYTES / slot_bytes_per_pixel);
         let band_pixels = rows_per_band(width, height, max_pixels) * width;
         let slot_bytes = u64::from(band_pixels) * u64::from(slot_bytes_per_pixel);
@@ -49,6 +59,7 @@ impl FrameTarget {
         // Entry 0 stays 0, as new buffers are.
         let offsets = gpu.storage("offsets", (num_pixels + 1) * 4);
         let planes = ["depth", "c_rg", "c_b_tau"].map(|label| gpu.storage(label, plane_bytes));
+        let budget = gpu.storage("budget", (BUDGET_JOINS + COST_BINS as u64) * 4);
         let generate = bind(
             gpu.device(),
             "generate",
@@ -58,6 +69,7 @@ impl FrameTarget {
                 band.as_entire_binding(),
                 counts.as_entire_binding(),
                 slots.as_entire_binding(),
+                budget.as_entire_binding(),
             ],
         );
         let compact = bind(
@@ -76,13 +88,28 @@ impl FrameTarget {
             ],
         );
         let readback = Readback::default();
-        Ok(Self { width, height, k, max_pixels, camera, band, offsets, planes, generate, compact, readback })
+        Ok(Self {
+            width,
+            height,
+            layering,
+            k,
+            max_pixels,
+            capacity: capacity as usize,
+            camera,
+            band,
+            offsets,
+            budget,
+            planes,
+            generate,
+            compact,
+            readback,
+        })
     }
 
-    /// Whether a frame with this header has just this size and list length.
-    pub(crate) fn fits(&self, header: &FrameHeader) -> bool {
+    /// Whether this is for frames by this rule with this header's size and K.
+    pub(crate) fn fits(&self, header: &FrameHeader, layering: Layering) -> bool {
         let i = header.camera.intrinsics;
-        (self.width, self.height, self.k) == (i.width, i.height, clamp_k(header.k))
+        (self.width, self.height, self.k, self.layering) == (i.width, i.height, clamp_k(header.k), layering)
     }
 
     pub(crate) fn generate(
@@ -90,20 +117,82 @@ impl FrameTarget {
         gpu: &Gpu,
         scene: &SceneOnGpu,
         header: FrameHeader,
-        layering: Layering,
     ) -> Result<LayeredFrame, GpuError> {
         if !header.camera.is_valid() {
             return Err(GpuError::Camera);
         }
-        let march = gpu.pipeline(Kernel::Generate(scene.kind, layering, self.k), "generate");
+        let header = FrameHeader { k: self.layering.longest_list(header.k), ..header };
+        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
+        if self.layering == Layering::VisibilityMerge {
+            self.choose_threshold(gpu, scene);
+        }
+        let mut frame = LayeredFrame::empty(header);
+        let num_offsets = header.camera.intrinsics.num_pixels() + 1;
+        loop {
+            self.fill_planes(gpu, scene);
+            frame.offsets.clear();
+            self.readback.read(gpu, encoder(gpu), [(&self.offsets, num_offsets)], [&mut frame.offsets])?;
+            let total = frame.offsets.last().map_or(0, |&total| total as usize);
+            if total <= self.capacity {
+                let LayeredFrame { depth, c_rg, c_b_tau, .. } = &mut frame;
+                self.readback.read(
+                    gpu,
+                    encoder(gpu),
+                    self.planes.each_ref().map(|plane| (plane, total)),
+                    [depth, c_rg, c_b_tau],
+                )?;
+                return Ok(frame);
+            }
+            self.raise_threshold(gpu)?;
+        }
+    }
+
+    /// Marches the sample of rays and sets the threshold that their joins ask for.
+    fn choose_threshold(&self, gpu: &Gpu, scene: &SceneOnGpu) {
+        let kernel = Kernel::Generate(scene.kind, self.layering, self.k);
+        let [sample, choose] = ["sample_budget", "choose_threshold"].map(|entry| gpu.pipeline(kernel, entry));
+        let mut clear = encoder(gpu);
+        clear.clear_buffer(&self.budget, 0, None);
+        gpu.queue().submit([clear.finish()]);
+        let (width, height) = (self.width.div_ceil(SAMPLE_STRIDE), self.height.div_ceil(SAMPLE_STRIDE));
+        for band in bands(width, height, self.max_pixels) {
+            gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
+            let mut encoder = encoder(gpu);
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(&sample);
+                pass.set_bind_group(0, &scene.bind_group, &[]);
+                pass.set_bind_group(1, &self.generate, &[]);
+                let (x, y) = (width.div_ceil(WORKGROUP_SIDE), band.num_rows.div_ceil(WORKGROUP_SIDE));
+                pass.dispatch_workgroups(x, y, 1);
+                if band.first_row + band.num_rows == height {
+                    pass.set_pipeline(&choose);
+                    pass.dispatch_workgroups(1, 1, 1);
+                }
+            }
+            gpu.queue().submit([encoder.finish()]);
+        }
+    }
+
+    /// The sample has missed what most rays meet.
+    fn raise_threshold(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        let mut head = Vec::new();
+        self.readback.read(gpu, encoder(gpu), [(&self.budget, BUDGET_JOINS as usize)], [&mut head])?;
+        let threshold = head.get(BUDGET_THRESHOLD).map_or(0.0, |&bits| f32::from_bits(bits));
+        let raised = (threshold * 2.0).clamp(THRESHOLD_LEAST, f32::MAX);
+        gpu.queue().write_buffer(&self.budget, BUDGET_THRESHOLD as u64 * 4, bytemuck::bytes_of(&raised));
+        Ok(())
+    }
+
+    /// Generates and compacts band by band.
+    fn fill_planes(&self, gpu: &Gpu, scene: &SceneOnGpu) {
+        let march = gpu.pipeline(Kernel::Generate(scene.kind, self.layering, self.k), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
-        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
-        let encoder = || gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let max_pixels = self.max_pixels / marches_at_most(layering);
+        let max_pixels = self.max_pixels / marches_at_most(self.layering);
         for band in bands(self.width, self.height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
-            let mut encoder = encoder();
+            let mut encoder = encoder(gpu);
             {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
                 pass.set_pipeline(&march);
@@ -122,25 +211,16 @@ impl FrameTarget {
             }
             gpu.queue().submit([encoder.finish()]);
         }
-        let mut frame = LayeredFrame::empty(header);
-        frame.offsets.clear();
-        let num_offsets = header.camera.intrinsics.num_pixels() + 1;
-        self.readback.read(gpu, encoder(), [(&self.offsets, num_offsets)], [&mut frame.offsets])?;
-        let total = frame.offsets.last().map_or(0, |&total| total as usize);
-        let LayeredFrame { depth, c_rg, c_b_tau, .. } = &mut frame;
-        self.readback.read(
-            gpu,
-            encoder(),
-            self.planes.each_ref().map(|plane| (plane, total)),
-            [depth, c_rg, c_b_tau],
-        )?;
-        Ok(frame)
     }
 }
 
 /// Marches of a ray, so that a dispatch of a rule with many takes no longer than that of another.
 fn marches_at_most(layering: Layering) -> u32 {
     if layering == Layering::Homogeneity { 25 } else { 1 }
+}
+
+fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+    gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
 }
 
 /// As the twin reads it.
@@ -150,3 +230,10 @@ fn clamp_k(k: u8) -> u8 {
 
 /// Bytes of slots that a band may take: half of a storage binding, so that bands are long and memory is not.
 const SLOT_BYTES: u32 = 64 << 20;
+/// Segments beyond the budget that any frame has room for.
+const SLACK_SEGMENTS: u64 = 1 << 14;
+/// Word of `Budget` that holds the threshold, and the first of its bins.
+const BUDGET_THRESHOLD: usize = 2;
+const BUDGET_JOINS: u64 = 3;
+/// Where a threshold of nothing is raised from.
+const THRESHOLD_LEAST: f32 = 1e-6;

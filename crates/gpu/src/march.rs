@@ -77,11 +77,11 @@ impl GpuRenderer {
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
         let Self { gpu, on_gpu, frame, .. } = self;
         gpu.attempt("generating a layered frame", || {
-            let target = match frame.take().filter(|target| target.fits(&header)) {
+            let target = match frame.take().filter(|target| target.fits(&header, layering)) {
                 Some(target) => frame.insert(target),
-                None => frame.insert(FrameTarget::new(gpu, &header)?),
+                None => frame.insert(FrameTarget::new(gpu, &header, layering)?),
             };
-            target.generate(gpu, on_gpu, header, layering)
+            target.generate(gpu, on_gpu, header)
         })
     }
 }

@@ -1,6 +1,6 @@
 //! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
 
-use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::{Layering, visibility_merge};
 use isinglass_core::layer::MAX_K;
 
 /// How the voxels are stored, as far as a shader can tell.
@@ -26,7 +26,8 @@ pub(crate) enum Extent {
 pub(crate) enum Kernel {
     /// Entry point `render`.
     Render(TexelKind, Extent),
-    /// Entry point `generate`: rule and greatest list length.
+    /// Entry point `generate`: rule and K. With [`Layering::VisibilityMerge`] also `sample_budget` and
+    /// `choose_threshold`.
     Generate(TexelKind, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
@@ -46,20 +47,26 @@ impl Kernel {
         let parts: &[&str] = match self {
             Self::Render(kind, extent) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, extent.part(), RENDER],
             Self::Generate(kind, layering, k) => {
-                let representative;
+                let header;
+                let k = usize::from(k).clamp(1, MAX_K);
+                let mut longest = k;
                 let [shared, rule] = match layering {
-                    Layering::VisibilityMerge => ["", VISIBILITY_MERGE],
+                    Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
+                        longest = visibility_merge::longest_list(k);
+                        let most = if layering == Layering::VisibilityMerge { longest } else { k };
+                        header = format!("const MEAN_K: u32 = {k}u;\nconst MOST: u32 = {most}u;\n");
+                        [&header, VISIBILITY_MERGE]
+                    }
                     Layering::EqualTransmittance => ["", EQUAL_TRANSMITTANCE],
                     Layering::EqualLength => [CUTS, EQUAL_LENGTH],
                     Layering::Homogeneity => ["", HOMOGENEITY],
                     Layering::SingleDepth(r) => {
-                        representative = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
-                        [&representative, SINGLE_DEPTH]
+                        header = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
+                        [&header, SINGLE_DEPTH]
                     }
                     Layering::Slabs => [CUTS, SLABS],
                 };
-                let k = usize::from(k).clamp(1, MAX_K);
-                let k = format!("const K: u32 = {k}u;\n");
+                let k = format!("const K: u32 = {longest}u;\n");
                 return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
             }
             Self::Compact => &[TYPES, COMPACT],

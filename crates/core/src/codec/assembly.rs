@@ -82,8 +82,14 @@ impl Assembly {
         if slot.is_some() {
             return Err(contradiction("its band and group are there under another index"));
         }
-        if other.as_ref().is_some_and(|other| !is_disjoint(&chunk, other)) {
-            return Err(contradiction("its segments overlap those of the other group"));
+        if let Some(other) = other {
+            if !is_disjoint(&chunk, other) {
+                return Err(contradiction("its segments overlap those of the other group"));
+            }
+            let k = header.frame.k;
+            if chunk.counts.iter().zip(&other.counts).any(|(a, b)| a + b > k) {
+                return Err(contradiction("its lists are too long with those of the other group"));
+            }
         }
         self.seen |= 1 << header.index.0;
         self.num_segments += chunk.num_segments();

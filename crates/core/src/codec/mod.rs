@@ -159,12 +159,13 @@ pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame,
     let intrinsics = frame.header.camera.intrinsics;
     let width = intrinsics.width as usize;
     let num_bands = header::num_bands(intrinsics.height);
+    let base_k = base_k(frame);
     let bands: Vec<_> = (0..num_bands)
         .into_par_iter()
         .map(|band| {
             let rows = header::band_rows(intrinsics.height, num_bands, band);
             let lists = rows.start as usize * width..rows.end as usize * width;
-            quantize::band(frame, lists, scale).map(|group| {
+            quantize::band(frame, lists, base_k, scale).map(|group| {
                 let payload = planes::encode(&group.lists, width, scale, settings.zstd_level)?;
                 Ok((group, payload))
             })
@@ -245,9 +246,10 @@ pub const MIN_ZSTD_LEVEL: i32 = 1;
 /// Smallest compression.
 pub const MAX_ZSTD_LEVEL: i32 = 19;
 
-/// Longest list of the base group: half of K, rounded up.
-const fn base_k(k: u8) -> usize {
-    (k as usize).div_ceil(2)
+/// Longest list of the base group: half of the mean of the lists that are not empty, rounded up.
+fn base_k(frame: &LayeredFrame) -> usize {
+    let num_filled = frame.offsets.windows(2).filter(|ends| ends[1] > ends[0]).count();
+    frame.num_segments().div_ceil(2 * num_filled.max(1)).max(1)
 }
 
 const _: () = assert!(MAX_K == 32, "a list's base is marked in 32 bits");

@@ -9,7 +9,7 @@ use super::header::{ChunkHeader, HEADER_BYTES, num_tiles, peek};
 use super::predict::{Walk, corrected};
 use super::quantize::{Code, Lists};
 use super::scale::{self, Scale};
-use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most, base_k};
+use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
 
 /// The segments of one chunk, in the packed form of [`crate::layer::LayeredFrame`]. Every list is in order and within
 /// the limits of its group.
@@ -101,10 +101,7 @@ fn counts_from_parts(header: &ChunkHeader, parts: &[&[u8]; NUM_PLANES]) -> Resul
     let width = intrinsics.width as usize;
     let tiles_across = num_tiles(intrinsics.width);
     let num_lists = header.num_lists();
-    let limit = match (header.is_base(), base_k(header.frame.k)) {
-        (true, base) => base,
-        (false, base) => usize::from(header.frame.k) - base,
-    };
+    let limit = usize::from(header.frame.k);
     let tile_count = tiles_across * num_tiles(header.rows().len() as u32);
     let tiles = decompress(TILES, parts[TILES], tile_count.div_ceil(8))?;
     let is_full = |list: usize| bit(&tiles, tile_of(list, width, tiles_across));

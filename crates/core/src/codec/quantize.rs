@@ -11,7 +11,6 @@
 
 use std::ops::Range;
 
-use super::base_k;
 use super::scale::Scale;
 use crate::layer::{LayeredFrame, MAX_K};
 
@@ -39,9 +38,8 @@ pub(super) struct Group {
     pub(super) contribution: f64,
 }
 
-/// Quantises the lists of a band into its base and its refinement.
-pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>, scale: &Scale) -> [Group; 2] {
-    let base_k = base_k(frame.header.k);
+/// Quantises the lists of a band into its base, of at most `base_k` segments a list, and its refinement.
+pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>, base_k: usize, scale: &Scale) -> [Group; 2] {
     let mut groups: [Group; 2] = Default::default();
     for group in &mut groups {
         group.lists.counts.reserve(lists.len());

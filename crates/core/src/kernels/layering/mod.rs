@@ -25,7 +25,7 @@ use crate::space::Ray;
 /// The rules by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Layering {
-    /// One march; the neighbouring pair that costs least is merged when there are more than K (ours).
+    /// One march, merged where it costs least; K segments a list on average, more where they matter (ours).
     #[default]
     VisibilityMerge,
     /// Cuts at equal shares of the accumulated opacity; two marches (Lochmann 2016).
@@ -38,12 +38,15 @@ pub enum Layering {
     SingleDepth(Representative),
     /// Slabs of equal view depth, the same for every ray (Mueller 1999).
     Slabs,
+    /// [`Layering::VisibilityMerge`] with at most K segments in every list.
+    VisibilityMergeFixed,
 }
 
 impl Layering {
     /// Every rule.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::VisibilityMerge,
+        Self::VisibilityMergeFixed,
         Self::EqualTransmittance,
         Self::EqualLength,
         Self::Homogeneity,
@@ -61,6 +64,7 @@ impl Layering {
     pub fn name(self) -> &'static str {
         match self {
             Self::VisibilityMerge => "visibility-merge",
+            Self::VisibilityMergeFixed => "visibility-merge:fixed",
             Self::EqualTransmittance => "equal-transmittance",
             Self::EqualLength => "equal-length",
             Self::Homogeneity => "homogeneity",
@@ -73,6 +77,15 @@ impl Layering {
             Self::SingleDepth(Representative::Gradient) => "single-depth:gradient",
             Self::SingleDepth(Representative::Threshold) => "single-depth:threshold",
         }
+    }
+}
+
+impl Layering {
+    /// The longest list that occurs in a frame for `k`.
+    pub fn longest_list(self, k: u8) -> u8 {
+        let k = usize::from(k).clamp(1, MAX_K);
+        let longest = if self == Self::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
+        longest as u8
     }
 }
 
@@ -132,7 +145,8 @@ fn split(step: &Step, part: f32) -> (Step, Step) {
     (piece(step.s0, s_cut, step.tau * part), piece(s_cut, step.s1, step.tau * (1.0 - part)))
 }
 
-/// Generates a layered frame by the rule `layering` with at most `header.k` segments a list.
+/// Generates a layered frame by the rule `layering` with `header.k` segments a list: on average for
+/// [`Layering::VisibilityMerge`], else at most. The header of the frame has the longest list that can occur.
 pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> LayeredFrame {
     with_texels!(scene, texels => generate_with(scene, &Marcher::new(scene, texels), header, layering))
 }
@@ -146,14 +160,21 @@ fn generate_with<T: Texels>(
     let camera = header.camera;
     let basis = camera.basis();
     let k = usize::from(header.k).clamp(1, MAX_K);
+    let header = FrameHeader { k: layering.longest_list(header.k), ..header };
+    let longest = usize::from(header.k);
+    let threshold = if layering == Layering::VisibilityMerge {
+        visibility_merge::threshold(scene, marcher, &camera, k)
+    } else {
+        0.0
+    };
     gather_rows(header, |y, row| {
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-            let of = RayOfFrame { basis: &basis, near: camera.near, ray, s_per_depth };
+            let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
             let list = generate_list(scene, marcher, &of, k, layering);
             let mut last_back = 0;
             for segment in &list.segments[..list.len] {
-                let segment = close_segment(&camera, k, segment, s_per_depth, last_back);
+                let segment = close_segment(&camera, longest, segment, s_per_depth, last_back);
                 last_back = segment.back;
                 row.push(&segment);
             }
@@ -200,6 +221,8 @@ struct RayOfFrame<'a> {
     basis: &'a Basis,
     /// View depth of the near plane.
     near: f32,
+    /// See [`visibility_merge`].
+    threshold: f32,
     ray: Ray,
     /// World distance per unit of view depth.
     s_per_depth: f32,
@@ -213,13 +236,15 @@ fn generate_list<T: Texels>(
     k: usize,
     layering: Layering,
 ) -> SegmentList {
-    let &RayOfFrame { basis, near, ref ray, s_per_depth } = of;
+    let &RayOfFrame { basis, near, threshold, ref ray, s_per_depth } = of;
     let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return SegmentList::default() };
     match layering {
-        Layering::VisibilityMerge => {
-            let mut sink = visibility_merge::VisibilityMerge::new(k, lattice.h);
-            marcher.march(ray, lattice, &mut sink);
-            sink.finish()
+        Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
+            let longest = visibility_merge::longest_list(k);
+            let most = if layering == Layering::VisibilityMerge { longest } else { k };
+            let mut gather = visibility_merge::Gather::new(longest, lattice.h);
+            marcher.march(ray, lattice, &mut gather);
+            gather.finish().reduce(most, threshold)
         }
         Layering::EqualTransmittance => {
             let mut profile = equal_transmittance::Profile::default();
