@@ -283,9 +283,11 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 // One of SAMPLE_STRIDE² pixels: what the joins cost.
 @compute @workgroup_size(8, 8)
 fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
-    let x = id.x * SAMPLE_STRIDE + SAMPLE_STRIDE / 2u;
-    let y = (band.first_row + id.y) * SAMPLE_STRIDE + SAMPLE_STRIDE / 2u;
-    if (x >= u32(camera.width) || y >= u32(camera.height) || id.y >= band.num_rows) {
+    let width = u32(camera.width);
+    let height = u32(camera.height);
+    let x = id.x * SAMPLE_STRIDE + min(SAMPLE_STRIDE / 2u, width / 2u);
+    let y = (band.first_row + id.y) * SAMPLE_STRIDE + min(SAMPLE_STRIDE / 2u, height / 2u);
+    if (x >= width || y >= height || id.y >= band.num_rows) {
         return;
     }
     let from_camera = basis_ray(camera, f32(x) + 0.5, f32(y) + 0.5);

@@ -243,7 +243,8 @@ fn layered_frames_are_those_of_the_twin() {
                 Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(&what);
                 let (view_found, view_twin) = (view(&found), view(&twin));
                 let turned = Difference::of(&view_found, &view_twin);
-                let chooses = layering == Layering::VisibilityMerge && k > 1;
+                let chooses =
+                    matches!(layering, Layering::VisibilityMerge | Layering::VisibilityMergeFixed) && k > 1;
                 assert!(
                     turned.is_tolerable() || chooses && turned.is_another_choice(),
                     "{what}, turned: {turned:?}"
@@ -397,7 +398,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let error = renderer.generate(header(huge, 16), Layering::VisibilityMerge).unwrap_err();
     assert!(matches!(error, GpuError::TooLarge { .. }), "{error}");
     // The longest lists of the sources at full size: a quarter of a gigabyte a plane, which not every device can bind.
-    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::VisibilityMerge) {
+    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::VisibilityMergeFixed) {
         Ok(frame) => frame.validate().unwrap(),
         Err(e) => {
             assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000, .. }), "{e}");

@@ -299,13 +299,13 @@ impl Pieces {
 pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
     let basis = camera.basis();
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let first = SAMPLE_STRIDE / 2;
-    let rows: Vec<u32> = (first..height).step_by(SAMPLE_STRIDE as usize).collect();
+    let first = |side: u32| (SAMPLE_STRIDE / 2).min(side / 2);
+    let rows: Vec<u32> = (first(height)..height).step_by(SAMPLE_STRIDE as usize).collect();
     let sample = rows
         .into_par_iter()
         .map(|y| {
             let mut sample = Sample::default();
-            for x in (first..width).step_by(SAMPLE_STRIDE as usize) {
+            for x in (first(width)..width).step_by(SAMPLE_STRIDE as usize) {
                 let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
                 if let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth) {
                     let mut gather = Gather::new(longest_list(k), lattice.h);
