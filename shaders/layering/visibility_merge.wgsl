@@ -147,7 +147,7 @@ fn composite(first: u32, end: u32) -> OpenSegment {
 }
 
 // How far the colour and opacity that a ray collects on its way through the pieces first..end are from what it collects
-// in their homogeneous composite: the mean distance over the way, times its length in steps.
+// in their homogeneous composite: the mean distance over the way, times the 3/2-th power of its length in steps.
 fn group_error(first: u32, end: u32) -> f32 {
     let all = composite(first, end);
     let tau_per_length = all.tau / (all.s1 - all.s0);
@@ -178,7 +178,7 @@ fn group_error(first: u32, end: u32) -> f32 {
         }
     }
     error += 0.5 * distance_before * (all.s1 - s_before);
-    return error / sink.h * weight[first];
+    return error / sink.h * sqrt((all.s1 - all.s0) / sink.h) * weight[first];
 }
 
 fn distance_collected(color: vec3f, opacity: f32) -> f32 {
@@ -346,7 +346,7 @@ const NO_SLOT: u32 = 0xffffffff;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.
-const VISIBILITY_FLOOR: f32 = 0.1;
+const VISIBILITY_FLOOR: f32 = 0.15;
 // Weight of moved opacity against mixed colour while gathering.
 const MOVED_WEIGHT: f32 = 2.0;
 // Weight of collected colour against collected opacity.

@@ -171,8 +171,10 @@ struct Groups {
 
 impl Pieces {
     /// How far the colour and opacity that a ray collects on its way through the pieces `from..to` are from what it
-    /// collects in their homogeneous composite: the mean distance over the way, times its length in steps. Seen at
-    /// an angle, matter that sits wrongly along the ray sits wrongly in the picture by a share of that distance.
+    /// collects in their homogeneous composite: the mean distance over the way, times the 3/2-th power of its length in
+    /// steps. Seen at an angle, matter that sits wrongly along the ray sits wrongly in the picture by a share of that
+    /// length; the power above one holds apart what is far apart (found by trial: against the power 1, DSSIM at 15°
+    /// fell by a quarter on opaque cubes and by a tenth on shells, and rose by a twentieth on a head).
     fn group_error(&self, from: usize, to: usize) -> f32 {
         let pieces = &self.piece[from..to];
         let mut all = pieces[0];
@@ -203,7 +205,8 @@ impl Pieces {
             }
         }
         error += 0.5 * distance_before * (all.s1 - s_before);
-        error / self.h * self.visibility[from]
+        let steps = length / self.h;
+        error / self.h * steps.sqrt() * self.visibility[from]
     }
 
     /// Joins groups, cheapest first, until there are at most `most` and the next join costs more than `threshold`.
@@ -403,7 +406,7 @@ fn merge_cost(a: &OpenSegment, b: &OpenSegment, h: f32) -> f32 {
 const NO_SLOT: usize = MAX_K + 1;
 /// Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it. At a floor of
 /// 0.05 novel views at 30° were up to 8 % worse, at 0.5 those of smooth media at 10°.
-const VISIBILITY_FLOOR: f32 = 0.1;
+const VISIBILITY_FLOOR: f32 = 0.15;
 /// Weight of moved opacity against mixed colour while gathering: between 1 and 2 the error is flat.
 const MOVED_WEIGHT: f32 = 2.0;
 /// Weight of collected colour against collected opacity. Between 2 and 4 flat on bright scenes; dark ones gain.
