@@ -339,8 +339,9 @@ fn samples_converge_to_the_full_cast() {
                 a.iter().zip(&b).map(|(x, y)| f64::from(x.abs_diff(*y))).sum::<f64>() / a.len() as f64
             };
             let errors = [4, 32, 2048].map(error);
-            // Mean over all channels in 1/255; a sample more or less at a segment's end remains.
-            assert!(errors[2] < 0.1, "{name}, {reconstruction:?}: {errors:?}");
+            // Mean over all channels in 1/255; a sample more or less at a segment's end remains, and segments may be
+            // thinner than the distance of 2048 samples where the ray runs along them.
+            assert!(errors[2] < f64::max(0.1, 0.03 * errors[0]), "{name}, {reconstruction:?}: {errors:?}");
             // Some see nothing.
             num_improved += usize::from(errors[0] > 5.0 * errors[2]);
         }

@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::*;
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::wire::control::{self, hello};
-use isinglass_core::wire::{ALPN, ClientMessage, Refusal, ServerMessage, Token};
+use isinglass_core::wire::{ALPN, ClientMessage, PROTOCOL_VERSION, Refusal, ServerMessage, Token};
 use isinglass_net::identity::pinned_tls;
 use isinglass_net::{
     BindError, ConnectError, Fingerprint, Identity, Link, Server, ServerOptions, State, random_token,
@@ -89,8 +89,8 @@ async fn whatever_a_client_says_first_others_are_served() {
     let mut peer = raw(&bad_links[0]).await;
     let other = ClientMessage::Hello { protocol: 99, token: t(), instance: t(), name: String::new() };
     peer.send.write_all(&control::encode(&other).unwrap()).await.unwrap();
-    assert_eq!(peer.is_refused().await, Refusal::Version { server: 1, client: 99 });
-    assert!(peer.close_reason().await.contains("protocol version 1"));
+    assert_eq!(peer.is_refused().await, Refusal::Version { server: PROTOCOL_VERSION, client: 99 });
+    assert!(peer.close_reason().await.contains(&format!("protocol version {PROTOCOL_VERSION}")));
 
     // Garbage: of a good length, of a huge length, of length zero.
     let garbage = [[&8u32.to_le_bytes()[..], &[0xee; 8]].concat(), vec![0xff; 64], vec![0; 4]];
