@@ -1,13 +1,6 @@
 // Novel views: ray casts a layered frame from any camera. Twin of crates/core/src/kernels/raycast.rs; the derivations
-// are there. Run by raycast_compute.wgsl into a buffer and by raycast_view.wgsl onto the screen.
-
-@group(0) @binding(0) var<uniform> caster: Raycaster;
-@group(0) @binding(1) var<storage, read> offsets: array<u32>;
-@group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
-@group(0) @binding(3) var<storage, read> c_rg: array<u32>;
-@group(0) @binding(4) var<storage, read> c_b_tau: array<u32>;
-// One word a tile: the cells of it that hold a segment (empty_space.wgsl).
-@group(0) @binding(5) var<storage, read> occupied: array<u32>;
+// are there. What `caster` and the planes are is said by one_frame.wgsl, or by combine.wgsl for several frames. Run by
+// raycast_compute.wgsl into a buffer and by raycast_view.wgsl onto the screen.
 
 // A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
 struct Line {
@@ -23,23 +16,8 @@ struct Line {
     hit: bool,
 }
 
-// Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
-fn cast_ray(ray: Ray) -> Over {
-    var acc = over_identity();
-    if (caster.has_frame == 0u) {
-        return acc;
-    }
-    let line = clip(ray);
-    if (line.hit && caster.num_samples > 0u) {
-        sample_line(line, &acc);
-    } else if (line.hit) {
-        walk(line, &acc);
-    }
-    return acc;
-}
-
-// Clips in homogeneous coordinates.
-fn clip(ray: Ray) -> Line {
+// Clips in homogeneous coordinates, and to two world distances.
+fn clip(ray: Ray, within: vec2f) -> Line {
     var line: Line;
     let clipped = clip_box(caster.bounds_min, caster.bounds_max, ray);
     if (clipped.s1 <= clipped.s0) {
@@ -57,8 +35,8 @@ fn clip(ray: Ray) -> Line {
         vec2f(o.y, d.y),
         vec2f(height * o.z - o.y, height * d.z - d.y),
     );
-    var s0 = clipped.s0;
-    var s1 = clipped.s1;
+    var s0 = max(clipped.s0, within.x);
+    var s1 = min(clipped.s1, within.y);
     for (var i = 0u; i < 5u; i++) {
         // Inside where a + b·s ≥ 0.
         let a = planes[i].x;
@@ -179,7 +157,7 @@ fn is_occupied(column: i32, row_in: f32, row_out: f32, depth_in: f32, depth_out:
     let tiles = tiles_across(vec2f(row_in, row_out), size_across);
     var cells = 0u;
     for (var tile = tiles.x; tile <= tiles.y; tile++) {
-        cells |= occupied[tile_index(column, tile, along)];
+        cells |= occupied_at(tile_index(column, tile, along));
     }
     return (cells & cell_bits(cell_of_depth(min(depth_in, depth_out)), cell_of_depth(max(depth_in, depth_out)))) != 0u;
 }
@@ -249,8 +227,8 @@ fn crossing_between(line: Line, enter: Point, leave: Point) -> Crossing {
 // returns that for the next list. The twin looks at all of a list's ends at once instead.
 fn cross_list(column: i32, row_unclamped: i32, along: u32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
     let list = list_at(column, row_unclamped, along);
-    let start = offsets[list.index];
-    let end = offsets[list.index + 1u];
+    let start = offset_at(list.index);
+    let end = offset_at(list.index + 1u);
     if (start >= end) {
         return hint;
     }
@@ -289,7 +267,7 @@ fn cross_list(column: i32, row_unclamped: i32, along: u32, crossing: Crossing, h
 
 // Front and back of segment i, depth units.
 fn ends(i: u32) -> vec2f {
-    let word = depth_plane[i];
+    let word = depth_at(i);
     return vec2f(f32(word & 0xffffu), f32(word >> 16u));
 }
 
@@ -300,8 +278,8 @@ fn cross_segment(i: u32, front_back: vec2f, lo: f32, hi: f32, ratio: f32, acc: p
     if (overlap <= 0.0) {
         return;
     }
-    let rg = unpack_halves(c_rg[i]);
-    let b_tau = unpack_halves(c_b_tau[i]);
+    let rg = unpack_halves(c_rg_at(i));
+    let b_tau = unpack_halves(c_b_tau_at(i));
     let c = vec3f(rg, b_tau.x);
     let tau = b_tau.y;
     let tau_crossed = tau * (overlap / (front_back.y - front_back.x)) * ratio;

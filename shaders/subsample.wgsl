@@ -1,8 +1,5 @@
 // A preview by a number of samples a ray. Twin of crates/core/src/kernels/subsample.rs; the derivation is there.
 
-// DEPTH_CELLS counts a tile (empty_space_build.wgsl).
-@group(0) @binding(6) var<storage, read> counts: array<u32>;
-
 // The part of a line inside of one column of tiles.
 struct TileStretch {
     // World distances from the start of the line.
@@ -113,16 +110,16 @@ fn sample_at(line: Line, distance: f32, length: f32, stretch: TileStretch, along
 // Colour and opacity of a length of the segment of a list that holds a depth.
 fn look_up(column: i32, row_unclamped: i32, depth: f32, length: f32, along: u32) -> vec4f {
     let list = list_at(column, row_unclamped, along);
-    let end = offsets[list.index + 1u];
-    var i = offsets[list.index];
+    let end = offset_at(list.index + 1u);
+    var i = offset_at(list.index);
     while (i < end && ends(i).y <= depth) {
         i += 1u;
     }
     if (i >= end || ends(i).x > depth) {
         return vec4f(0.0);
     }
-    let rg = unpack_halves(c_rg[i]);
-    let b_tau = unpack_halves(c_b_tau[i]);
+    let rg = unpack_halves(c_rg_at(i));
+    let b_tau = unpack_halves(c_b_tau_at(i));
     let alpha = opacity(b_tau.y);
     if (alpha <= 0.0) {
         return vec4f(0.0);
@@ -141,7 +138,7 @@ fn mean_count(column: i32, rows: vec2f, depths: vec2f, along: u32, size_across: 
     for (var tile = tiles.x; tile <= tiles.y; tile++) {
         let first = u32(tile_index(column, tile, along)) * DEPTH_CELLS;
         for (var cell = first_cell; cell <= last_cell; cell++) {
-            count += counts[first + cell];
+            count += count_at(first + cell);
         }
     }
     let num_cells = u32(tiles.y - tiles.x + 1) * (last_cell - first_cell + 1u) * TILE * TILE;

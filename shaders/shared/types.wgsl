@@ -64,6 +64,19 @@ struct Raycaster {
     padding: u32,
 }
 
+// Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
+struct Combination {
+    casters: array<Raycaster, MAX_FRAMES>,
+    // Where the planes of each begin (combine.wgsl); the fourth word is not used.
+    places: array<vec4u, MAX_FRAMES>,
+    // The volume's box with the widest of the margins.
+    bounds_min: vec3f,
+    // Lists from the border on which the newest frame's coverage grows to 1.
+    band: f32,
+    bounds_max: vec3f,
+    num_frames: u32,
+}
+
 // How a picture goes to the screen.
 struct Display {
     // Linear colour behind the volume.
@@ -72,6 +85,8 @@ struct Display {
     encode_srgb: u32,
 }
 
+// Most frames that a picture is made of.
+const MAX_FRAMES: u32 = 4;
 // Bins of a transfer table.
 const TABLE_BINS: u32 = 1024;
 // Voxels along the side of a brick.

@@ -12,6 +12,7 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::{self, Layering, Representative};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene, Shading};
 use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster, Reconstruction};
@@ -353,6 +354,62 @@ fn novel_views_are_those_of_the_twin() {
     }
 }
 
+/// The newest frame sees a part of the volume only, older ones other parts of it, and the pictures look beside, between and
+/// beyond them.
+#[test]
+fn several_frames_are_combined_as_by_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    // A soft one and an opaque one.
+    for (name, scene) in scenes().into_iter().take(2) {
+        let bounds = scene.volume.bounds();
+        let near = |degrees: f32, aside: f32, (width, height): (u32, u32)| {
+            let intrinsics = Intrinsics { width, height, fov_y: 0.7 };
+            let pose = Pose::orbit(bounds.center(), degrees.to_radians(), 0.2, 0.8 * bounds.radius());
+            let eye = pose.eye + pose.world_from_view * (Vec3::X * (aside * bounds.radius()));
+            Camera::new(Pose { eye, ..pose }, intrinsics, &bounds)
+        };
+        let frame = |degrees, aside, size| {
+            layering::generate(&scene, header(near(degrees, aside, size), 6), Layering::VisibilityMerge)
+        };
+        // Of several sizes: each has its own buffers.
+        let frames = [
+            frame(0.0, 0.0, (72, 56)),
+            frame(35.0, 0.0, (80, 56)),
+            frame(-40.0, 0.2, (64, 64)),
+            frame(180.0, 0.0, (40, 40)),
+        ];
+        let frames = frames.each_ref();
+        let pictures = [(0.0, 0.0), (12.0, 0.0), (-25.0, 0.15), (60.0, -0.1)];
+        let mut reprojector = GpuReprojector::new(gpu, frames[0], &bounds).unwrap();
+        for num_frames in [4, 2] {
+            reprojector.set_frames(&frames[..num_frames], &bounds).unwrap();
+            for (degrees, aside) in pictures {
+                let what = format!("{name}, {num_frames} frames, {degrees} degrees");
+                let camera = near(degrees, aside, (72, 56));
+                let found = reprojector.raycast(&camera).unwrap();
+                let twin = combine::combine(&frames[..num_frames], &bounds, &camera);
+                Difference::of(&found, &twin).assert_tolerable(&what);
+                let newest = raycast::raycast(frames[0], &bounds, &camera);
+                if degrees == 0.0 {
+                    Difference::of(&found, &newest).assert_tolerable("the own pose");
+                } else {
+                    Difference::of(&found, &newest).assert_noticed(&format!("{what}: kept frames left out"));
+                }
+            }
+        }
+        // One frame is cast as ever, to the bit, and so are several from the newest one's own pose.
+        let own = near(0.0, 0.0, (72, 56));
+        let together = reprojector.raycast(&own).unwrap();
+        reprojector.set_frame(frames[0], &bounds).unwrap();
+        let alone = reprojector.raycast(&own).unwrap();
+        assert_eq!(together, alone, "{name}");
+        let turned = near(12.0, 0.0, (72, 56));
+        let mut never_several = GpuReprojector::new(gpu, frames[0], &bounds).unwrap();
+        let alone = reprojector.raycast(&turned).unwrap();
+        assert_eq!(never_several.raycast(&turned).unwrap(), alone, "{name}");
+    }
+}
+
 #[test]
 fn a_reprojector_takes_frames_of_any_size_and_refuses_bad_ones() {
     let Some(gpu) = gpu() else { return };
@@ -520,7 +577,7 @@ fn the_view_pass_paints_what_the_twin_casts() {
         let background = Picture::new(100, 76).to_srgb8(BACKGROUND);
         Difference::of_srgb8(&empty, &background).assert_tolerable("background before the first frame");
 
-        pass.upload(gpu.device(), gpu.queue(), &frame, &bounds).unwrap();
+        pass.upload(gpu.device(), gpu.queue(), 0, &frame, &bounds).unwrap();
         for (name, mut view) in views(&scene) {
             view.intrinsics = Intrinsics { width: 100, height: 76, ..view.intrinsics };
             pass.prepare(gpu.queue(), &view, BACKGROUND);
@@ -542,8 +599,49 @@ fn the_view_pass_paints_what_the_twin_casts() {
         Difference::of_srgb8(&found, &twin.to_srgb8(BACKGROUND)).assert_tolerable("enlarged");
         let full = raycast::raycast(&frame, &bounds, &whole).to_srgb8(BACKGROUND);
         Difference::of_srgb8(&found, &full).assert_noticed("half of the pixels");
+        // Another slot for an older frame, of another size, shown along with the newest.
+        let older = header(camera(&scene, 80.0, (61, 50)), 8);
+        let older = layering::generate(&scene, older, Layering::VisibilityMerge);
+        pass.upload(gpu.device(), gpu.queue(), 5, &older, &bounds).unwrap();
+        let aside = |degrees: f32, distance: f32| {
+            let pose =
+                Pose::orbit(bounds.center(), f32::to_radians(degrees), 0.35, distance * bounds.radius());
+            Camera::new(pose, whole.intrinsics, &bounds)
+        };
+        let newest = header(Camera { intrinsics: frame.header.camera.intrinsics, ..aside(30.0, 0.8) }, 8);
+        let newest = layering::generate(&scene, newest, Layering::VisibilityMerge);
+        pass.upload(gpu.device(), gpu.queue(), 0, &newest, &bounds).unwrap();
+        let whole = aside(45.0, 0.9);
+        let draw = |pass: &mut ViewPass, slots: &[usize]| {
+            pass.show(gpu.device(), slots).unwrap();
+            pass.prepare(gpu.queue(), &whole, BACKGROUND);
+            let [_, found] = paint(gpu, pass, format, (100, 76));
+            found
+        };
+        let twin = combine::combine(&[&newest, &older], &bounds, &whole).to_srgb8(BACKGROUND);
+        let alone = raycast::raycast(&newest, &bounds, &whole).to_srgb8(BACKGROUND);
+        Difference::of_srgb8(&draw(&mut pass, &[0, 5]), &twin).assert_tolerable("two frames");
+        Difference::of_srgb8(&draw(&mut pass, &[0, 5]), &alone).assert_noticed("the older frame");
+        Difference::of_srgb8(&draw(&mut pass, &[0]), &alone).assert_tolerable("one frame again");
+        Difference::of_srgb8(&draw(&mut pass, &[0, 3]), &alone).assert_tolerable("an empty slot");
+        // A frame of another size in a slot that is shown.
+        pass.show(gpu.device(), &[0, 5]).unwrap();
+        let larger = header(camera(&scene, 80.0, (120, 100)), 8);
+        let larger = layering::generate(&scene, larger, Layering::VisibilityMerge);
+        pass.upload(gpu.device(), gpu.queue(), 5, &larger, &bounds).unwrap();
+        let twin = combine::combine(&[&newest, &larger], &bounds, &whole).to_srgb8(BACKGROUND);
+        Difference::of_srgb8(&draw(&mut pass, &[0, 5]), &twin).assert_tolerable("a larger frame");
+        // Enlarged from a smaller picture.
+        let smaller =
+            Camera { intrinsics: Intrinsics { width: 50, height: 38, ..whole.intrinsics }, ..whole };
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        pass.prepare_smaller(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND);
+        gpu.queue().submit([encoder.finish()]);
+        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_enlarged(render_pass));
+        let twin = enlarged(&combine::combine(&[&newest, &larger], &bounds, &smaller));
+        Difference::of_srgb8(&found, &twin.to_srgb8(BACKGROUND)).assert_tolerable("several frames, enlarged");
         let mut bad = frame.clone();
         bad.offsets.pop();
-        assert!(pass.upload(gpu.device(), gpu.queue(), &bad, &bounds).is_err());
+        assert!(pass.upload(gpu.device(), gpu.queue(), 0, &bad, &bounds).is_err());
     }
 }

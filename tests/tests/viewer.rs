@@ -20,6 +20,7 @@ use isinglass_client::{
 };
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::combine::combine;
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::lens::raycast_mean;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
@@ -42,6 +43,8 @@ fn main() {
     }
     window_shows_what_the_twin_casts();
     println!("ok: the window shows what the CPU twin casts");
+    window_shows_what_kept_frames_saw();
+    println!("ok: the window shows what the CPU twin combines of two frames");
     for mode in [StereoMode::SideBySide, StereoMode::Anaglyph] {
         window_shows_each_eye_its_view(mode);
     }
@@ -134,6 +137,56 @@ fn window_shows_what_the_twin_casts() {
     assert!(max <= 1, "exact, against the frame's own picture: max {max}");
     let (max, _) = difference(&shots[0].rgb, &own);
     assert!(max > 4, "negative control: the turned frame is not exact, max {max}");
+}
+
+/// Near to the volume the camera's own frame comes first and then one from aside, which does not see all of the picture.
+fn window_shows_what_kept_frames_saw() {
+    let answers_wishes = Arc::new(AtomicBool::new(true));
+    let shots: Arc<Mutex<Vec<(Probe, Shot)>>> = Arc::default();
+    let mut has_asked = false;
+    let script = {
+        let (answers_wishes, shots) = (answers_wishes.clone(), shots.clone());
+        move |probe: &Probe| {
+            assert!(probe.now < Duration::from_secs(120), "no frame was kept");
+            let Some(refresh) = &probe.refresh else { return ScriptStep::Continue };
+            if !shots.lock().unwrap().is_empty() {
+                return ScriptStep::Close;
+            }
+            if refresh.standing == Standing::Exact && !refresh.changed {
+                answers_wishes.store(false, Ordering::Relaxed);
+            }
+            if refresh.kept.is_empty() || refresh.changed || has_asked {
+                return ScriptStep::Continue;
+            }
+            has_asked = true;
+            let probe = Probe { now: probe.now, refresh: Some(refresh.clone()) };
+            let shots = shots.clone();
+            ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push((probe, shot))))
+        }
+    };
+    let options = WindowOptions {
+        size: [200, 150],
+        initial_orbit: InitialOrbit { distance_in_radii: Some(0.9), ..InitialOrbit::default() },
+        shows_overlay: false,
+        script: Some(Box::new(script)),
+        ..Default::default()
+    };
+    run_window(options, Clock::start(), move |_wake| Ok(StillSource::new(answers_wishes))).unwrap();
+
+    let (probe, shot) = shots.lock().unwrap().pop().unwrap();
+    let refresh = probe.refresh.unwrap();
+    let newest = &refresh.frame.as_ref().unwrap().frame;
+    let frames: Vec<&LayeredFrame> =
+        std::iter::once(newest).chain(refresh.kept.iter().map(|f| &f.frame)).collect();
+    let twin = combine(&frames, &refresh.bounds, &refresh.camera).to_srgb8(BACKGROUND);
+    let (max, mean) = difference(&shot.rgb, &twin);
+    println!("{} frames: max {max}, mean {mean:.4}", frames.len());
+    // The bound of every kernel against its twin, as above.
+    assert!(max <= 2 && mean < 0.1, "{} frames: max {max}, mean {mean}", frames.len());
+    // Negative control: kept frames left out.
+    let alone = raycast(newest, &refresh.bounds, &refresh.camera).to_srgb8(BACKGROUND);
+    let (max, mean) = difference(&shot.rgb, &alone);
+    assert!(max > 10 && mean > 0.1, "the newest alone: max {max}, mean {mean}");
 }
 
 /// The whole picture is compared: nothing lies between the eyes, and no channel is left over.

@@ -272,7 +272,8 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let stereo = self.stereo();
         let quality = self.quality.quality(refresh.standing == Standing::Moving);
-        ui.painter().add(PicturePaint { frame, camera, bounds, stereo, quality }.shape(rect));
+        let kept = refresh.kept.clone();
+        ui.painter().add(PicturePaint { frame, kept, camera, bounds, stereo, quality }.shape(rect));
     }
 
     /// Only the ray cast has two eyes.

@@ -22,6 +22,7 @@ mod picture;
 mod pointer;
 mod quality_control;
 mod run;
+mod slots;
 mod stereo;
 mod viewing;
 mod window;

@@ -1,21 +1,25 @@
-//! The picture inside egui's render pass: uploads the newest frame when it changes and ray-casts it every time.
+//! The picture inside egui's render pass: uploads each frame when it comes and ray-casts every time, the newest frame or
+//! that and older ones.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::{Channels, Eye, ViewPass};
+use isinglass_gpu::{Channels, Eye, NUM_SLOTS, ViewPass};
 use isinglass_net::ReceivedFrame;
 
 use crate::gpu_timer::{GpuTime, GpuTimer};
 use crate::quality_control::Quality;
+use crate::slots::Slots;
 use crate::stereo::{Stereo, StereoMode};
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {
     /// The frame to cast.
     pub(crate) frame: Arc<ReceivedFrame>,
+    /// Older frames for what it does not see.
+    pub(crate) kept: Vec<Arc<ReceivedFrame>>,
     /// The camera to cast it from.
     pub(crate) camera: Camera,
     /// The box of the volume.
@@ -46,7 +50,7 @@ impl PictureStatus {
 /// What stays on the GPU from refresh to refresh.
 struct PictureResources {
     pass: ViewPass,
-    uploaded: Option<Arc<ReceivedFrame>>,
+    slots: Slots<ReceivedFrame, NUM_SLOTS>,
     timer: Option<GpuTimer>,
     status: Arc<PictureStatus>,
 }
@@ -61,9 +65,30 @@ pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatu
     let time = Arc::new(GpuTime::default());
     let timer = GpuTimer::new(device, queue, time.clone());
     let status = Arc::new(PictureStatus { time, has_timer: timer.is_some(), problem: Mutex::default() });
-    let resources = PictureResources { pass, uploaded: None, timer, status: status.clone() };
+    let resources = PictureResources { pass, slots: Slots::default(), timer, status: status.clone() };
     state.renderer.write().callback_resources.insert(resources);
     Ok(status)
+}
+
+impl PictureResources {
+    /// Sees to it that the frames of a refresh are shown. If the newest is refused, what was shown stays; an older one is
+    /// left out.
+    fn show(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        paint: &PicturePaint,
+    ) -> Result<(), String> {
+        let frames: Vec<&Arc<ReceivedFrame>> = std::iter::once(&paint.frame).chain(&paint.kept).collect();
+        let pass = &mut self.pass;
+        let mut places = self
+            .slots
+            .refresh(&frames, |slot, frame| pass.upload(device, queue, slot, &frame.frame, &paint.bounds))
+            .into_iter();
+        let newest = places.next().transpose()?;
+        let slots: Vec<usize> = newest.into_iter().chain(places.flatten()).collect();
+        pass.show(device, &slots).map_err(|e| e.to_string())
+    }
 }
 
 impl PicturePaint {
@@ -83,13 +108,8 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         resources: &mut egui_wgpu::CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
         let Some(r) = resources.get_mut::<PictureResources>() else { return Vec::new() };
-        if r.uploaded.as_ref().is_none_or(|u| !Arc::ptr_eq(u, &self.frame)) {
-            let result = r.pass.upload(device, queue, &self.frame.frame, &self.bounds);
-            *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) =
-                result.err().map(|e| e.to_string());
-            // Also after an error: the same frame would fail again at every refresh.
-            r.uploaded = Some(self.frame.clone());
-        }
+        let problem = r.show(device, queue, self).err();
+        *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let num_samples = self.quality.num_samples;
         r.pass.set_options(queue, &CastOptions { num_samples, ..Default::default() });
         if self.is_enlarged() {

@@ -4,6 +4,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::{self, Layering};
 use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
@@ -115,6 +116,23 @@ impl Backend {
             Self::Gpu(gpu) => GpuReprojector::new(gpu, frame, bounds)?.raycast(camera),
             Self::Cpu if !camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu => Ok(raycast::raycast(frame, bounds, camera)),
+        }
+    }
+
+    /// The picture of at most [`combine::MAX_FRAMES`] layered frames of one volume and look from a camera, the newest first.
+    /// `bounds` is the box of the volume. On the CPU also if the GPU can bind too few buffers for it.
+    pub fn combine(
+        &self,
+        frames: &[&LayeredFrame],
+        bounds: &Aabb,
+        camera: &Camera,
+    ) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(gpu) if frames.len() < 2 || gpu.check_combining().is_ok() => {
+                GpuReprojector::of_frames(gpu, frames, bounds)?.raycast(camera)
+            }
+            _ if !camera.is_valid() => Err(GpuError::Camera),
+            _ => Ok(combine::combine(frames, bounds, camera)),
         }
     }
 

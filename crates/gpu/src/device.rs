@@ -3,11 +3,12 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use isinglass_core::kernels::combine::MAX_FRAMES;
 use wgpu::{BindingType, BufferBindingType, ShaderStages, TextureSampleType, TextureViewDimension};
 
 use crate::error::{GpuError, one_line, scoped};
 use crate::gpu_types::Band;
-use crate::shaders::{Kernel, TexelKind};
+use crate::shaders::{Frames, Kernel, TexelKind};
 
 /// What is known of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,8 +58,31 @@ pub(crate) struct Layouts {
     /// Group 0 of `compact`.
     pub(crate) compact: wgpu::BindGroupLayout,
     /// Group 0 of `raycast`.
-    pub(crate) caster: wgpu::BindGroupLayout,
+    pub(crate) caster: CasterLayouts,
     pub(crate) empty_space: wgpu::BindGroupLayout,
+}
+
+/// Group 0 of the kernels that make novel views.
+#[derive(Clone)]
+pub(crate) struct CasterLayouts {
+    one: wgpu::BindGroupLayout,
+    several: wgpu::BindGroupLayout,
+}
+
+impl CasterLayouts {
+    pub(crate) fn new(device: &wgpu::Device, visibility: ShaderStages) -> Self {
+        Self {
+            one: layout(device, "frame", visibility, &ONE_FRAME),
+            several: layout(device, "frames", visibility, &SEVERAL_FRAMES),
+        }
+    }
+
+    pub(crate) fn of(&self, frames: Frames) -> &wgpu::BindGroupLayout {
+        match frames {
+            Frames::One => &self.one,
+            Frames::Several => &self.several,
+        }
+    }
 }
 
 impl Gpu {
@@ -157,7 +181,9 @@ impl Gpu {
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             // Pipelines of vertices and fragments are their owners'.
             Kernel::Upscale => &[],
-            Kernel::RaycastCompute | Kernel::RaycastView => &[Some(&layouts.caster), Some(&layouts.picture)],
+            Kernel::RaycastCompute(frames) | Kernel::RaycastView(frames) => {
+                &[Some(layouts.caster.of(frames)), Some(&layouts.picture)]
+            }
         };
         compute_pipeline(self.device(), kernel, entry, groups)
     }
@@ -166,6 +192,14 @@ impl Gpu {
     /// device.
     pub(crate) fn max_dispatch_pixels(&self) -> u32 {
         if self.info().is_software { 1 << 16 } else { 1 << 20 }
+    }
+
+    /// An error if pictures of several frames cannot be made in a buffer.
+    pub(crate) fn check_combining(&self) -> Result<(), GpuError> {
+        let limit = self.device().limits().max_storage_buffers_per_shader_stage.into();
+        let needed = u64::from(NUM_BUFFERS_OF_FRAMES) + 1;
+        let what = "a picture of several frames in storage buffers";
+        if needed > limit { Err(GpuError::TooLarge { what, needed, limit }) } else { Ok(()) }
     }
 
     /// An error if a storage buffer of `bytes` cannot be bound.
@@ -207,7 +241,7 @@ impl Layouts {
                 compute,
                 &[UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE],
             ),
-            caster: layout(device, "caster", compute, &CASTER),
+            caster: CasterLayouts::new(device, compute),
             empty_space: layout(device, "empty space", compute, &EMPTY_SPACE),
         }
     }
@@ -220,7 +254,8 @@ impl Layouts {
     }
 }
 
-/// The defaults, with buffers as large as the adapter offers and a frame can need.
+/// The defaults, with buffers as large as the adapter offers and a frame can need, and one more of them: the pictures of
+/// several frames go to a buffer too.
 fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
     let defaults = wgpu::Limits::default();
     let within = |default: u64, offered: u64| offered.min(LARGEST_BUFFER).max(default);
@@ -230,6 +265,10 @@ fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
             offered.max_storage_buffer_binding_size,
         ),
         max_buffer_size: within(defaults.max_buffer_size, offered.max_buffer_size),
+        max_storage_buffers_per_shader_stage: offered
+            .max_storage_buffers_per_shader_stage
+            .min(NUM_BUFFERS_OF_FRAMES + 1)
+            .max(defaults.max_storage_buffers_per_shader_stage),
         ..defaults
     }
 }
@@ -367,7 +406,11 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
 };
 /// A plane of a frame of 3840×2160 lists of 32 segments.
 const LARGEST_BUFFER: u64 = 1 << 30;
-/// Group 0 of `raycast.wgsl`.
-pub(crate) const CASTER: [BindingType; 7] = [UNIFORM, READ, READ, READ, READ, READ, READ];
+/// Group 0 of `one_frame.wgsl`.
+const ONE_FRAME: [BindingType; 7] = [UNIFORM, READ, READ, READ, READ, READ, READ];
+/// Storage buffers of `combine.wgsl`: two a frame, as many as every device can bind.
+const NUM_BUFFERS_OF_FRAMES: u32 = 2 * MAX_FRAMES as u32;
+/// Group 0 of `combine.wgsl`.
+const SEVERAL_FRAMES: [BindingType; 9] = [UNIFORM, READ, READ, READ, READ, READ, READ, READ, READ];
 /// Group 0 of `empty_space_build.wgsl`.
 pub(crate) const EMPTY_SPACE: [BindingType; 5] = [UNIFORM, READ, READ, WRITE, WRITE];

@@ -3,6 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
@@ -139,6 +140,18 @@ impl Raycaster {
         self.skips_empty_space = options.skips_empty_space.into();
         self.num_samples = options.num_samples;
     }
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Combination {
+    pub(crate) casters: [Raycaster; MAX_FRAMES],
+    pub(crate) places: [[u32; 4]; MAX_FRAMES],
+    pub(crate) bounds_min: [f32; 3],
+    pub(crate) band: f32,
+    pub(crate) bounds_max: [f32; 3],
+    pub(crate) num_frames: u32,
 }
 
 /// See `shaders/shared/types.wgsl`.

@@ -4,6 +4,7 @@
 //! Nothing here panics for want of a GPU, of memory or of a driver that answers: all of that is a [`GpuError`].
 
 pub mod backend;
+mod combine;
 mod device;
 mod error;
 mod gpu_types;
@@ -24,6 +25,6 @@ pub use device::{Gpu, GpuInfo};
 pub use error::GpuError;
 pub use march::GpuRenderer;
 pub use raycast::GpuReprojector;
-pub use view_pass::{Channels, Eye, ViewPass};
+pub use view_pass::{Channels, Eye, NUM_SLOTS, ViewPass};
 /// The version of wgpu that [`ViewPass`] speaks.
 pub use wgpu;

@@ -1,7 +1,8 @@
-//! A layered frame on the GPU, and its novel views as pictures. Kernels: `shaders/raycast.wgsl`,
+//! A layered frame on the GPU, and novel views as pictures. Kernels: `shaders/raycast.wgsl`, `shaders/one_frame.wgsl`,
 //! `shaders/raycast_compute.wgsl`.
 
 use isinglass_core::camera::Camera;
+use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::empty_space::{DEPTH_CELLS, TILE};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
@@ -9,6 +10,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 
+use crate::combine::FramesOnGpu;
 use crate::device::{Gpu, bind, buffer, check_binding};
 use crate::error::{GpuError, scoped};
 use crate::gpu_types::Raycaster;
@@ -22,32 +24,44 @@ pub(crate) struct GridBuilder {
     pub(crate) layout: wgpu::BindGroupLayout,
 }
 
-/// Group 0 of `raycast.wgsl`: buffers that grow when a larger frame comes and are reused otherwise.
+/// A frame's planes and grid: buffers that grow when a larger frame comes and are reused otherwise.
 pub(crate) struct FrameOnGpu {
     builder: GridBuilder,
     caster: wgpu::Buffer,
     /// What `caster` holds.
     uniform: Raycaster,
+    /// The camera of the frame and the box of its volume.
+    seen_by: Option<(Camera, Aabb)>,
     buffers: Buffers,
-    /// Made for exactly these buffers.
+    /// Group 0 of `one_frame.wgsl`, made for exactly these buffers.
     pub(crate) bind_group: wgpu::BindGroup,
     build_group: wgpu::BindGroup,
 }
 
+/// Two buffers for six planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
+/// that its kernel reads.
 struct Buffers {
-    /// Offsets, depth, c_rg, c_b_tau.
-    planes: [wgpu::Buffer; 4],
-    /// Occupied cells and counts.
-    grid: [wgpu::Buffer; 2],
+    /// Offsets and depth; occupied cells, c_rg, c_b_tau and counts.
+    buffers: [wgpu::Buffer; 2],
+    planes: [Plane; NUM_PLANES],
+}
+
+/// A part of a buffer, in bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Plane {
+    buffer: usize,
+    start: u64,
+    size: u64,
 }
 
 impl FrameOnGpu {
     /// Buffers without a frame: nothing is seen.
     pub(crate) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, builder: GridBuilder) -> Self {
         let caster = buffer(device, "caster", size_of::<Raycaster>() as u64, wgpu::BufferUsages::UNIFORM);
-        let buffers = Buffers::new(device, [8; 6]);
+        let buffers = Buffers::new(device, planes([8; NUM_PLANES], alignment(device)));
         let (bind_group, build_group) = buffers.bind(device, layout, &builder, &caster);
-        Self { builder, caster, uniform: bytemuck::Zeroable::zeroed(), buffers, bind_group, build_group }
+        let uniform = bytemuck::Zeroable::zeroed();
+        Self { builder, caster, uniform, seen_by: None, buffers, bind_group, build_group }
     }
 
     /// Replaces the frame. `bounds` is the box of the volume that it was made of. A frame that is refused leaves the
@@ -64,17 +78,25 @@ impl FrameOnGpu {
         let size = frame.header.camera.intrinsics;
         let tiles = [size.width.div_ceil(TILE), size.height.div_ceil(TILE)];
         let num_tiles = u64::from(tiles[0]) * u64::from(tiles[1]);
-        let planes = [&frame.offsets, &frame.depth, &frame.c_rg, &frame.c_b_tau];
-        let [a, b, c, d] = planes.map(|plane| plane.len() as u64 * 4);
-        let bytes = [a, b, c, d, num_tiles * 4, num_tiles * u64::from(DEPTH_CELLS) * 4];
+        let written = [
+            (OFFSETS, &frame.offsets),
+            (DEPTH, &frame.depth),
+            (C_RG, &frame.c_rg),
+            (C_B_TAU, &frame.c_b_tau),
+        ];
+        let mut bytes = [0; NUM_PLANES];
+        for (plane, words) in written {
+            bytes[plane] = words.len() as u64 * 4;
+        }
+        bytes[OCCUPIED] = num_tiles * 4;
+        bytes[COUNTS] = num_tiles * u64::from(DEPTH_CELLS) * 4;
         for bytes in bytes {
             check_binding(device, "plane of a layered frame in bytes", bytes)?;
         }
-        // A quarter more than needed: frames of a moving camera vary, and every growth makes a new bind group.
-        let limit = device.limits().max_storage_buffer_binding_size;
-        if bytes.iter().zip(self.buffers.all()).any(|(&needed, buffer)| buffer.size() < needed) {
+        if bytes.iter().zip(&self.buffers.planes).any(|(&needed, plane)| plane.size < needed) {
+            let planes = roomy_planes(device, bytes)?;
             (self.buffers, (self.bind_group, self.build_group)) = scoped(device, "growing buffers", || {
-                let buffers = Buffers::new(device, bytes.map(|bytes| (bytes + bytes / 4).min(limit)));
+                let buffers = Buffers::new(device, planes);
                 let groups = buffers.bind(device, layout, &self.builder, &self.caster);
                 Ok((buffers, groups))
             })?;
@@ -82,9 +104,10 @@ impl FrameOnGpu {
         let former = self.uniform;
         self.uniform = Raycaster::of(&frame.header.camera, bounds);
         self.uniform.set_options(&former.options());
-        let written = scoped(device, "writing a layered frame", || {
-            for (buffer, plane) in self.buffers.planes.iter().zip(planes) {
-                queue.write_buffer(buffer, 0, bytemuck::cast_slice(plane));
+        let is_written = scoped(device, "writing a layered frame", || {
+            for (plane, words) in written {
+                let Plane { buffer, start, .. } = self.buffers.planes[plane];
+                queue.write_buffer(&self.buffers.buffers[buffer], start, bytemuck::cast_slice(words));
             }
             self.write_uniform(queue);
             let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -97,12 +120,14 @@ impl FrameOnGpu {
             queue.submit([encoder.finish()]);
             Ok(())
         });
-        if written.is_err() {
+        self.seen_by = Some((frame.header.camera, *bounds));
+        if is_written.is_err() {
             // Half a frame is none.
+            self.seen_by = None;
             self.uniform.has_frame = 0;
             self.write_uniform(queue);
         }
-        written
+        is_written
     }
 
     /// How the frame is cast from now on.
@@ -117,18 +142,40 @@ impl FrameOnGpu {
     fn write_uniform(&self, queue: &wgpu::Queue) {
         queue.write_buffer(&self.caster, 0, bytemuck::bytes_of(&self.uniform));
     }
+
+    /// The camera of the frame and the box of its volume; none without a frame.
+    pub(crate) fn seen_by(&self) -> Option<(&Camera, &Aabb)> {
+        self.seen_by.as_ref().map(|(camera, bounds)| (camera, bounds))
+    }
+
+    /// What the casting kernels know of the frame.
+    pub(crate) fn uniform(&self) -> Raycaster {
+        self.uniform
+    }
+
+    /// `places` of `shaders/combine.wgsl`.
+    pub(crate) fn places(&self) -> [u32; 4] {
+        let word = |plane: usize| (self.buffers.planes[plane].start / 4) as u32;
+        [word(DEPTH), word(C_RG), word(C_B_TAU), 0]
+    }
+
+    /// Both buffers for `shaders/combine.wgsl`; none if the device cannot bind a buffer as far as that reads it.
+    pub(crate) fn whole_buffers(&self, device: &wgpu::Device) -> Option<[wgpu::BindingResource<'_>; 2]> {
+        let limit = device.limits().max_storage_buffer_binding_size;
+        let end = |plane: usize| self.buffers.planes[plane].start + self.buffers.planes[plane].size;
+        let [lists, matter] = &self.buffers.buffers;
+        let is_bindable = end(DEPTH) <= limit && end(C_B_TAU) <= limit;
+        is_bindable
+            .then(|| [(lists, DEPTH), (matter, C_B_TAU)].map(|(buffer, last)| binding(buffer, 0, end(last))))
+    }
 }
 
 impl Buffers {
-    /// Of so many bytes.
-    fn new(device: &wgpu::Device, bytes: [u64; 6]) -> Self {
-        let [a, b, c, d, occupied, counts] =
-            std::array::from_fn(|i| buffer(device, LABELS[i], bytes[i], wgpu::BufferUsages::STORAGE));
-        Self { planes: [a, b, c, d], grid: [occupied, counts] }
-    }
-
-    fn all(&self) -> impl Iterator<Item = &wgpu::Buffer> {
-        self.planes.iter().chain(&self.grid)
+    fn new(device: &wgpu::Device, planes: [Plane; NUM_PLANES]) -> Self {
+        let buffers = std::array::from_fn(|n| {
+            buffer(device, LABELS[n], num_bytes(&planes, n), wgpu::BufferUsages::STORAGE)
+        });
+        Self { buffers, planes }
     }
 
     /// The groups for casting and for building the grid.
@@ -139,40 +186,106 @@ impl Buffers {
         builder: &GridBuilder,
         caster: &wgpu::Buffer,
     ) -> (wgpu::BindGroup, wgpu::BindGroup) {
-        let Self { planes: [offsets, depth, c_rg, c_b_tau], grid: [occupied, counts] } = self;
-        let cast = [caster, offsets, depth, c_rg, c_b_tau, occupied, counts].map(|b| b.as_entire_binding());
-        let build = [caster, offsets, depth, occupied, counts].map(|b| b.as_entire_binding());
+        let plane = |plane: usize| {
+            let Plane { buffer, start, size } = self.planes[plane];
+            binding(&self.buffers[buffer], start, size)
+        };
+        let caster = || caster.as_entire_binding();
+        let [offsets, depth] = [plane(OFFSETS), plane(DEPTH)];
+        let [occupied, counts] = [plane(OCCUPIED), plane(COUNTS)];
+        let build = [caster(), offsets.clone(), depth.clone(), occupied.clone(), counts.clone()];
+        let cast = [caster(), offsets, depth, plane(C_RG), plane(C_B_TAU), occupied, counts];
         (bind(device, "frame", layout, &cast), bind(device, "grid", &builder.layout, &build))
     }
 }
 
-/// A layered frame kept on the GPU for any number of novel views.
+fn binding(buffer: &wgpu::Buffer, offset: u64, size: u64) -> wgpu::BindingResource<'_> {
+    wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size: wgpu::BufferSize::new(size) })
+}
+
+fn alignment(device: &wgpu::Device) -> u64 {
+    device.limits().min_storage_buffer_offset_alignment.into()
+}
+
+/// Planes that hold so many bytes each, and a quarter more if the device takes that: frames of a moving camera vary, and
+/// every growth makes new bind groups.
+fn roomy_planes(device: &wgpu::Device, bytes: [u64; NUM_PLANES]) -> Result<[Plane; NUM_PLANES], GpuError> {
+    let limits = device.limits();
+    let (max_binding, max_buffer) = (limits.max_storage_buffer_binding_size, limits.max_buffer_size);
+    let largest = |planes| num_bytes(planes, 0).max(num_bytes(planes, 1));
+    let roomy = planes(bytes.map(|n| (n + n / 4).min(max_binding)), alignment(device));
+    if largest(&roomy) <= max_binding.min(max_buffer) {
+        return Ok(roomy);
+    }
+    let tight = planes(bytes, alignment(device));
+    let needed = largest(&tight);
+    let what = "half of a layered frame in bytes";
+    if needed > max_buffer { Err(GpuError::TooLarge { what, needed, limit: max_buffer }) } else { Ok(tight) }
+}
+
+/// Planes of so many bytes, one behind the other.
+fn planes(bytes: [u64; NUM_PLANES], alignment: u64) -> [Plane; NUM_PLANES] {
+    let mut ends = [0u64; 2];
+    std::array::from_fn(|plane| {
+        let buffer = usize::from(plane >= OCCUPIED);
+        let (start, size) =
+            (ends[buffer].next_multiple_of(alignment), bytes[plane].max(4).next_multiple_of(4));
+        ends[buffer] = start + size;
+        Plane { buffer, start, size }
+    })
+}
+
+/// Size of one of the buffers.
+fn num_bytes(planes: &[Plane; NUM_PLANES], buffer: usize) -> u64 {
+    planes.iter().filter(|p| p.buffer == buffer).map(|p| p.start + p.size).max().unwrap_or(0)
+}
+
+/// Layered frames kept on the GPU for any number of novel views.
 pub struct GpuReprojector {
     gpu: Gpu,
-    frame: FrameOnGpu,
+    frames: FramesOnGpu,
     picture: PictureTarget,
 }
 
 impl GpuReprojector {
     /// Uploads a frame. `bounds` is the box of the volume that it was made of.
     pub fn new(gpu: &Gpu, frame: &LayeredFrame, bounds: &Aabb) -> Result<Self, GpuError> {
+        Self::of_frames(gpu, &[frame], bounds)
+    }
+
+    /// Uploads several frames: see [`Self::set_frames`].
+    pub fn of_frames(gpu: &Gpu, frames: &[&LayeredFrame], bounds: &Aabb) -> Result<Self, GpuError> {
         let mut reprojector = gpu.attempt("making buffers", || {
             let builder = GridBuilder {
                 pipeline: gpu.pipeline(Kernel::EmptySpace, "empty_space"),
                 layout: gpu.layouts().empty_space.clone(),
             };
-            let on_gpu = FrameOnGpu::new(gpu.device(), &gpu.layouts().caster, builder);
-            Ok(Self { gpu: gpu.clone(), frame: on_gpu, picture: PictureTarget::new(gpu) })
+            let on_gpu = FramesOnGpu::new(gpu.device(), &gpu.layouts().caster, builder);
+            Ok(Self { gpu: gpu.clone(), frames: on_gpu, picture: PictureTarget::new(gpu) })
         })?;
-        reprojector.set_frame(frame, bounds)?;
+        reprojector.set_frames(frames, bounds)?;
         Ok(reprojector)
     }
 
     /// Replaces the frame, reusing the buffers.
     pub fn set_frame(&mut self, frame: &LayeredFrame, bounds: &Aabb) -> Result<(), GpuError> {
-        let Self { gpu, frame: on_gpu, .. } = self;
-        gpu.attempt("uploading a layered frame", || {
-            on_gpu.upload(gpu.device(), gpu.queue(), &gpu.layouts().caster, frame, bounds)
+        self.set_frames(&[frame], bounds)
+    }
+
+    /// Casts several frames of one volume and look from now on, the newest first: see
+    /// [`isinglass_core::kernels::combine`]. If one is refused, only those before it are cast.
+    pub fn set_frames(&mut self, frames: &[&LayeredFrame], bounds: &Aabb) -> Result<(), GpuError> {
+        let Self { gpu, frames: on_gpu, .. } = self;
+        if frames.len() > 1 {
+            gpu.check_combining()?;
+        }
+        let slots: [usize; MAX_FRAMES] = std::array::from_fn(|slot| slot);
+        gpu.attempt("uploading layered frames", || {
+            for (slot, frame) in slots.into_iter().zip(frames) {
+                on_gpu.upload(gpu.device(), gpu.queue(), slot, frame, bounds)?;
+                on_gpu.show(gpu.device(), &slots[..=slot]);
+            }
+            Ok(())
         })
     }
 
@@ -191,11 +304,13 @@ impl GpuReprojector {
 
     /// The same for a view that may be off-axis.
     pub fn raycast_view(&mut self, view: &View, options: &CastOptions) -> Result<Picture, GpuError> {
-        let Self { gpu, frame, picture } = self;
+        let Self { gpu, frames, picture } = self;
         gpu.attempt("casting a novel view", || {
-            frame.set_options(gpu.queue(), options);
-            let pipeline = gpu.pipeline(Kernel::RaycastCompute, "raycast");
-            picture.draw(gpu, &pipeline, &frame.bind_group, view)
+            frames.set_options(gpu.queue(), options);
+            frames.prepare(gpu.queue(), &[*view]);
+            let (kind, group) = frames.cast();
+            let pipeline = gpu.pipeline(Kernel::RaycastCompute(kind), "raycast");
+            picture.draw(gpu, &pipeline, group, view)
         })
     }
 }
@@ -219,4 +334,12 @@ fn check_indices(frame: &LayeredFrame) -> Result<(), GpuError> {
     Ok(())
 }
 
-const LABELS: [&str; 6] = ["offsets", "depth", "c_rg", "c_b_tau", "occupied", "counts"];
+const LABELS: [&str; 2] = ["lists", "matter"];
+const NUM_PLANES: usize = 6;
+const OFFSETS: usize = 0;
+const DEPTH: usize = 1;
+const OCCUPIED: usize = 2;
+const C_RG: usize = 3;
+const C_B_TAU: usize = 4;
+/// Behind the others: several frames are cast without.
+const COUNTS: usize = 5;

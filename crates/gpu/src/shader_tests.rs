@@ -7,8 +7,8 @@ use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::layer::MAX_K;
 use wgpu::naga;
 
-use crate::gpu_types::{BLOCK, Band, Basis, Display, Raycaster, Scene, WORKGROUP_SIDE};
-use crate::shaders::{Extent, Kernel, TexelKind};
+use crate::gpu_types::{BLOCK, Band, Basis, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE};
+use crate::shaders::{Extent, Frames, Kernel, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -55,6 +55,7 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             num_samples,
             padding
         }),
+        layout!(Combination { casters, places, bounds_min, band, bounds_max, num_frames }),
         layout!(Display { background, encode_srgb }),
     ]
     .into_iter()
@@ -62,13 +63,10 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
 }
 
 fn all_kernels() -> Vec<Kernel> {
-    let mut kernels = vec![
-        Kernel::Compact,
-        Kernel::EmptySpace,
-        Kernel::Upscale,
-        Kernel::RaycastCompute,
-        Kernel::RaycastView,
-    ];
+    let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
+    for frames in [Frames::One, Frames::Several] {
+        kernels.extend([Kernel::RaycastCompute(frames), Kernel::RaycastView(frames)]);
+    }
     for kind in [TexelKind::Uint, TexelKind::Float] {
         kernels.extend([Extent::Opaque, Extent::Through].map(|extent| Kernel::Render(kind, extent)));
         for layering in Layering::ALL {
@@ -137,7 +135,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 17] = [
+const TWINS: [&str; 18] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
@@ -147,6 +145,7 @@ const TWINS: [&str; 17] = [
     include_str!("../../core/src/kernels/empty_space.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
     include_str!("../../core/src/kernels/subsample.rs"),
+    include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
@@ -158,7 +157,7 @@ const TWINS: [&str; 17] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 12] = [
+const SHADER_ONLY: [&str; 13] = [
     "K",
     "STOP_AT",
     "MEAN_K",
@@ -171,6 +170,7 @@ const SHADER_ONLY: [&str; 12] = [
     "HALF_SUBNORMAL",
     "NEVER",
     "OUT_OF_REACH",
+    "NONE",
 ];
 
 #[test]

@@ -21,6 +21,15 @@ pub(crate) enum Extent {
     Through,
 }
 
+/// What a novel view is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Frames {
+    /// One layered frame, at the cost of one.
+    One,
+    /// Up to four.
+    Several,
+}
+
 /// A kernel in one of its variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
@@ -34,9 +43,9 @@ pub(crate) enum Kernel {
     /// Entry point `empty_space`.
     EmptySpace,
     /// Entry point `raycast`.
-    RaycastCompute,
+    RaycastCompute(Frames),
     /// Entry points `view_vertex`, `view_fragment`.
-    RaycastView,
+    RaycastView(Frames),
     /// Entry points `upscale_vertex`, `upscale_fragment`.
     Upscale,
 }
@@ -72,12 +81,39 @@ impl Kernel {
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, EMPTY_SPACE, EMPTY_SPACE_BUILD],
-            Self::RaycastCompute => &[TYPES, SPACE, LAYER, EMPTY_SPACE, RAYCAST, SUBSAMPLE, RAYCAST_COMPUTE],
-            Self::RaycastView => {
-                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, SUBSAMPLE, RAYCAST_VIEW]
+            Self::RaycastCompute(frames) => &[
+                TYPES,
+                SPACE,
+                LAYER,
+                EMPTY_SPACE,
+                RAYCAST,
+                frames.part(),
+                frames.sampling(),
+                RAYCAST_COMPUTE,
+            ],
+            Self::RaycastView(frames) => {
+                let [part, sampling] = [frames.part(), frames.sampling()];
+                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, part, sampling, RAYCAST_VIEW]
             }
         };
         parts.concat()
+    }
+}
+
+impl Frames {
+    fn part(self) -> &'static str {
+        match self {
+            Self::One => ONE_FRAME,
+            Self::Several => COMBINE,
+        }
+    }
+
+    /// Several frames are cast whole.
+    fn sampling(self) -> &'static str {
+        match self {
+            Self::One => SUBSAMPLE,
+            Self::Several => "",
+        }
     }
 }
 
@@ -119,6 +155,8 @@ const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
 const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
+const ONE_FRAME: &str = include_str!("../../../shaders/one_frame.wgsl");
+const COMBINE: &str = include_str!("../../../shaders/combine.wgsl");
 const SUBSAMPLE: &str = include_str!("../../../shaders/subsample.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
 const UPSCALE: &str = include_str!("../../../shaders/upscale.wgsl");

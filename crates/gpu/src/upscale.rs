@@ -3,11 +3,12 @@
 
 use crate::device::{UNIFORM, bind, buffer, layout, shader_module};
 use crate::gpu_types::Display;
-use crate::shaders::Kernel;
+use crate::shaders::{Frames, Kernel};
 
 /// The texture and what draws into and from it.
 pub(crate) struct Upscale {
-    cast: wgpu::RenderPipeline,
+    /// Of one frame and of several.
+    casts: [wgpu::RenderPipeline; 2],
     enlarge: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
@@ -23,12 +24,12 @@ struct Target {
 }
 
 impl Upscale {
-    /// `cast_layout` and `cast_module` are those of the view's own pipelines; `format` is what is enlarged into.
+    /// `casts` are layout and module of the view's own pipelines, of one frame and of several; `format` is what is enlarged
+    /// into.
     pub(crate) fn new(
         device: &wgpu::Device,
         format: wgpu::TextureFormat,
-        cast_layout: &wgpu::PipelineLayout,
-        cast_module: &wgpu::ShaderModule,
+        casts: &[(wgpu::PipelineLayout, wgpu::ShaderModule); 2],
     ) -> Self {
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: true },
@@ -68,7 +69,9 @@ impl Upscale {
             })
         };
         Self {
-            cast: pipeline(cast_layout, cast_module, ["view_vertex", "view_fragment"], FORMAT),
+            casts: casts
+                .each_ref()
+                .map(|(layout, module)| pipeline(layout, module, ["view_vertex", "view_fragment"], FORMAT)),
             enlarge: pipeline(&pipeline_layout, &module, ["upscale_vertex", "upscale_fragment"], format),
             layout: group_layout,
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
@@ -94,6 +97,7 @@ impl Upscale {
         encoder: &mut wgpu::CommandEncoder,
         size: [u32; 2],
         display: &wgpu::Buffer,
+        frames: Frames,
         groups: [&wgpu::BindGroup; 2],
     ) {
         if self.target.as_ref().is_none_or(|t| t.size != size) {
@@ -113,7 +117,7 @@ impl Upscale {
             })],
             ..Default::default()
         });
-        pass.set_pipeline(&self.cast);
+        pass.set_pipeline(&self.casts[frames as usize]);
         for (i, group) in (0..).zip(groups) {
             pass.set_bind_group(i, group, &[]);
         }

@@ -1,9 +1,10 @@
 //! Novel views drawn into somebody else's render pass, such as that of a user interface: the ray caster as a fragment
-//! shader. Kernels: `shaders/raycast.wgsl`, `shaders/raycast_view.wgsl`.
+//! shader. Kernels: `shaders/raycast.wgsl`, `shaders/raycast_view.wgsl`, `shaders/combine.wgsl`.
 //!
-//! Order of calls: [`ViewPass::new`] once a device; [`ViewPass::upload`] whenever a frame comes; each refresh
-//! [`ViewPass::prepare`] before, [`ViewPass::paint`] inside the pass. The viewport of the pass decides where the
-//! picture goes. Until the first frame only the background is painted.
+//! Order of calls: [`ViewPass::new`] once a device; [`ViewPass::upload`] whenever a frame comes; [`ViewPass::show`]
+//! whenever a picture is to be made of other frames; each refresh [`ViewPass::prepare`] before, [`ViewPass::paint`]
+//! inside the pass. The viewport of the pass decides where the picture goes. Until the first frame only the background
+//! is painted.
 //!
 //! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
 //! once.
@@ -14,19 +15,21 @@ use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
-use crate::device::{CASTER, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout, shader_module};
+use crate::combine::FramesOnGpu;
+use crate::device::{
+    CasterLayouts, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout, shader_module,
+};
 use crate::error::{GpuError, scoped};
 use crate::gpu_types::{Basis, Display};
-use crate::raycast::{FrameOnGpu, GridBuilder};
-use crate::shaders::Kernel;
+use crate::raycast::GridBuilder;
+use crate::shaders::{Frames, Kernel};
 use crate::upscale::Upscale;
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
-    /// By [`Channels`].
-    pipelines: [wgpu::RenderPipeline; 3],
-    frame_layout: wgpu::BindGroupLayout,
-    frame: FrameOnGpu,
+    /// Of one frame and of several, by [`Channels`].
+    pipelines: [[wgpu::RenderPipeline; 3]; 2],
+    frames: FramesOnGpu,
     /// Of the left and of the right eye; a picture of one eye is the left one's.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
     display: wgpu::Buffer,
@@ -74,23 +77,26 @@ impl ViewPass {
     pub fn new(device: &wgpu::Device, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         scoped(device, "making the view pass", || {
             let fragment = wgpu::ShaderStages::FRAGMENT;
-            let frame_layout = layout(device, "frame", fragment, &CASTER);
             let view_layout =
                 layout(device, "view", fragment | wgpu::ShaderStages::VERTEX, &[UNIFORM, UNIFORM]);
             let grid_layout = layout(device, "empty space", wgpu::ShaderStages::COMPUTE, &EMPTY_SPACE);
             let grid_pipeline =
                 compute_pipeline(device, Kernel::EmptySpace, "empty_space", &[Some(&grid_layout)]);
             let builder = GridBuilder { pipeline: grid_pipeline, layout: grid_layout };
-            let module = shader_module(device, Kernel::RaycastView);
-            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some("view"),
-                bind_group_layouts: &[Some(&frame_layout), Some(&view_layout)],
-                immediate_size: 0,
+            let caster_layouts = CasterLayouts::new(device, fragment);
+            let casts = [Frames::One, Frames::Several].map(|frames| {
+                let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                    label: Some("view"),
+                    bind_group_layouts: &[Some(caster_layouts.of(frames)), Some(&view_layout)],
+                    immediate_size: 0,
+                });
+                (layout, shader_module(device, Kernel::RaycastView(frames)))
             });
-            let pipelines =
-                Channels::ALL.map(|channels| pipeline(device, target, &module, &layout, channels));
-            let upscale = Upscale::new(device, target, &layout, &module);
-            let frame = FrameOnGpu::new(device, &frame_layout, builder);
+            let pipelines = casts.each_ref().map(|(layout, module)| {
+                Channels::ALL.map(|channels| pipeline(device, target, module, layout, channels))
+            });
+            let upscale = Upscale::new(device, target, &casts);
+            let frames = FramesOnGpu::new(device, &caster_layouts, builder);
             let uniform =
                 |label, bytes: usize| buffer(device, label, bytes as u64, wgpu::BufferUsages::UNIFORM);
             let display = uniform("display", size_of::<Display>());
@@ -105,28 +111,41 @@ impl ViewPass {
             let smaller_group = bind(device, "smaller view", &view_layout, &resources);
             let smaller = (smaller, smaller_group);
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipelines, frame_layout, frame, eyes, display, smaller, upscale, encode_srgb })
+            Ok(Self { pipelines, frames, eyes, display, smaller, upscale, encode_srgb })
         })
     }
 
-    /// Shows `frame` from now on. `bounds` is the box of the volume that it was made of. Buffers are reused and grow
-    /// when needed. A frame that is refused leaves the former one.
+    /// Puts `frame` into a slot below [`NUM_SLOTS`]; slot 0 is shown until [`ViewPass::show`] says otherwise. `bounds` is
+    /// the box of the volume that the frame was made of. Buffers are reused and grow when needed. A frame that is refused
+    /// leaves the former one.
     pub fn upload(
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
+        slot: usize,
         frame: &LayeredFrame,
         bounds: &Aabb,
     ) -> Result<(), GpuError> {
-        let Self { frame: on_gpu, frame_layout, .. } = self;
-        scoped(device, "uploading a layered frame", || {
-            on_gpu.upload(device, queue, frame_layout, frame, bounds)
+        let frames = &mut self.frames;
+        let slot = slot.min(NUM_SLOTS - 1);
+        scoped(device, "uploading a layered frame", || frames.upload(device, queue, slot, frame, bounds))
+    }
+
+    /// Shows the frames of these slots from now on: the newest, and older ones of the same volume and look for what it does
+    /// not see (see [`isinglass_core::kernels::combine`]). With the newest alone a picture costs no more than if there were
+    /// no slots. An older frame too large to be bound along with the newest is left out, and all of them are as long as
+    /// rays are sampled.
+    pub fn show(&mut self, device: &wgpu::Device, slots: &[usize]) -> Result<(), GpuError> {
+        let frames = &mut self.frames;
+        scoped(device, "binding layered frames", || {
+            frames.show(device, slots);
+            Ok(())
         })
     }
 
     /// How frames are cast from now on.
     pub fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
-        self.frame.set_options(queue, options);
+        self.frames.set_options(queue, options);
     }
 
     /// Sets the camera of the next [`ViewPass::paint`]; its aspect ratio should be that of the viewport. `background`
@@ -156,8 +175,9 @@ impl ViewPass {
         let display = Display { background, encode_srgb: self.encode_srgb.into() };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
         let size = [camera.intrinsics.width, camera.intrinsics.height];
-        let groups = [&self.frame.bind_group, &self.smaller.1];
-        self.upscale.cast(device, encoder, size, &self.display, groups);
+        self.frames.prepare(queue, &[camera.into()]);
+        let (frames, group) = self.frames.cast();
+        self.upscale.cast(device, encoder, size, &self.display, frames, [group, &self.smaller.1]);
     }
 
     /// Fills the viewport with the smaller picture, enlarged.
@@ -169,6 +189,7 @@ impl ViewPass {
         for ((buffer, _), view) in self.eyes.iter().zip(views) {
             queue.write_buffer(buffer, 0, bytemuck::bytes_of(&Basis::of(*view)));
         }
+        self.frames.prepare(queue, views);
         let display = Display { background, encode_srgb: self.encode_srgb.into() };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
     }
@@ -181,8 +202,9 @@ impl ViewPass {
     /// Fills the given channels of the viewport with what an eye sees.
     pub fn paint_eye(&self, pass: &mut wgpu::RenderPass<'_>, eye: Eye, channels: Channels) {
         let (_, bind_group) = &self.eyes[eye as usize];
-        pass.set_pipeline(&self.pipelines[channels as usize]);
-        pass.set_bind_group(0, &self.frame.bind_group, &[]);
+        let (frames, group) = self.frames.cast();
+        pass.set_pipeline(&self.pipelines[frames as usize][channels as usize]);
+        pass.set_bind_group(0, group, &[]);
         pass.set_bind_group(1, bind_group, &[]);
         pass.draw(0..3, 0..1);
     }
@@ -217,3 +239,6 @@ fn pipeline(
         cache: None,
     })
 }
+
+/// Frames that can be held at a time: as many as the viewer keeps, and one that is not kept.
+pub const NUM_SLOTS: usize = 8;

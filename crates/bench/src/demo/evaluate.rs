@@ -1,7 +1,6 @@
 //! Makes the pictures that were shown, and compares them with the truth.
 
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::combine::combine;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_gpu::Backend;
@@ -68,7 +67,7 @@ pub(crate) fn evaluate(
             Method::Layers if !tick.older.is_empty() => {
                 let frames: Vec<&LayeredFrame> =
                     std::iter::once(frame).chain(tick.older.iter().map(|f| &f.frame)).collect();
-                combine(&frames, &bounds, &tick.camera)
+                backend.combine(&frames, &bounds, &tick.camera)?
             }
             method => method.draw(backend, frame, &bounds, &tick.camera)?,
         });

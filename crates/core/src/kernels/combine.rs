@@ -1,5 +1,5 @@
 //! Novel views from several layered frames: what the newest frame does not see is taken from older ones (the open
-//! question of Mueller 1999).
+//! question of Mueller 1999). Twin of `shaders/combine.wgsl`.
 //!
 //! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, since every plane of the
 //! frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces, and in each piece
@@ -18,9 +18,10 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::march::TRANSMITTANCE_MIN;
 use super::raycast::{CastOptions, Raycaster};
 use crate::camera::{Basis, Camera};
-use crate::layer::{DEPTH_UNITS, LayeredFrame, Over, TAU_MAX};
+use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
 
@@ -122,7 +123,7 @@ impl Combiner {
             let camera = &frame.header.camera;
             rounding = rounding.max(2.0 * (camera.far - camera.near) / DEPTH_UNITS);
             let view = View::of(camera);
-            let band = if n == 0 { beyond(&view, display, bounds).clamp(0.0, BAND) } else { BAND };
+            let band = if n == 0 { band_of_newest(camera, &display.basis(), bounds) } else { BAND };
             Layer { caster: Raycaster::new(frame, bounds), view, band }
         });
         let layers = layers.collect();
@@ -166,6 +167,9 @@ impl Combiner {
             let [from, to] = [pair[0], pair[1]];
             if to <= from {
                 continue;
+            }
+            if acc.transmittance < TRANSMITTANCE_MIN {
+                return acc;
             }
             let middle = 0.5 * (from + to);
             let holds = |(a, b): (f32, f32)| a <= middle && middle <= b;
@@ -234,7 +238,8 @@ impl Combiner {
             let (mut tau, mut light) = (0.0, Vec3::ZERO);
             for (n, weight) in weights.into_iter().enumerate().filter(|(_, w)| *w > LEAST_WEIGHT) {
                 let seen = self.layers[n].caster.cast_between(ray, (from, to), &CastOptions::default());
-                let tau_n = (-seen.transmittance.ln()).min(TAU_MAX);
+                // Where nothing can be seen through, casting stops: how much more there is was not looked at.
+                let tau_n = -seen.transmittance.max(TRANSMITTANCE_MIN).ln();
                 if tau_n > 0.0 {
                     tau += weight / sum * tau_n;
                     light += seen.c * (weight / sum * tau_n / (1.0 - seen.transmittance));
@@ -272,7 +277,7 @@ pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb)
         let view = View::of(camera);
         view.inset(view.basis.pixel_from_world(p - view.basis.eye)) > inset
     };
-    let all = points(display, bounds);
+    let all = points(&display.basis(), bounds);
     // Half a list: from its own pose a frame sees all points, which lie on the rays of pixels.
     let mut unseen: Vec<Vec3> = all.iter().copied().filter(|p| !sees(newest, *p, -0.5)).collect();
     let worth_while = all.len() / 100 + 1;
@@ -287,16 +292,17 @@ pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb)
     chosen
 }
 
-/// By how many pixels a picture shows matter beyond the border of a frame, at most; infinite behind its near plane.
-fn beyond(view: &View, display: &Camera, bounds: &Aabb) -> f32 {
+/// Lists from the newest frame's border on which its coverage grows to 1 in a picture of `display`: by how many pixels that
+/// shows matter beyond the border, at most.
+pub fn band_of_newest(newest: &Camera, display: &Basis, bounds: &Aabb) -> f32 {
+    let view = View::of(newest);
     let inset = |p: Vec3| view.inset(view.basis.pixel_from_world(p - view.basis.eye));
-    points(display, bounds).into_iter().map(|p| -inset(p)).fold(0.0, f32::max)
+    points(display, bounds).into_iter().map(|p| -inset(p)).fold(0.0, f32::max).clamp(0.0, BAND)
 }
 
 /// Points of the box that a picture shows: on a grid of its rays, from the first pixel to the last, where each enters
 /// the box, leaves it, and between.
-fn points(display: &Camera, bounds: &Aabb) -> Vec<Vec3> {
-    let basis = display.basis();
+fn points(basis: &Basis, bounds: &Aabb) -> Vec<Vec3> {
     let side = |n: f32, i: usize| 0.5 + (n - 1.0) * (i as f32 / (GRID - 1) as f32);
     let mut points = Vec::with_capacity(GRID * GRID * DEPTHS);
     for (i, j) in (0..GRID).flat_map(|j| (0..GRID).map(move |i| (i, j))) {

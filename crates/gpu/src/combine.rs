@@ -1,0 +1,156 @@
+//! Layered frames kept on the GPU, and what is cast of them: one, or several at once. Kernel: `shaders/combine.wgsl`.
+//!
+//! Each frame is uploaded once, to a slot of its own; which slots a picture is made of is a matter of a bind group.
+
+use isinglass_core::kernels::combine::{MAX_FRAMES, band_of_newest};
+use isinglass_core::kernels::lens::View;
+use isinglass_core::kernels::raycast::CastOptions;
+use isinglass_core::layer::LayeredFrame;
+use isinglass_core::space::Aabb;
+
+use crate::device::{CasterLayouts, bind, buffer};
+use crate::error::GpuError;
+use crate::gpu_types::Combination;
+use crate::raycast::{FrameOnGpu, GridBuilder};
+use crate::shaders::Frames;
+
+/// Frames in slots, and those that are shown.
+pub(crate) struct FramesOnGpu {
+    layouts: CasterLayouts,
+    builder: GridBuilder,
+    /// At least one.
+    slots: Vec<FrameOnGpu>,
+    /// The newest first; at least one.
+    shown: Vec<usize>,
+    /// Those of them that are cast together, and their group, if they are several.
+    several: Option<(Vec<usize>, wgpu::BindGroup)>,
+    combination: wgpu::Buffer,
+    options: CastOptions,
+}
+
+impl FramesOnGpu {
+    /// One slot without a frame, which is shown.
+    pub(crate) fn new(device: &wgpu::Device, layouts: &CasterLayouts, builder: GridBuilder) -> Self {
+        let first = FrameOnGpu::new(device, layouts.of(Frames::One), builder.clone());
+        Self {
+            layouts: layouts.clone(),
+            builder,
+            slots: vec![first],
+            shown: vec![0],
+            several: None,
+            combination: buffer(
+                device,
+                "combination",
+                size_of::<Combination>() as u64,
+                wgpu::BufferUsages::UNIFORM,
+            ),
+            options: CastOptions::default(),
+        }
+    }
+
+    /// Puts a frame into a slot. `bounds` is the box of the volume that it was made of. A frame that is refused leaves
+    /// the former one.
+    pub(crate) fn upload(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        slot: usize,
+        frame: &LayeredFrame,
+        bounds: &Aabb,
+    ) -> Result<(), GpuError> {
+        let layout = self.layouts.of(Frames::One);
+        while self.slots.len() <= slot {
+            self.slots.push(FrameOnGpu::new(device, layout, self.builder.clone()));
+        }
+        let result = self.slots[slot].upload(device, queue, layout, frame, bounds);
+        self.slots[slot].set_options(queue, &self.options);
+        if self.shown.contains(&slot) {
+            // Its buffers may be others now.
+            self.bind(device);
+        }
+        result
+    }
+
+    /// Casts the frames of these slots from now on, the newest first; of the others, those that the device can bind
+    /// along with it. Slots without a frame are passed over.
+    pub(crate) fn show(&mut self, device: &wgpu::Device, slots: &[usize]) {
+        let slots: Vec<usize> =
+            slots.iter().copied().filter(|&slot| slot < self.slots.len()).take(MAX_FRAMES).collect();
+        if !slots.is_empty() && slots != self.shown {
+            self.shown = slots;
+            self.bind(device);
+        }
+    }
+
+    /// How frames are cast from now on.
+    pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
+        self.options = *options;
+        for slot in &mut self.slots {
+            slot.set_options(queue, options);
+        }
+    }
+
+    /// For pictures of these views.
+    pub(crate) fn prepare(&self, queue: &wgpu::Queue, views: &[View]) {
+        let Some((slots, _)) = self.combined() else { return };
+        let mut combination: Combination = bytemuck::Zeroable::zeroed();
+        let layers: Vec<&FrameOnGpu> = slots.iter().map(|&slot| &self.slots[slot]).collect();
+        for (n, layer) in layers.iter().enumerate() {
+            let caster = layer.uniform();
+            // The widest margin: each box has that of its own frame.
+            let (min, max) = if n == 0 {
+                (caster.bounds_min, caster.bounds_max)
+            } else {
+                (
+                    std::array::from_fn(|i| combination.bounds_min[i].min(caster.bounds_min[i])),
+                    std::array::from_fn(|i| combination.bounds_max[i].max(caster.bounds_max[i])),
+                )
+            };
+            (combination.bounds_min, combination.bounds_max) = (min, max);
+            combination.casters[n] = caster;
+            combination.places[n] = layer.places();
+        }
+        combination.num_frames = layers.len() as u32;
+        if let Some((newest, bounds)) = layers[0].seen_by() {
+            // Two eyes share one band, so that they see the same mixture.
+            let band = |view: &View| band_of_newest(newest, &view.basis, bounds);
+            combination.band = views.iter().map(band).fold(0.0, f32::max);
+        }
+        queue.write_buffer(&self.combination, 0, bytemuck::bytes_of(&combination));
+    }
+
+    /// Which kernel casts what is shown, and its group 0.
+    pub(crate) fn cast(&self) -> (Frames, &wgpu::BindGroup) {
+        match self.combined() {
+            Some((_, group)) => (Frames::Several, group),
+            None => (Frames::One, &self.slots[self.shown[0]].bind_group),
+        }
+    }
+
+    /// Samples are for devices that cannot cast one frame whole in time, let alone several.
+    fn combined(&self) -> Option<&(Vec<usize>, wgpu::BindGroup)> {
+        self.several.as_ref().filter(|_| self.options.num_samples == 0)
+    }
+
+    fn bind(&mut self, device: &wgpu::Device) {
+        self.several = None;
+        let bindable = |&slot: &usize| {
+            let frame = &self.slots[slot];
+            let buffers = frame.seen_by().and_then(|_| frame.whole_buffers(device))?;
+            Some((slot, buffers))
+        };
+        let Some(newest) = bindable(&self.shown[0]) else { return };
+        let older: Vec<_> = self.shown[1..].iter().filter_map(bindable).collect();
+        if older.is_empty() {
+            return;
+        }
+        // What is bound for frames that are not there is never read.
+        let unused = std::iter::repeat(&newest);
+        let bound = std::iter::once(&newest).chain(&older).chain(unused).take(MAX_FRAMES);
+        let mut resources = vec![self.combination.as_entire_binding()];
+        resources.extend(bound.flat_map(|(_, buffers)| buffers.clone()));
+        let group = bind(device, "frames", self.layouts.of(Frames::Several), &resources);
+        let slots = std::iter::once(&newest).chain(&older).map(|(slot, _)| *slot).collect();
+        self.several = Some((slots, group));
+    }
+}

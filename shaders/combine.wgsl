@@ -1,0 +1,265 @@
+// Novel views from several layered frames. Twin of crates/core/src/kernels/combine.rs; the derivation is there. Each frame
+// is cast by raycast.wgsl, whose `caster` and planes are here those of one frame after the other.
+
+@group(0) @binding(0) var<uniform> combination: Combination;
+// Of each frame, the newest first, its two buffers: offsets and depths, from the first word and from `places.x`;
+// occupied cells, c_rg and c_b_tau, from the first word, `places.y` and `places.z`.
+@group(0) @binding(1) var<storage, read> lists_0: array<u32>;
+@group(0) @binding(2) var<storage, read> matter_0: array<u32>;
+@group(0) @binding(3) var<storage, read> lists_1: array<u32>;
+@group(0) @binding(4) var<storage, read> matter_1: array<u32>;
+@group(0) @binding(5) var<storage, read> lists_2: array<u32>;
+@group(0) @binding(6) var<storage, read> matter_2: array<u32>;
+@group(0) @binding(7) var<storage, read> lists_3: array<u32>;
+@group(0) @binding(8) var<storage, read> matter_3: array<u32>;
+
+// The frame that is cast.
+var<private> layer: u32;
+var<private> caster: Raycaster;
+var<private> places: vec4u;
+
+// Parts of a ray, in world distance; the ray in the homogeneous pixel coordinates of a frame's camera is o + d·s.
+struct Parts {
+    o: vec3f,
+    d: vec3f,
+    // Where the frame sees anything; empty if its end is not after its start.
+    outer: vec2f,
+    // Where its coverage is 1; empty likewise.
+    inner: vec2f,
+}
+
+// Premultiplied colour and opacity seen along a ray of world space (`cast` and `cast_pieces` in the twin).
+fn cast_ray(ray: Ray) -> Over {
+    var acc = over_identity();
+    let clipped = clip_box(combination.bounds_min, combination.bounds_max, ray);
+    if (clipped.s1 <= clipped.s0) {
+        return acc;
+    }
+    let whole = vec2f(clipped.s0, clipped.s1);
+    var parts: array<Parts, MAX_FRAMES>;
+    parts[0] = parts_of(0u, ray, whole);
+    // What the newest frame sees all of it shows alone.
+    let num = select(combination.num_frames, 1u, all(parts[0].inner == whole));
+    for (var n = 1u; n < num; n++) {
+        parts[n] = parts_of(n, ray, whole);
+    }
+    // A frame that is alone from one cut to the next is cast over both pieces at once.
+    var alone = NONE;
+    var piece = whole;
+    var from_s = whole.x;
+    loop {
+        let is_done = from_s >= whole.y;
+        var to = whole.y;
+        for (var n = 0u; n < num; n++) {
+            to = min(to, cut_after(parts[n], from_s, to));
+        }
+        let middle = 0.5 * (from_s + to);
+        var first = NONE;
+        var is_full = false;
+        var has_others = false;
+        for (var n = 0u; n < num && !is_done; n++) {
+            if (!holds(parts[n].outer, middle)) {
+                continue;
+            }
+            if (first == NONE) {
+                first = n;
+                is_full = holds(parts[n].inner, middle);
+            } else {
+                has_others = true;
+            }
+        }
+        let sole = select(first, NONE, has_others && !is_full);
+        if (sole != NONE && sole == alone) {
+            piece.y = to;
+        } else {
+            if (alone != NONE) {
+                let seen = cast_between(alone, ray, piece);
+                acc.c += seen.c * acc.transmittance;
+                acc.transmittance *= seen.transmittance;
+            }
+            if (first != NONE && sole == NONE) {
+                add_mixed(&acc, ray, &parts, vec2f(from_s, to));
+            }
+            alone = sole;
+            piece = vec2f(from_s, to);
+        }
+        if (is_done || acc.transmittance < TRANSMITTANCE_MIN) {
+            break;
+        }
+        from_s = to;
+    }
+    return acc;
+}
+
+fn parts_of(n: u32, ray: Ray, whole: vec2f) -> Parts {
+    let basis = combination.casters[n].basis;
+    let o = pixel_from_world(basis, ray.origin - basis.eye);
+    let d = pixel_from_world(basis, ray.dir);
+    return Parts(o, d, clip_inset(n, o, d, 0.0, whole), clip_inset(n, o, d, band_of(n), whole));
+}
+
+// The part of `within` that lies at least `inset` pixels inside the frustum of a frame.
+fn clip_inset(n: u32, o: vec3f, d: vec3f, inset: f32, within: vec2f) -> vec2f {
+    let right = combination.casters[n].basis.width - inset;
+    let bottom = combination.casters[n].basis.height - inset;
+    let near = combination.casters[n].basis.near;
+    var planes = array<vec2f, 5>(
+        vec2f(o.z - near, d.z),
+        vec2f(o.x - inset * o.z, d.x - inset * d.z),
+        vec2f(right * o.z - o.x, right * d.z - d.x),
+        vec2f(o.y - inset * o.z, d.y - inset * d.z),
+        vec2f(bottom * o.z - o.y, bottom * d.z - d.y),
+    );
+    var s = within;
+    for (var i = 0u; i < 5u; i++) {
+        // Inside where a + b·s ≥ 0.
+        let a = planes[i].x;
+        let b = planes[i].y;
+        if (b > 0.0) {
+            s.x = max(s.x, -a / b);
+        } else if (b < 0.0) {
+            s.y = min(s.y, -a / b);
+        } else if (a < 0.0) {
+            return s.yy;
+        }
+    }
+    return s;
+}
+
+// Lists from the border on which a frame's coverage grows to 1.
+fn band_of(n: u32) -> f32 {
+    return select(BAND, combination.band, n == 0u);
+}
+
+fn holds(part: vec2f, s: f32) -> bool {
+    return part.x < part.y && part.x <= s && s <= part.y;
+}
+
+// The first end of a frame's parts behind a distance, or `otherwise`.
+fn cut_after(parts: Parts, s: f32, otherwise: f32) -> f32 {
+    if (parts.outer.x >= parts.outer.y) {
+        return otherwise;
+    }
+    let outer = min(select(otherwise, parts.outer.x, parts.outer.x > s), select(otherwise, parts.outer.y, parts.outer.y > s));
+    if (parts.inner.x >= parts.inner.y) {
+        return outer;
+    }
+    let inner = min(select(otherwise, parts.inner.x, parts.inner.x > s), select(otherwise, parts.inner.y, parts.inner.y > s));
+    return min(outer, inner);
+}
+
+// Pixels from the nearest border, at most the band and at least 0.
+fn inset_at(n: u32, part: Parts, s: f32) -> f32 {
+    let basis = combination.casters[n].basis;
+    let h = part.o + part.d * s;
+    if (part.outer.x >= part.outer.y || h.z < basis.near) {
+        return 0.0;
+    }
+    let p = h.xy / h.z;
+    let nearest = min(min(p.x, basis.width - p.x), min(p.y, basis.height - p.y));
+    return clamp(nearest, 0.0, band_of(n));
+}
+
+// Puts a piece behind what is there over which the coverage of a frame changes, in steps of about a list.
+fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX_FRAMES>>, piece: vec2f) {
+    var change = 0.0;
+    for (var n = 0u; n < combination.num_frames; n++) {
+        change = max(change, abs(inset_at(n, (*parts)[n], piece.x) - inset_at(n, (*parts)[n], piece.y)));
+    }
+    let steps = clamp(ceil(change), 1.0, BAND);
+    for (var i = 0.0; i < steps; i += 1.0) {
+        let step = piece.x + (piece.y - piece.x) * (vec2f(i, i + 1.0) / steps);
+        var weights: array<f32, MAX_FRAMES>;
+        var rest = 1.0;
+        for (var n = 0u; n < combination.num_frames; n++) {
+            let part = (*parts)[n];
+            // The newest frame's band can have no width: then all that it sees is covered.
+            var covered = select(0.0, 1.0, part.outer.x < part.outer.y);
+            if (band_of(n) > 0.0) {
+                covered = inset_at(n, part, 0.5 * (step.x + step.y)) / band_of(n);
+            }
+            weights[n] = rest * covered;
+            rest -= weights[n];
+        }
+        let sum = 1.0 - rest;
+        if (sum <= 0.0) {
+            continue;
+        }
+        var tau = 0.0;
+        var light = vec3f(0.0);
+        for (var n = 0u; n < combination.num_frames; n++) {
+            if (weights[n] <= LEAST_WEIGHT) {
+                continue;
+            }
+            let seen = cast_between(n, ray, step);
+            if (seen.transmittance < 1.0) {
+                // Where nothing can be seen through, casting stops: how much more there is was not looked at.
+                let tau_n = -log(max(seen.transmittance, TRANSMITTANCE_MIN));
+                tau += weights[n] / sum * tau_n;
+                light += seen.c * (weights[n] / sum * tau_n / (1.0 - seen.transmittance));
+            }
+        }
+        if (tau > 0.0) {
+            (*acc).c += light * ((*acc).transmittance * opacity(tau) / tau);
+            (*acc).transmittance *= 1.0 - opacity(tau);
+        }
+    }
+}
+
+// Premultiplied colour and opacity that one frame shows between two world distances from the ray's origin.
+fn cast_between(n: u32, ray: Ray, within: vec2f) -> Over {
+    layer = n;
+    caster = combination.casters[n];
+    places = combination.places[n];
+    var acc = over_identity();
+    let line = clip(ray, within);
+    if (line.hit) {
+        walk(line, &acc);
+    }
+    return acc;
+}
+
+fn offset_at(i: u32) -> u32 {
+    return lists_word(i);
+}
+
+fn depth_at(i: u32) -> u32 {
+    return lists_word(places.x + i);
+}
+
+fn occupied_at(i: i32) -> u32 {
+    return matter_word(u32(i));
+}
+
+fn c_rg_at(i: u32) -> u32 {
+    return matter_word(places.y + i);
+}
+
+fn c_b_tau_at(i: u32) -> u32 {
+    return matter_word(places.z + i);
+}
+
+fn lists_word(i: u32) -> u32 {
+    switch (layer) {
+        case 1u: { return lists_1[i]; }
+        case 2u: { return lists_2[i]; }
+        case 3u: { return lists_3[i]; }
+        default: { return lists_0[i]; }
+    }
+}
+
+fn matter_word(i: u32) -> u32 {
+    switch (layer) {
+        case 1u: { return matter_1[i]; }
+        case 2u: { return matter_2[i]; }
+        case 3u: { return matter_3[i]; }
+        default: { return matter_0[i]; }
+    }
+}
+
+// No frame.
+const NONE: u32 = 0xffffffff;
+// Width of the band in which frames are mixed, lists.
+const BAND: f32 = 8.0;
+// A frame with less weight is left out.
+const LEAST_WEIGHT: f32 = 1e-3;

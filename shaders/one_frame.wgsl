@@ -1,0 +1,50 @@
+// Novel views from one layered frame: its planes, and the function cast of crates/core/src/kernels/raycast.rs.
+
+@group(0) @binding(0) var<uniform> caster: Raycaster;
+@group(0) @binding(1) var<storage, read> offsets: array<u32>;
+@group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
+@group(0) @binding(3) var<storage, read> c_rg: array<u32>;
+@group(0) @binding(4) var<storage, read> c_b_tau: array<u32>;
+// One word a tile: the cells of it that hold a segment (empty_space.wgsl).
+@group(0) @binding(5) var<storage, read> occupied: array<u32>;
+// DEPTH_CELLS counts a tile (empty_space_build.wgsl).
+@group(0) @binding(6) var<storage, read> counts: array<u32>;
+
+fn offset_at(i: u32) -> u32 {
+    return offsets[i];
+}
+
+fn depth_at(i: u32) -> u32 {
+    return depth_plane[i];
+}
+
+fn c_rg_at(i: u32) -> u32 {
+    return c_rg[i];
+}
+
+fn c_b_tau_at(i: u32) -> u32 {
+    return c_b_tau[i];
+}
+
+fn occupied_at(i: i32) -> u32 {
+    return occupied[i];
+}
+
+fn count_at(i: u32) -> u32 {
+    return counts[i];
+}
+
+// Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
+fn cast_ray(ray: Ray) -> Over {
+    var acc = over_identity();
+    if (caster.has_frame == 0u) {
+        return acc;
+    }
+    let line = clip(ray, vec2f(0.0, NEVER));
+    if (line.hit && caster.num_samples > 0u) {
+        sample_line(line, &acc);
+    } else if (line.hit) {
+        walk(line, &acc);
+    }
+    return acc;
+}
