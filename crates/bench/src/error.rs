@@ -4,6 +4,7 @@ use std::path::Path;
 
 use isinglass_core::codec::CodecError;
 use isinglass_core::image_error::ImageErrorError;
+use isinglass_core::kernels::layering::all_samples::AllSamplesError;
 use isinglass_formats::FormatError;
 use isinglass_gpu::GpuError;
 
@@ -20,6 +21,9 @@ pub enum BenchError {
     /// A frame cannot be encoded or decoded.
     #[error("{0}")]
     Codec(CodecError),
+    /// Not every sample can be kept.
+    #[error("{0}")]
+    AllSamples(AllSamplesError),
     /// Pictures cannot be compared.
     #[error("{0}")]
     Compare(ImageErrorError),
@@ -72,4 +76,10 @@ macro_rules! from {
     };
 }
 
-from!(Format(FormatError), Gpu(GpuError), Codec(CodecError), Compare(ImageErrorError));
+from!(
+    Format(FormatError),
+    Gpu(GpuError),
+    Codec(CodecError),
+    Compare(ImageErrorError),
+    AllSamples(AllSamplesError)
+);

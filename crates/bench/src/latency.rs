@@ -1,26 +1,66 @@
-//! The headless demonstration over a table of round-trip times.
+//! The headless demonstration over a table of methods, camera speeds and round-trip times.
 
+use std::fmt;
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
+use isinglass_client::Foresight;
 use isinglass_net::LinkModel;
 use serde::Serialize;
 
+use crate::choices::{MethodChoice, Rule};
 use crate::demo::{DemoOptions, Report, run_headless};
 use crate::error::BenchError;
 use crate::progress::note;
 use crate::scenes::SceneSource;
+
+/// `METHOD[@RULE][:no-prediction]`: a method, the rule by which the server makes its frames, and whether frames are
+/// asked for from where the camera will be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LatencyMethod {
+    /// Method and rule. Without one the demonstration's rule is taken.
+    pub choice: MethodChoice,
+    /// Whether prediction is switched off, as the papers have none.
+    pub never_predicts: bool,
+}
+
+impl fmt::Display for LatencyMethod {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.choice, if self.never_predicts { NO_PREDICTION } else { "" })
+    }
+}
+
+impl FromStr for LatencyMethod {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        let (choice, never_predicts) = match s.strip_suffix(NO_PREDICTION) {
+            Some(choice) => (choice, true),
+            None => (s, false),
+        };
+        let choice: MethodChoice = choice.parse()?;
+        if choice.rule == Some(Rule::AllSamples) {
+            return Err(format!("'{s}': no server sends {}, expected a rule for frames", Rule::AllSamples));
+        }
+        Ok(Self { choice, never_predicts })
+    }
+}
 
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct LatencyOptions {
     /// The scenes, see [`crate::scenes::select`].
     pub scenes: Vec<SceneSource>,
+    /// Methods.
+    pub methods: Vec<LatencyMethod>,
+    /// Speeds of the camera.
+    pub degrees_per_second: Vec<f32>,
     /// Round-trip times.
     pub rtts: Vec<Duration>,
     /// A folder for what each run writes; none: nothing is written.
     pub out: Option<PathBuf>,
-    /// Everything else. Its source and round-trip time are replaced.
+    /// Everything else. What the lists above name is replaced.
     pub demo: DemoOptions,
 }
 
@@ -29,7 +69,7 @@ pub struct LatencyOptions {
 pub struct LatencyReport {
     /// What holds for all rows.
     pub conditions: LatencyConditions,
-    /// One for each scene and round-trip time.
+    /// One for each scene, method, speed and round-trip time.
     pub rows: Vec<LatencyRow>,
 }
 
@@ -42,12 +82,6 @@ pub struct LatencyConditions {
     pub size: [u32; 2],
     /// Vertical field of view, degrees.
     pub fov_deg: f32,
-    /// Layering rule, or the rival method that made the pictures.
-    pub method: &'static str,
-    /// Longest list.
-    pub k: u8,
-    /// Speed of the camera.
-    pub degrees_per_second: f32,
     /// Pictures shown in a second.
     pub refresh_hz: f32,
     /// Threads of the CPU.
@@ -59,6 +93,14 @@ pub struct LatencyConditions {
 pub struct LatencyRow {
     /// Name of the scene.
     pub scene: String,
+    /// Layering rule, or the rival method that made the pictures.
+    pub method: &'static str,
+    /// Rule of the frames.
+    pub layering: &'static str,
+    /// K of the rule.
+    pub k: u8,
+    /// Speed of the camera.
+    pub degrees_per_second: f32,
     /// The figures of the run.
     #[serde(flatten)]
     pub report: Report,
@@ -66,16 +108,29 @@ pub struct LatencyRow {
 
 /// Measures, in real time.
 pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
-    let mut rows = Vec::new();
+    let lists = [options.scenes.len(), options.methods.len(), options.degrees_per_second.len()];
+    let num_runs = lists.iter().product::<usize>() * options.rtts.len();
+    let mut rows = Vec::with_capacity(num_runs);
     for scene in &options.scenes {
         for &rtt in &options.rtts {
-            note(&format!("{} at {} ms", scene.name, rtt.as_millis()));
-            let link = LinkModel { rtt, ..options.demo.link.clone() };
-            let demo = DemoOptions { source: scene.source.clone(), link, ..options.demo.clone() };
-            let name = format!("{}-{}ms", scene.name.replace([':', '/', '@'], "-"), rtt.as_millis());
-            let out = options.out.as_ref().map(|out| out.join(name));
-            let report = run_headless(&demo, out.as_deref())?.report;
-            rows.push(LatencyRow { scene: scene.name.clone(), report });
+            for &degrees_per_second in &options.degrees_per_second {
+                for &method in &options.methods {
+                    let rtt_ms = rtt.as_millis();
+                    let name = format!("{}-{rtt_ms}ms-{degrees_per_second}-{method}", scene.name);
+                    note(&format!("{}/{num_runs}: {name}", rows.len() + 1));
+                    let demo = demo_of(&options.demo, scene, method, degrees_per_second, rtt);
+                    let out = options.out.as_ref().map(|out| out.join(name.replace([':', '/', '@'], "-")));
+                    let report = run_headless(&demo, out.as_deref())?.report;
+                    rows.push(LatencyRow {
+                        scene: scene.name.clone(),
+                        method: demo.method.name_with(demo.layering),
+                        layering: demo.layering.name(),
+                        k: demo.k,
+                        degrees_per_second,
+                        report,
+                    });
+                }
+            }
         }
     }
     let demo = &options.demo;
@@ -83,26 +138,62 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
         version: env!("CARGO_PKG_VERSION"),
         size: [demo.intrinsics.width, demo.intrinsics.height],
         fov_deg: demo.intrinsics.fov_y.to_degrees(),
-        method: demo.method.name_with(demo.layering),
-        k: demo.k,
-        degrees_per_second: demo.degrees_per_second,
         refresh_hz: demo.refresh_hz,
         threads: rayon::current_num_threads(),
     };
     Ok(LatencyReport { conditions, rows })
 }
 
+fn demo_of(
+    demo: &DemoOptions,
+    scene: &SceneSource,
+    method: LatencyMethod,
+    degrees_per_second: f32,
+    rtt: Duration,
+) -> DemoOptions {
+    let layering = match method.choice.rule {
+        Some(Rule::Layering(layering)) => layering,
+        _ => demo.layering,
+    };
+    let predicts = demo.foresight.predicts && !method.never_predicts;
+    DemoOptions {
+        source: scene.source.clone(),
+        layering,
+        method: method.choice.method,
+        foresight: Foresight { predicts, ..demo.foresight },
+        degrees_per_second,
+        link: LinkModel { rtt, ..demo.link.clone() },
+        ..demo.clone()
+    }
+}
+
 /// A table for people.
 pub fn table(report: &LatencyReport) -> String {
     let mut text = format!(
-        "{:<12} {:>7} {:>8} {:>8} {:>8} {:>6} {:>4} {:>8} {:>9} {:>7} {:>5}\n",
-        "scene", "rtt ms", "shown", "p95", "last", "ratio", "lag", "age ms", "bytes", "freezes", "rest"
+        "{:<12} {:<21} {:>7} {:>5} {:>7} {:>8} {:>8} {:>8} {:>6} {:>4} {:>8} {:>9} {:>7} {:>5}\n",
+        "scene",
+        "method",
+        "predict",
+        "deg/s",
+        "rtt ms",
+        "shown",
+        "p95",
+        "last",
+        "ratio",
+        "lag",
+        "age ms",
+        "bytes",
+        "freezes",
+        "rest"
     );
     for row in &report.rows {
         let r = &row.report;
         text += &format!(
-            "{:<12} {:>7.0} {:>8.4} {:>8.4} {:>8.4} {:>6.1} {:>4} {:>8.0} {:>9.0} {:>7} {:>5}\n",
+            "{:<12} {:<21} {:>7} {:>5.0} {:>7.0} {:>8.4} {:>8.4} {:>8.4} {:>6.1} {:>4} {:>8.0} {:>9.0} {:>7} {:>5}\n",
             row.scene,
+            row.method,
+            if r.predict { "yes" } else { "no" },
+            row.degrees_per_second,
             r.rtt_ms,
             r.dssim_shown_mean,
             r.dssim_shown_p95,
@@ -116,4 +207,34 @@ pub fn table(report: &LatencyReport) -> String {
         );
     }
     text
+}
+
+const NO_PREDICTION: &str = ":no-prediction";
+
+#[cfg(test)]
+mod tests {
+    use isinglass_core::kernels::layering::Layering;
+
+    use super::*;
+    use crate::rivals::Method;
+
+    #[test]
+    fn a_method_is_played_as_it_is_named() {
+        let demo = |method: &str| {
+            let method: LatencyMethod = method.parse().unwrap();
+            let scene = SceneSource { name: "a".into(), source: "builtin:cubus@16".into() };
+            demo_of(&DemoOptions::default(), &scene, method, 60.0, Duration::from_millis(100))
+        };
+        let ours = demo("layers");
+        assert_eq!((ours.method, ours.layering), (Method::Layers, Layering::default()));
+        assert!(ours.foresight.predicts && !demo("layers:no-prediction").foresight.predicts);
+        assert_eq!((ours.degrees_per_second, ours.link.rtt), (60.0, Duration::from_millis(100)));
+        assert_eq!(ours.source, "builtin:cubus@16");
+        let warp = demo("point-warp@single-depth:exit:no-prediction");
+        assert_eq!((warp.method, warp.layering.name()), (Method::PointWarp, "single-depth:exit"));
+        assert!(!warp.foresight.predicts && warp.foresight.keeps);
+        for bad in ["layers@all-samples", "warp", "layers:yes"] {
+            assert!(bad.parse::<LatencyMethod>().is_err(), "{bad}");
+        }
+    }
 }

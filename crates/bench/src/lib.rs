@@ -6,6 +6,7 @@
 //! [`isinglass_gpu::Backend`], frames from the server, errors from `isinglass_core::image_error`. It writes files whole
 //! or not at all, and draws progress on standard error only.
 
+pub mod choices;
 pub mod demo;
 mod error;
 pub mod latency;

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageReader};
@@ -12,6 +13,7 @@ use crate::error::BenchError;
 /// Writes `bytes` to `path` through a file beside it that is renamed at the end: whoever looks sees the old file or
 /// the new one. A device or pipe is written to as it is.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
+    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     let io = BenchError::io(path);
     // A link is followed, so that the file it names is replaced and not the link.
     let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
@@ -29,6 +31,12 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
         let _ = fs::remove_file(&temporary);
     }
     written.map_err(io)
+}
+
+/// Ends the process when no file is being written, so that nothing half written is left.
+pub fn exit_between_writes(code: i32) -> ! {
+    let _none_is_written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    std::process::exit(code)
 }
 
 /// An 8-bit RGB picture, row by row from the top.
@@ -142,6 +150,7 @@ fn temporary_beside(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{name}.{}.part", std::process::id()))
 }
 
+static WRITING: Mutex<()> = Mutex::new(());
 const GAP_PIXELS: u32 = 4;
 const GAP_GREY: u8 = 96;
 

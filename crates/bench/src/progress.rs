@@ -26,7 +26,18 @@ impl Progress {
             bar.set_style(style.progress_chars("=> "));
         }
         bar.set_prefix(what.clone());
+        // Drawn at once, and alive during long steps.
+        bar.enable_steady_tick(TICK);
         Self { what, bar, num_steps, done: 0, last_line: (!is_terminal).then(Instant::now) }
+    }
+
+    /// What comes next, told at once also where there is no terminal.
+    pub fn begin(&mut self, now: &str) {
+        self.bar.set_message(now.to_owned());
+        if let Some(last) = &mut self.last_line {
+            *last = Instant::now();
+            note(&format!("{}: {}/{} {now}", self.what, self.done, self.num_steps));
+        }
     }
 
     /// `num_steps` more are done; `now` is what comes next.
@@ -53,5 +64,6 @@ pub fn note(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
+const TICK: Duration = Duration::from_millis(200);
 /// Seldom enough for a log file, often enough to see life.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);

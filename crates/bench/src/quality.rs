@@ -12,14 +12,16 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::{MarchSettings, Shading};
-use isinglass_core::layer::FrameHeader;
+use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
 use isinglass_formats::OpenOptions;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
+use crate::choices::{MethodChoice, Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::rivals::Method;
@@ -33,24 +35,30 @@ pub struct QualityOptions {
     pub scenes: Vec<SceneSource>,
     /// Preset or file for all scenes; none: the one that suits each.
     pub transfer: Option<String>,
-    /// Rules.
-    pub layerings: Vec<Layering>,
+    /// How frames are made.
+    pub rules: Vec<Rule>,
     /// How frames become pictures. [`Method::LastImage`] is measured in any case, once a scene.
-    pub methods: Vec<Method>,
+    pub methods: Vec<MethodChoice>,
+    /// How the ray cast reads lists.
+    pub reconstructions: Vec<Reconstruction>,
     /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
     pub ks: Vec<u8>,
     /// Turns of azimuth, degrees, each to either side. 0 is the generating camera itself.
     pub angles_degrees: Vec<f32>,
     /// The generating camera.
     pub orbit: Orbit,
-    /// Picture and frame size, field of view.
+    /// Picture size, field of view.
     pub intrinsics: Intrinsics,
+    /// Frame size: columns and rows of lists. The field of view is that of the pictures.
+    pub frame_intrinsics: Intrinsics,
     /// Whether gradients shade.
     pub shaded: bool,
     /// Where the kernels run.
     pub backend: BackendChoice,
     /// How frames are encoded.
     pub codec: codec::Settings,
+    /// Whether frames are also measured as they are after encoding and decoding.
+    pub measures_wire: bool,
 }
 
 /// The whole result.
@@ -58,7 +66,7 @@ pub struct QualityOptions {
 pub struct QualityReport {
     /// What holds for all rows.
     pub conditions: Conditions,
-    /// One for each scene, method, K and turn.
+    /// One for each scene, method, K, way of reading lists and turn.
     pub rows: Vec<QualityRow>,
 }
 
@@ -67,8 +75,10 @@ pub struct QualityReport {
 pub struct Conditions {
     /// Version of this program.
     pub version: &'static str,
-    /// Columns and rows.
+    /// Columns and rows of the pictures.
     pub size: [u32; 2],
+    /// Columns and rows of lists.
+    pub frame_size: [u32; 2],
     /// Vertical field of view, degrees.
     pub fov_deg: f32,
     /// Azimuth and elevation of the generating camera, degrees.
@@ -98,7 +108,9 @@ pub struct QualityRow {
     pub method: String,
     /// Rule of the frame; none for `last-image`.
     pub layering: Option<&'static str>,
-    /// Longest list; 0 for `last-image`.
+    /// How lists were read; none for what does not ray-cast.
+    pub reconstruction: Option<&'static str>,
+    /// K of the rule; 0 for `last-image`, 255 for lists without an end.
     pub k: u8,
     /// Turn, degrees.
     pub angle_deg: f32,
@@ -107,10 +119,12 @@ pub struct QualityRow {
     /// See [`ImageError`].
     pub dssim_object: f64,
     /// See [`ImageError`].
+    pub ssim: f64,
+    /// See [`ImageError`].
     pub psnr_db: f64,
     /// Greatest difference, 0 to 255.
     pub max_abs_255: u8,
-    /// DSSIM of the frame as it is after encoding and decoding; none for `last-image`.
+    /// DSSIM of the frame as it is after encoding and decoding; none for `last-image` and where it was not measured.
     pub dssim_wire: Option<f64>,
     /// Time to make the frame.
     pub generate_ms: Option<f64>,
@@ -122,13 +136,16 @@ pub struct QualityRow {
     pub bytes: Option<usize>,
     /// Segments in a list, over lists that have any.
     pub segments_mean: Option<f64>,
+    /// Segments of the frame.
+    pub segments_total: Option<usize>,
 }
 
 /// Measures. Takes minutes for the default scenes on the CPU.
 pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
     let backend = Backend::open(options.backend)?;
-    let steps = options.scenes.len() * (1 + options.layerings.len() * options.ks.len());
-    let mut progress = Progress::new("quality", steps as u64);
+    let of_rules = methods_by_rule(&options.rules, &options.methods);
+    let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.ks).len()).sum();
+    let mut progress = Progress::new("quality", (options.scenes.len() * (1 + frames)) as u64);
     let mut rows = Vec::new();
     for source in &options.scenes {
         measure_scene(&backend, options, source, &mut rows, &mut progress)?;
@@ -141,10 +158,11 @@ pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
 pub fn table(report: &QualityReport) -> String {
     let number = |x: Option<f64>, digits| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"));
     let mut text = format!(
-        "{:<12} {:<20} {:<20} {:>2} {:>6} {:>7} {:>7} {:>6} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>5}\n",
+        "{:<12} {:<21} {:<21} {:<7} {:>3} {:>6} {:>7} {:>7} {:>6} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>6} {:>9}\n",
         "scene",
         "method",
         "of frame",
+        "lists",
         "k",
         "turn",
         "dssim",
@@ -156,14 +174,17 @@ pub fn table(report: &QualityReport) -> String {
         "prep ms",
         "view ms",
         "bytes",
-        "seg"
+        "seg",
+        "seg all"
     );
+    let count = |n: Option<usize>| n.map_or_else(|| "-".to_owned(), |n| n.to_string());
     for r in &report.rows {
         text += &format!(
-            "{:<12} {:<20} {:<20} {:>2} {:>5.0}° {:>7.4} {:>7.4} {:>6.1} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>5}\n",
+            "{:<12} {:<21} {:<21} {:<7} {:>3} {:>5.0}° {:>7.4} {:>7.4} {:>6.1} {:>4} {:>7} {:>8} {:>8} {:>8} {:>9} {:>6} {:>9}\n",
             r.scene,
             r.method,
             r.layering.unwrap_or("-"),
+            r.reconstruction.unwrap_or("-"),
             r.k,
             r.angle_deg,
             r.dssim,
@@ -174,8 +195,9 @@ pub fn table(report: &QualityReport) -> String {
             number(r.generate_ms, 1),
             number(r.prepare_ms, 1),
             number(r.novel_view_ms, 1),
-            r.bytes.map_or_else(|| "-".to_owned(), |b| b.to_string()),
+            count(r.bytes),
             number(r.segments_mean, 2),
+            count(r.segments_total),
         );
     }
     text
@@ -210,6 +232,7 @@ fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
     Conditions {
         version: env!("CARGO_PKG_VERSION"),
         size: [width, height],
+        frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
         fov_deg: fov_y.to_degrees(),
         orbit_deg: [options.orbit.azimuth_degrees, options.orbit.elevation_degrees],
         distance_radii: options.orbit.distance_in_radii.unwrap_or_else(|| options.intrinsics.fit_distance()),
@@ -229,6 +252,7 @@ fn measure_scene(
     rows: &mut Vec<QualityRow>,
     progress: &mut Progress,
 ) -> Result<(), BenchError> {
+    progress.begin(&format!("{}: opening", source.name));
     let opened = open_scene(
         &source.source,
         options.transfer.as_deref(),
@@ -255,44 +279,110 @@ fn measure_scene(
         rows.push(mean.row(source, Method::LastImage.name(), 0, angle));
     }
 
-    for &layering in &options.layerings {
-        for &k in &options.ks {
-            let header = header(camera_at(0.0), k);
-            let (frame, generate_ms) = timed(|| Ok(renderer.generate(header, layering)?))?;
+    let truth = Truth { camera_at: &camera_at, pictures: &truth, bounds: &bounds };
+    for (rule, methods) in methods_by_rule(&options.rules, &options.methods) {
+        for k in rule.ks(&options.ks) {
+            let camera = options.orbit.camera(options.frame_intrinsics, &bounds);
+            let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, header(camera, k)))?;
+            let made = Made::new(options, rule, k, frame, generate_ms)?;
+            for &method in methods.iter().filter(|m| **m != Method::LastImage) {
+                measure_method(backend, options, source, &made, method, &truth, rows)?;
+            }
+            progress.advance(1, &format!("{}: {rule} K = {k}", source.name));
+        }
+    }
+    Ok(())
+}
+
+/// A frame to be measured.
+struct Made {
+    rule: Rule,
+    k: u8,
+    frame: Arc<LayeredFrame>,
+    /// After encoding and decoding, and the bytes between; none if no codec takes the frame.
+    wire: Option<(Arc<LayeredFrame>, usize)>,
+    generate_ms: f64,
+}
+
+impl Made {
+    fn new(
+        options: &QualityOptions,
+        rule: Rule,
+        k: u8,
+        frame: LayeredFrame,
+        generate_ms: f64,
+    ) -> Result<Self, BenchError> {
+        let wire = if rule == Rule::AllSamples {
+            None
+        } else {
             let encoded = codec::encode(&frame, &options.codec)?;
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-            let decoded = Arc::new(codec::decode(&chunks)?);
-            let num_segments = frame.num_segments();
-            let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
-            let frame = Arc::new(frame);
-            for &method in options.methods.iter().filter(|m| **m != Method::LastImage) {
-                let mut decoded = method.prepare(backend, decoded.clone(), &bounds)?;
-                let (mut exact, prepare_ms) = timed(|| method.prepare(backend, frame.clone(), &bounds))?;
-                for &angle in &options.angles_degrees {
-                    let (mut mean, mut wire) = (Mean::default(), Mean::default());
-                    let (mut ms_sum, mut num) = (0.0, 0.0);
-                    for side in sides(angle) {
-                        let camera = camera_at(side);
-                        let (view, ms) = timed(|| exact.view(&camera))?;
-                        let truth = &truth[&side.to_bits()];
-                        mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
-                        let view = decoded.view(&camera)?;
-                        wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
-                        (ms_sum, num) = (ms_sum + ms, num + 1.0);
-                    }
-                    rows.push(QualityRow {
-                        layering: Some(layering.name()),
-                        dssim_wire: Some(wire.mean(|e| e.dssim)),
-                        generate_ms: Some(generate_ms),
-                        prepare_ms: Some(prepare_ms),
-                        novel_view_ms: Some(ms_sum / num),
-                        bytes: Some(encoded.num_bytes()),
-                        segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
-                        ..mean.row(source, method.name_with(layering), k, angle)
-                    });
+            Some((Arc::new(codec::decode(&chunks)?), encoded.num_bytes()))
+        };
+        Ok(Self { rule, k, frame: Arc::new(frame), wire, generate_ms })
+    }
+}
+
+/// What pictures are compared with.
+struct Truth<'a> {
+    camera_at: &'a dyn Fn(f32) -> Camera,
+    /// By the bits of the angle.
+    pictures: &'a BTreeMap<u32, Vec<u8>>,
+    bounds: &'a Aabb,
+}
+
+/// All turns of one method on one frame, for each way to read lists.
+fn measure_method(
+    backend: &Backend,
+    options: &QualityOptions,
+    source: &SceneSource,
+    made: &Made,
+    method: Method,
+    truth: &Truth<'_>,
+    rows: &mut Vec<QualityRow>,
+) -> Result<(), BenchError> {
+    // Lists without an end may be more than a GPU holds.
+    let backend = if made.rule == Rule::AllSamples { &Backend::Cpu } else { backend };
+    let prepare = |frame: &Arc<LayeredFrame>| method.prepare(backend, frame.clone(), truth.bounds);
+    let (mut exact, prepare_ms) = timed(|| prepare(&made.frame))?;
+    let decoded = made.wire.as_ref().filter(|_| options.measures_wire);
+    let mut decoded = decoded.map(|(frame, _)| prepare(frame)).transpose()?;
+    // Only the ray cast reads lists in more than one way.
+    let reconstructions: Vec<Option<Reconstruction>> = match method {
+        Method::Layers => options.reconstructions.iter().copied().map(Some).collect(),
+        _ => vec![None],
+    };
+    let num_segments = made.frame.num_segments();
+    let num_filled = made.frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+    for reconstruction in reconstructions {
+        let cast =
+            CastOptions { reconstruction: reconstruction.unwrap_or_default(), ..CastOptions::default() };
+        for &angle in &options.angles_degrees {
+            let (mut mean, mut wire) = (Mean::default(), Mean::default());
+            let (mut ms_sum, mut num) = (0.0, 0.0);
+            for side in sides(angle) {
+                let camera = (truth.camera_at)(side);
+                let (view, ms) = timed(|| exact.view_with(&camera, &cast))?;
+                let truth = &truth.pictures[&side.to_bits()];
+                mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                if let Some(decoded) = &mut decoded {
+                    let view = decoded.view_with(&camera, &cast)?;
+                    wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
                 }
+                (ms_sum, num) = (ms_sum + ms, num + 1.0);
             }
-            progress.advance(1, &format!("{}: {layering} K = {k}", source.name));
+            rows.push(QualityRow {
+                layering: Some(made.rule.name()),
+                reconstruction: reconstruction.map(reconstruction_name),
+                dssim_wire: decoded.is_some().then(|| wire.mean(|e| e.dssim)),
+                generate_ms: Some(made.generate_ms),
+                prepare_ms: Some(prepare_ms),
+                novel_view_ms: Some(ms_sum / num),
+                bytes: made.wire.as_ref().map(|(_, bytes)| *bytes),
+                segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
+                segments_total: Some(num_segments),
+                ..mean.row(source, method.name_on(made.rule), made.k, angle)
+            });
         }
     }
     Ok(())
@@ -329,10 +419,12 @@ impl Mean {
             scene: source.name.clone(),
             method: method.to_owned(),
             layering: None,
+            reconstruction: None,
             k,
             angle_deg,
             dssim: self.mean(|e| e.dssim),
             dssim_object: self.mean(|e| e.dssim_object),
+            ssim: self.mean(|e| e.ssim),
             psnr_db: self.mean(|e| e.psnr_db),
             max_abs_255: self.0.iter().map(|e| e.max_abs_255).max().unwrap_or(0),
             dssim_wire: None,
@@ -341,6 +433,7 @@ impl Mean {
             novel_view_ms: None,
             bytes: None,
             segments_mean: None,
+            segments_total: None,
         }
     }
 }

@@ -8,6 +8,7 @@ use wgpu::{BindingType, BufferBindingType, ShaderStages, TextureSampleType, Text
 
 use crate::error::{GpuError, one_line, scoped};
 use crate::gpu_types::Band;
+use crate::pass_clock::PassClock;
 use crate::shaders::{Frames, Kernel, TexelKind};
 
 /// What is known of a device.
@@ -44,6 +45,7 @@ struct Shared {
     /// A handful; found by looking at each.
     pipelines: Mutex<Vec<(Kernel, &'static str, wgpu::ComputePipeline)>>,
     lost: Arc<Mutex<Option<String>>>,
+    pass_clock: Option<PassClock>,
 }
 
 /// The bind group layouts of the compute kernels.
@@ -92,6 +94,7 @@ impl Gpu {
         let adapter_info = adapter.get_info();
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("isinglass"),
+            required_features: PassClock::features(&adapter),
             required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         }))
@@ -115,7 +118,8 @@ impl Gpu {
             is_software: adapter_info.device_type == wgpu::DeviceType::Cpu,
         };
         let layouts = scoped(&device, "making layouts", || Ok(Layouts::new(&device)))?;
-        let shared = Shared { device, queue, info, layouts, pipelines: Mutex::default(), lost };
+        let pass_clock = PassClock::new(&device, &queue);
+        let shared = Shared { device, queue, info, layouts, pipelines: Mutex::default(), lost, pass_clock };
         Ok(Self { shared: Arc::new(shared) })
     }
 
@@ -132,6 +136,11 @@ impl Gpu {
     /// The queue of the device.
     pub fn queue(&self) -> &wgpu::Queue {
         &self.shared.queue
+    }
+
+    /// None if the adapter has no timestamps.
+    pub(crate) fn pass_clock(&self) -> Option<&PassClock> {
+        self.shared.pass_clock.as_ref()
     }
 
     pub(crate) fn layouts(&self) -> &Layouts {

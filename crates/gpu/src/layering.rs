@@ -159,7 +159,7 @@ impl FrameTarget {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);
             {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                let mut pass = encoder.begin_compute_pass(&gpu.pass());
                 pass.set_pipeline(&sample);
                 pass.set_bind_group(0, &scene.bind_group, &[]);
                 pass.set_bind_group(1, &self.generate, &[]);
@@ -194,7 +194,7 @@ impl FrameTarget {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);
             {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                let mut pass = encoder.begin_compute_pass(&gpu.pass());
                 pass.set_pipeline(&march);
                 pass.set_bind_group(0, &scene.bind_group, &[]);
                 pass.set_bind_group(1, &self.generate, &[]);

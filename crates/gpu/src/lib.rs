@@ -10,6 +10,7 @@ mod error;
 mod gpu_types;
 mod layering;
 mod march;
+mod pass_clock;
 mod picture_target;
 mod raycast;
 mod readback;

@@ -59,7 +59,7 @@ impl PictureTarget {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                let mut pass = encoder.begin_compute_pass(&gpu.pass());
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(0, group_0, &[]);
                 pass.set_bind_group(1, &self.bind_group, &[]);

@@ -52,6 +52,18 @@ fn bad_usage_is_code_2() {
         ("serve builtin:cloud@8 --listen nowhere", &["nowhere"]),
         ("bench quality --k 0", &["1 to 32"]),
         ("bench quality --method warp", &["warp", "point-warp"]),
+        ("bench quality --method warp@slabs", &["warp", "point-warp"]),
+        ("bench quality --method layers@best", &["best", "homogeneity", "all-samples"]),
+        ("bench quality --layering visibility-merge,best", &["best", "visibility-merge", "all-samples"]),
+        ("bench quality --reconstruction best", &["best", "mixed, nearest"]),
+        ("bench quality --frame-size 0x4", &["0x4", "WxH"]),
+        ("bench quality --angles 5,steep", &["steep", "degrees"]),
+        ("bench speed --layering all-samples", &["all-samples", "visibility-merge"]),
+        ("bench speed --target-fps 0", &["1 to 1000"]),
+        ("bench speed --repeats 0", &["1..=1000"]),
+        ("bench latency --method layers@all-samples", &["all-samples"]),
+        ("bench latency --method layers:late", &["layers:late", "point-warp"]),
+        ("bench latency --speed 1000", &["1000", "360"]),
         ("bench codecs", &["codecs"]),
     ] {
         bench.fails(line, 2, words);
@@ -136,7 +148,10 @@ fn bad_pictures_and_tables_are_code_1() {
     ] {
         bench.fails(&format!("compare out.png {other}"), 1, words);
     }
-    bench.fails("bench quality bonzai", 1, &["bonzai", "bonsai"]);
+    for table in ["quality", "speed", "latency"] {
+        bench.fails(&format!("bench {table} bonzai -o table.json"), 1, &["bonzai", "bonsai", "mouse_brain"]);
+    }
+    bench.fails("bench speed cloud --method layers@all-samples -o table.json", 1, &["layers@all-samples"]);
     bench.fails("bench quality bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
     bench.fails("demo builtin:cloud@8 --headless --out out.png --backend cpu", 1, &["out.png", "folder"]);
     bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 1, &["loss", "1.5"]);

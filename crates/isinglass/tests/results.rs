@@ -3,6 +3,13 @@
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
+#[cfg(unix)]
+use std::io::{BufRead, BufReader, Read};
+#[cfg(unix)]
+use std::process::Stdio;
+
+use serde_json::Value;
+
 use common::{Bench, assert_has, files_in, keys};
 
 const RENDER: &str = "--backend cpu --size 64x64";
@@ -155,19 +162,154 @@ fn quality_tells_rules_and_turns_apart() {
     assert!(dssim("point-warp", 0.0) <= 1e-3);
     assert!(dssim("visibility-merge", 10.0) < dssim("point-warp", 10.0));
     assert_eq!(bench.files(), ["table.json"]);
-    let written: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(bench.path("table.json")).unwrap()).unwrap();
+    let written: Value = serde_json::from_slice(&std::fs::read(bench.path("table.json")).unwrap()).unwrap();
     assert_eq!(written, report);
 }
 
+/// Each list in the order of its names; rules of one list length once; all samples without a codec.
 #[test]
-fn speed_has_a_row_for_each_scene() {
+fn quality_has_a_row_for_each_choice() {
     let bench = Bench::new();
-    let report = bench
-        .json("bench speed builtin:cloud@16 builtin:shells@16 --size 32x32 --repeats 1 --backend cpu --json");
+    let report = bench.json(
+        "bench quality builtin:cubus@24 --size 32x32 --frame-size 48x48 --backend cpu --k 2,4 --angles 10 --json --wire off \
+         --layering visibility-merge,all-samples --method layers,point-warp@single-depth --reconstruction mixed,nearest",
+    );
     let rows = report["rows"].as_array().unwrap();
-    assert_eq!(rows.len(), 2);
-    assert_has(&rows[0], "scene backend render_ms generate_ms encode_ms decode_ms novel_view_ms bytes");
+    let text = |row: &Value, field: &str| row[field].as_str().unwrap_or("-").to_owned();
+    let of = |row: &Value| {
+        (text(row, "method"), text(row, "layering"), text(row, "reconstruction"), row["k"].as_u64().unwrap())
+    };
+    let expected = [
+        ("last-image", "-", "-", 0),
+        ("visibility-merge", "visibility-merge", "mixed", 2),
+        ("visibility-merge", "visibility-merge", "nearest", 2),
+        ("visibility-merge", "visibility-merge", "mixed", 4),
+        ("visibility-merge", "visibility-merge", "nearest", 4),
+        ("all-samples", "all-samples", "mixed", 255),
+        ("all-samples", "all-samples", "nearest", 255),
+        ("point-warp", "single-depth", "-", 1),
+    ];
+    let expected = expected.map(|(m, l, r, k)| (m.to_owned(), l.to_owned(), r.to_owned(), k));
+    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), expected);
+    assert_eq!(report["conditions"]["frame_size"], serde_json::json!([48, 48]));
+    let segments = |i: usize| rows[i]["segments_total"].as_u64().unwrap();
+    assert!(segments(1) < segments(3) && segments(3) < segments(5));
+    assert_ne!(rows[1]["dssim"], rows[2]["dssim"], "lists are read in two ways");
+    for row in &rows[1..] {
+        assert!(row["dssim_wire"].is_null() && row["ssim"].as_f64().unwrap() > 0.0);
+        assert_eq!(row["bytes"].is_null(), row["method"] == "all-samples");
+    }
+}
+
+#[test]
+fn speed_has_a_row_for_each_choice() {
+    let bench = Bench::new();
+    let report = bench.json(
+        "bench speed builtin:cloud@16 builtin:shells@16 --size 32x32 --frame-size 32x32,48x48 --repeats 1 --backend cpu \
+         --layering visibility-merge,homogeneity --k 2,4 --angles 5,30 --method layers,slabs-mesh@slabs --json",
+    );
+    assert_eq!(keys(&report), ["conditions", "rows"]);
+    let rows = report["rows"].as_array().unwrap();
+    // Two scenes, sizes, list lengths and turns, of three methods.
+    assert_eq!(rows.len(), 2 * 2 * 2 * 2 * 3);
+    for row in rows {
+        assert_has(
+            row,
+            "scene dims backend method layering k frame_size angle_deg render_ms render_through_ms generate_ms encode_ms \
+             decode_ms prepare_ms novel_view_ms fps render_fps view_over_render generate_over_through empty_share ssim \
+             dssim bytes segments_mean segments_total",
+        );
+        for ratio in ["view_over_render", "generate_over_through", "fps", "ssim"] {
+            assert!(row[ratio].as_f64().is_some_and(|r| r > 0.0), "{ratio}: {row}");
+        }
+        let is_cast = row["method"] != "slabs-mesh";
+        assert_eq!(row["reconstruction"] == "mixed", is_cast);
+        assert_eq!(row["novel_view_no_grid_ms"].is_f64() && row["grid_gain"].is_f64(), is_cast);
+        assert!(
+            row["render_gpu_ms"].is_null() && row["novel_view_gpu_ms"].is_null(),
+            "the CPU has no such clock"
+        );
+    }
+}
+
+/// A rate that anything holds gives up nothing; one that nothing holds gives up all that there is.
+#[test]
+fn a_frame_rate_is_paid_for_with_the_picture() {
+    let bench = Bench::new();
+    let report = bench.json(
+        "bench speed builtin:shells@32 --size 192x192 --repeats 1 --backend cpu --k 8 --angles 20 --target-fps 1,1000 --json",
+    );
+    let targets = report["targets"].as_array().unwrap();
+    assert_eq!(targets.len(), 4);
+    for row in targets {
+        assert_has(
+            row,
+            "scene backend method k angle_deg target_fps by scale num_samples novel_view_ms fps ssim ssim_truth",
+        );
+    }
+    for row in &targets[..2] {
+        assert_eq!((row["scale"].as_f64(), row["num_samples"].as_u64()), (Some(1.0), Some(0)), "{row}");
+        assert_eq!(row["ssim"].as_f64(), Some(1.0));
+    }
+    assert_eq!(
+        targets.iter().map(|t| t["by"].as_str().unwrap()).collect::<Vec<_>>(),
+        ["samples", "control", "samples", "control"]
+    );
+    for row in &targets[2..] {
+        let gave_up = row["scale"].as_f64() < Some(1.0) || row["num_samples"].as_u64() > Some(0);
+        assert!(gave_up && row["ssim"].as_f64() < Some(1.0), "{row}");
+    }
+}
+
+/// Every method at every speed and delay, as it is named.
+#[test]
+fn latency_has_a_row_for_each_choice() {
+    let bench = Bench::new();
+    let report = bench.json(
+        "bench latency builtin:cloud@16 --size 32x32 --backend cpu --rtt 20ms --speed 90 --compared 4 --json \
+         --method layers,point-warp@single-depth:no-prediction",
+    );
+    let rows = report["rows"].as_array().unwrap();
+    let of = |row: &Value| {
+        let text = |field: &str| row[field].as_str().unwrap().to_owned();
+        (
+            text("method"),
+            text("layering"),
+            row["predict"].as_bool().unwrap(),
+            row["degrees_per_second"].as_f64(),
+        )
+    };
+    let expected = [
+        ("visibility-merge".to_owned(), "visibility-merge".to_owned(), true, Some(90.0)),
+        ("point-warp".to_owned(), "single-depth".to_owned(), false, Some(90.0)),
+    ];
+    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), expected);
+    assert_has(&rows[0], "scene k rtt_ms dssim_shown_mean dssim_last_image_mean frames_shown");
+}
+
+/// Ctrl-C ends a table at once, with nothing on standard output and no file.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_table_leaves_nothing() {
+    let bench = Bench::new();
+    for table in ["quality --angles 1,2,3,4", "speed --repeats 1000", "latency --rtt 20ms"] {
+        let line =
+            format!("bench {table} builtin:shells@64 --size 256x256 --backend cpu --json -o table.json");
+        let mut command = bench.command(&line);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut first = String::new();
+        told.read_line(&mut first).unwrap();
+        assert!(first.contains("builtin:shells@64"), "{first}");
+        let kill = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+        assert!(kill.unwrap().success());
+        let output = child.wait_with_output().unwrap();
+        let mut rest = String::new();
+        told.read_to_string(&mut rest).unwrap();
+        assert_eq!(output.status.code(), Some(130), "{table}: {rest}");
+        assert!(rest.ends_with("isinglass: interrupted\n") && !rest.contains("panicked"), "{table}: {rest}");
+        assert!(output.stdout.is_empty() && bench.files().is_empty(), "{table}");
+    }
 }
 
 #[test]
@@ -179,11 +321,11 @@ fn doctor_looks_at_everything() {
 }
 
 /// The whole path: server, link, viewer, comparison. What was shown beats the last image, which a demonstration
-/// without movement could not.
+/// without movement could not; nor one with prediction, whose frames are made for nearly the camera that shows them.
 #[test]
 fn the_headless_demo_reports_what_was_shown() {
     let bench = Bench::new();
-    let line = "demo builtin:cloud@32 --headless --out out --backend cpu --size 64x64 --rtt 60ms --jitter 2ms --json";
+    let line = "demo builtin:cloud@32 --headless --out out --backend cpu --size 64x64 --rtt 60ms --jitter 2ms --predict off --json";
     let report = bench.json(line);
     let promised = [
         "backend",
@@ -217,5 +359,5 @@ fn the_headless_demo_reports_what_was_shown() {
     assert!(files.iter().filter(|f| f.ends_with(".png")).count() >= 4, "{files:?}");
     assert!(files.iter().all(|f| !f.starts_with('.')), "{files:?}");
     let written = std::fs::read(bench.path("out/report.json")).unwrap();
-    assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), report);
+    assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
 }

@@ -17,12 +17,14 @@ use std::sync::Arc;
 use isinglass_client::NovelView;
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_gpu::{Backend, Reprojector};
 use isinglass_net::ReceivedFrame;
 
+use crate::choices::Rule;
 use crate::error::BenchError;
 
 pub use point_warp::PointWarp;
@@ -63,7 +65,12 @@ impl Method {
 
     /// The name in tables: what is ray-cast is called by the rule of the frame, `layering`.
     pub fn name_with(self, layering: Layering) -> &'static str {
-        if self == Self::Layers { layering.name() } else { self.name() }
+        self.name_on(Rule::Layering(layering))
+    }
+
+    /// The same for a frame that need not be a server's.
+    pub fn name_on(self, rule: Rule) -> &'static str {
+        if self == Self::Layers { rule.name() } else { self.name() }
     }
 
     /// Makes a frame ready for any number of views. `bounds` is the box of the volume. Only [`Method::Layers`] runs on
@@ -139,11 +146,16 @@ pub enum Views {
 impl Views {
     /// The picture from a camera. Premultiplied linear.
     pub fn view(&mut self, camera: &Camera) -> Result<Picture, BenchError> {
+        self.view_with(camera, &CastOptions::default())
+    }
+
+    /// The same; what is ray-cast is cast as `options` say.
+    pub fn view_with(&mut self, camera: &Camera, options: &CastOptions) -> Result<Picture, BenchError> {
         if !camera.is_valid() {
             return Err(BenchError::Gpu(isinglass_gpu::GpuError::Camera));
         }
         Ok(match self {
-            Self::Layers(reprojector) => reprojector.raycast(camera)?,
+            Self::Layers(reprojector) => reprojector.raycast_with(camera, options)?,
             Self::PointWarp(points) => points.view(camera),
             Self::SlabsPlanar(slabs) => slabs.view(camera),
             Self::SlabsMesh(mesh) => mesh.view(camera),
@@ -185,7 +197,7 @@ impl NovelView for ShownRival {
 
 /// The part of a picture, made with `of`, that the camera's field of view takes up, at the camera's size, as if both
 /// cameras looked the same way; where they agree, unchanged. Transparent beyond the picture.
-fn stretch(picture: &Picture, of: &Intrinsics, camera: &Camera) -> Picture {
+pub(crate) fn stretch(picture: &Picture, of: &Intrinsics, camera: &Camera) -> Picture {
     let shown = camera.intrinsics;
     if shown == *of {
         return picture.clone();

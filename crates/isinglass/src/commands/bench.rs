@@ -1,25 +1,30 @@
 //! `bench`: tables of quality, speed and latency.
 
+use std::future::{Future, poll_fn};
 use std::path::PathBuf;
+use std::pin::pin;
+use std::task::Poll;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
+use isinglass_bench::choices::{MethodChoice, Rule, parse_reconstruction};
 use isinglass_bench::demo::DemoOptions;
-use isinglass_bench::output::write_whole;
+use isinglass_bench::latency::LatencyMethod;
+use isinglass_bench::output::{exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals::Method;
 use isinglass_bench::view::Orbit;
 use isinglass_bench::{latency, quality, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PathArgs,
+    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, Switch,
     parse_duration, parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
@@ -47,7 +52,7 @@ struct CommonArgs {
     /// [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
     #[arg(value_name = "SCENE")]
     scenes: Vec<String>,
-    /// Columns and rows of pictures and frames
+    /// Columns and rows of pictures, and of frames if nothing else is said
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "256x256")]
     size: [u32; 2],
     /// Vertical field of view, degrees
@@ -88,22 +93,40 @@ impl CommonArgs {
     }
 }
 
+/// How a layered frame is looked at.
+#[derive(Args)]
+struct CastArgs {
+    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh or last-image, between commas. With @RULE
+    /// on frames of that rule only, as point-warp@single-depth and slabs-mesh@slabs
+    #[arg(long, value_name = "METHOD[@RULE]", value_delimiter = ',', default_values_t = [MethodChoice::default()])]
+    method: Vec<MethodChoice>,
+    /// How the ray cast reads lists, between commas: mixed takes the two lists that a ray runs between, nearest (as the
+    /// papers have it) one
+    #[arg(long, value_name = "LISTS", value_parser = parse_reconstruction, value_delimiter = ',', default_value = "mixed")]
+    reconstruction: Vec<Reconstruction>,
+    /// Most segments a pixel, or for rules with a budget their mean, between commas
+    #[arg(long, value_name = "K", value_parser = parse_k, value_delimiter = ',', default_values_t = [DEFAULT_K])]
+    k: Vec<u8>,
+}
+
 #[derive(Args)]
 struct QualityArgs {
     #[command(flatten)]
     common: CommonArgs,
-    /// Rules, between commas [default: all]
-    #[arg(long, value_name = "RULE", value_delimiter = ',')]
-    layering: Vec<Layering>,
-    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh, between commas
-    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_values_t = [Method::default()])]
-    method: Vec<Method>,
-    /// Most segments a pixel, between commas
-    #[arg(long, value_name = "K", value_parser = parse_k, value_delimiter = ',', default_values_t = [DEFAULT_K])]
-    k: Vec<u8>,
+    /// Rules, between commas: those of `layers`, and all-samples, the floor with every sample kept
+    #[arg(long, value_name = "RULE", value_delimiter = ',', default_value = DEFAULT_RULES)]
+    layering: Vec<Rule>,
+    #[command(flatten)]
+    cast: CastArgs,
     /// Turns of azimuth to either side, degrees, between commas; 0 is the generating camera
     #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10,30")]
     angles: Vec<f32>,
+    /// Columns and rows of lists [default: those of the pictures]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    frame_size: Option<[u32; 2]>,
+    /// Whether frames are also measured as they are after encoding and decoding
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    wire: Switch,
     #[command(flatten)]
     backend: BackendArgs,
 }
@@ -112,14 +135,21 @@ struct QualityArgs {
 struct SpeedArgs {
     #[command(flatten)]
     common: CommonArgs,
+    /// Rules, between commas
+    #[arg(long, value_name = "RULE", value_delimiter = ',', default_values_t = [Layering::default()])]
+    layering: Vec<Layering>,
     #[command(flatten)]
-    layering: LayeringArgs,
-    #[command(flatten)]
-    method: MethodArgs,
-    /// Turn of the novel view, degrees
-    #[arg(long, value_name = "DEG", value_parser = parse_angle, default_value = "10")]
-    angle: f32,
-    /// Runs of which the median counts
+    cast: CastArgs,
+    /// Turns of the novel view, degrees, between commas
+    #[arg(long, alias = "angle", value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "5,30")]
+    angles: Vec<f32>,
+    /// Columns and rows of lists, between commas [default: those of the pictures]
+    #[arg(long, value_name = "WxH", value_parser = parse_size, value_delimiter = ',')]
+    frame_size: Vec<[u32; 2]>,
+    /// Frame rates to be held by a coarser cast, between commas: what is left of the picture
+    #[arg(long, value_name = "FPS", value_parser = parse_target, value_delimiter = ',')]
+    target_fps: Vec<f32>,
+    /// Rounds of which the least time counts
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
     /// Backends, between commas [default: cpu, and gpu if there is one]
@@ -133,18 +163,23 @@ struct LatencyArgs {
     common: CommonArgs,
     #[command(flatten)]
     layering: LayeringArgs,
-    #[command(flatten)]
-    method: MethodArgs,
+    /// How frames become pictures, between commas: as in `bench quality`, and with :no-prediction at the end without
+    /// prediction, as point-warp@single-depth:no-prediction
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_values_t = [LatencyMethod::default()])]
+    method: Vec<LatencyMethod>,
     /// Round-trip times, between commas
-    #[arg(long, value_name = "TIME", value_parser = parse_duration, value_delimiter = ',', default_value = "0ms,100ms,300ms")]
-    rtts: Vec<Duration>,
+    #[arg(long, alias = "rtts", value_name = "TIME", value_parser = parse_duration, value_delimiter = ',', default_value = "0ms,100ms,300ms")]
+    rtt: Vec<Duration>,
     #[command(flatten)]
     link: LinkArgs,
-    /// Speed of the camera, degrees a second
-    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_speed)]
-    speed: f32,
+    /// Speeds of the camera, degrees a second, between commas
+    #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
+    speed: Vec<f32>,
     #[command(flatten)]
     path: PathArgs,
+    /// Pictures of each run that are compared with the truth, at most
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    compared: u32,
     #[command(flatten)]
     foresight: ForesightArgs,
     /// Keep the pictures and reports of each run in a folder of its own in DIR
@@ -155,6 +190,7 @@ struct LatencyArgs {
 }
 
 pub(crate) fn run(args: BenchArgs) -> Result<()> {
+    exit_on_interrupt()?;
     match args.table {
         Table::Quality(args) => run_quality(args),
         Table::Speed(args) => run_speed(args),
@@ -162,26 +198,59 @@ pub(crate) fn run(args: BenchArgs) -> Result<()> {
     }
 }
 
+/// From now on Ctrl-C ends the process at once, and leaves no half of a file.
+fn exit_on_interrupt() -> Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let (listening, listens) = std::sync::mpsc::sync_channel(1);
+    let wait = move || {
+        let interrupted = runtime.block_on(async {
+            let mut interrupt = pin!(tokio::signal::ctrl_c());
+            // Its first poll is what listens.
+            let first = poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context))).await;
+            // Fails only if the process is about to end.
+            let _ = listening.send(());
+            match first {
+                Poll::Ready(result) => result,
+                Poll::Pending => interrupt.await,
+            }
+        });
+        if interrupted.is_ok() {
+            note("isinglass: interrupted");
+            exit_between_writes(INTERRUPTED);
+        }
+    };
+    std::thread::Builder::new().name("interrupt".into()).spawn(wait)?;
+    Ok(listens.recv()?)
+}
+
 fn run_quality(args: QualityArgs) -> Result<()> {
     let common = args.common;
+    let intrinsics = common.intrinsics();
+    let [width, height] = args.frame_size.unwrap_or(common.size);
     let report = quality::run(&quality::QualityOptions {
         scenes: common.select()?,
         transfer: common.look.tf.clone(),
-        layerings: if args.layering.is_empty() { Layering::ALL.to_vec() } else { args.layering },
-        methods: args.method,
-        ks: args.k,
+        rules: args.layering,
+        methods: args.cast.method,
+        reconstructions: args.cast.reconstruction,
+        ks: args.cast.k,
         angles_degrees: args.angles,
         orbit: common.orbit,
-        intrinsics: common.intrinsics(),
+        intrinsics,
+        frame_intrinsics: Intrinsics { width, height, ..intrinsics },
         shaded: common.look.is_shaded(),
         backend: args.backend.backend,
         codec: codec::Settings::default(),
+        measures_wire: args.wire == Switch::On,
     })?;
     common.publish(&report, &quality::table(&report))
 }
 
 fn run_speed(args: SpeedArgs) -> Result<()> {
     let common = args.common;
+    if let Some(choice) = args.cast.method.iter().find(|choice| choice.rule == Some(Rule::AllSamples)) {
+        bail!("--method {choice}: no codec takes such frames, expected a rule that `layers` knows");
+    }
     let mut backends = args.backend;
     if backends.is_empty() {
         backends.push(BackendChoice::Cpu);
@@ -193,14 +262,17 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         scenes: common.select()?,
         transfer: common.look.tf.clone(),
         backends,
-        layering: args.layering.layering,
-        method: args.method.method,
-        k: args.layering.k,
+        layerings: args.layering,
+        methods: args.cast.method,
+        reconstructions: args.cast.reconstruction,
+        ks: args.cast.k,
         orbit: common.orbit,
-        turn_degrees: args.angle,
+        angles_degrees: args.angles,
         intrinsics: common.intrinsics(),
+        frame_sizes: if args.frame_size.is_empty() { vec![common.size] } else { args.frame_size },
         shaded: common.look.is_shaded(),
         repeats: args.repeats,
+        target_fps: args.target_fps,
     })?;
     common.publish(&report, &speed::table(&report))
 }
@@ -209,21 +281,22 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
     let common = args.common;
     let report = latency::run(&latency::LatencyOptions {
         scenes: common.select()?,
-        rtts: args.rtts,
+        methods: args.method,
+        degrees_per_second: args.speed,
+        rtts: args.rtt,
         out: args.out,
         demo: DemoOptions {
             transfer: common.look.tf.clone(),
             shaded: common.look.is_shaded(),
             layering: args.layering.layering,
-            method: args.method.method,
             k: args.layering.k,
             orbit: common.orbit,
             path: args.path.read()?,
             foresight: args.foresight.foresight(),
-            degrees_per_second: args.speed,
             intrinsics: common.intrinsics(),
             backend: args.backend.backend,
             link: args.link.model(Duration::ZERO)?,
+            max_evaluated: args.compared as usize,
             ..DemoOptions::default()
         },
     })?;
@@ -235,3 +308,14 @@ fn parse_angle(text: &str) -> Result<f32, String> {
     let degrees = text.parse::<f32>().ok().filter(|d| d.abs() <= 360.0);
     degrees.ok_or_else(|| "expected degrees, -360 to 360".into())
 }
+
+/// A frame rate.
+fn parse_target(text: &str) -> Result<f32, String> {
+    let rate = text.parse::<f32>().ok().filter(|r| (1.0..=1000.0).contains(r));
+    rate.ok_or_else(|| "expected 1 to 1000 pictures a second".into())
+}
+
+/// Ours, and the two that the papers call best.
+const DEFAULT_RULES: &str = "visibility-merge,equal-transmittance,homogeneity";
+/// As a shell tells of a process that Ctrl-C ended.
+const INTERRUPTED: i32 = 130;

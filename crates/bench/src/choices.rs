@@ -1,0 +1,189 @@
+//! What a table can be asked for by name: rules, methods with the frames that they are given, and how lists are read.
+
+use std::fmt;
+use std::str::FromStr;
+
+use isinglass_core::kernels::layering::{Layering, all_samples};
+use isinglass_core::kernels::raycast::Reconstruction;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_gpu::Renderer;
+
+use crate::error::BenchError;
+use crate::rivals::Method;
+
+/// How a frame to be measured is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// By a rule that a server may use.
+    Layering(Layering),
+    /// Every sample is a segment: the floor that the way of reading lists sets. On the CPU, without a codec.
+    AllSamples,
+}
+
+impl Rule {
+    /// The name on the command line and in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Layering(layering) => layering.name(),
+            Self::AllSamples => ALL_SAMPLES,
+        }
+    }
+
+    /// Those of `ks` that make different frames. One depth for a whole ray makes lists of one segment; all samples are
+    /// lists without an end, which a header calls 255.
+    pub fn ks(self, ks: &[u8]) -> Vec<u8> {
+        match self {
+            Self::Layering(Layering::SingleDepth(_)) => vec![1],
+            Self::Layering(_) => ks.to_vec(),
+            Self::AllSamples => vec![u8::MAX],
+        }
+    }
+
+    /// Makes the frame of what `renderer` draws.
+    pub fn generate(self, renderer: &mut Renderer, header: FrameHeader) -> Result<LayeredFrame, BenchError> {
+        match self {
+            Self::Layering(layering) => Ok(renderer.generate(header, layering)?),
+            Self::AllSamples => Ok(all_samples::generate(renderer.scene(), header)?),
+        }
+    }
+}
+
+impl Default for Rule {
+    fn default() -> Self {
+        Self::Layering(Layering::default())
+    }
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Rule {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        if s == ALL_SAMPLES {
+            return Ok(Self::AllSamples);
+        }
+        s.parse().map(Self::Layering).map_err(|e| format!("{e}, {ALL_SAMPLES}"))
+    }
+}
+
+/// `METHOD` or `METHOD@RULE`: a method on the frames of all rules, or on those of one, as its paper has it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MethodChoice {
+    /// How frames become pictures.
+    pub method: Method,
+    /// The rule of the frames; none: every rule that is measured.
+    pub rule: Option<Rule>,
+}
+
+impl From<Method> for MethodChoice {
+    fn from(method: Method) -> Self {
+        Self { method, rule: None }
+    }
+}
+
+impl fmt::Display for MethodChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.rule {
+            Some(rule) => write!(f, "{}@{rule}", self.method),
+            None => write!(f, "{}", self.method),
+        }
+    }
+}
+
+impl FromStr for MethodChoice {
+    type Err = String;
+
+    fn from_str(s: &str) -> Result<Self, String> {
+        let (method, rule) = match s.split_once('@') {
+            Some((method, rule)) => (method, Some(rule.parse()?)),
+            None => (s, None),
+        };
+        Ok(Self { method: method.parse()?, rule })
+    }
+}
+
+/// Every rule with the methods that are given its frames, each once. Those that come with a rule of their own are
+/// given that rule's frames only.
+pub fn methods_by_rule(rules: &[Rule], methods: &[MethodChoice]) -> Vec<(Rule, Vec<Method>)> {
+    let mut of_rules: Vec<(Rule, Vec<Method>)> = Vec::new();
+    let all = rules.iter().flat_map(|rule| {
+        methods.iter().filter(|choice| choice.rule.is_none()).map(|choice| (*rule, choice.method))
+    });
+    let own = methods.iter().filter_map(|choice| Some((choice.rule?, choice.method)));
+    for (rule, method) in all.chain(own) {
+        match of_rules.iter_mut().find(|(r, _)| *r == rule) {
+            Some((_, methods)) if methods.contains(&method) => {}
+            Some((_, methods)) => methods.push(method),
+            None => of_rules.push((rule, vec![method])),
+        }
+    }
+    of_rules
+}
+
+/// The name on the command line and in tables.
+pub fn reconstruction_name(reconstruction: Reconstruction) -> &'static str {
+    match reconstruction {
+        Reconstruction::Mixed => "mixed",
+        Reconstruction::Nearest => "nearest",
+    }
+}
+
+/// The reverse of [`reconstruction_name`].
+pub fn parse_reconstruction(s: &str) -> Result<Reconstruction, String> {
+    let all = [Reconstruction::Mixed, Reconstruction::Nearest];
+    all.into_iter().find(|r| reconstruction_name(*r) == s).ok_or_else(|| {
+        format!("unknown reconstruction '{s}', expected one of {}", all.map(reconstruction_name).join(", "))
+    })
+}
+
+const ALL_SAMPLES: &str = "all-samples";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back_and_unknown_ones_refused_with_all_known() {
+        let names = ["point-warp@single-depth", "layers@all-samples", "slabs-mesh@slabs", "layers"];
+        for name in names {
+            assert_eq!(name.parse::<MethodChoice>().unwrap().to_string(), name);
+        }
+        for (bad, known) in
+            [("warp@slabs", "slabs-mesh"), ("layers@best", "all-samples"), ("layers@best", "homogeneity")]
+        {
+            let error = bad.parse::<MethodChoice>().unwrap_err();
+            assert!(error.contains(known), "{error}");
+        }
+        for reconstruction in [Reconstruction::Mixed, Reconstruction::Nearest] {
+            assert_eq!(parse_reconstruction(reconstruction_name(reconstruction)), Ok(reconstruction));
+        }
+        assert!(parse_reconstruction("best").unwrap_err().contains("mixed, nearest"));
+    }
+
+    #[test]
+    fn a_method_with_a_rule_of_its_own_gets_no_other_frames() {
+        let rules = ["visibility-merge", "slabs"].map(|r| r.parse().unwrap());
+        let methods = ["layers", "slabs-mesh@slabs", "point-warp@single-depth", "layers@slabs"];
+        let methods = methods.map(|m| m.parse().unwrap());
+        let expected = [
+            (Rule::default(), vec![Method::Layers]),
+            (Rule::Layering(Layering::Slabs), vec![Method::Layers, Method::SlabsMesh]),
+            ("single-depth".parse().unwrap(), vec![Method::PointWarp]),
+        ];
+        assert_eq!(methods_by_rule(&rules, &methods), expected);
+    }
+
+    #[test]
+    fn a_rule_of_one_list_length_is_measured_once() {
+        let ks = |rule: &str| rule.parse::<Rule>().unwrap().ks(&[4, 8]);
+        assert_eq!(
+            [ks("slabs"), ks("single-depth:exit"), ks("all-samples")],
+            [vec![4, 8], vec![1], vec![255]]
+        );
+    }
+}

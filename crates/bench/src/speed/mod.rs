@@ -1,0 +1,250 @@
+//! How long each stage of a frame's life takes, side by side: full renderings, frames by each rule and K, coding, and
+//! novel views at each turn, with the empty-space grid and without.
+//!
+//! Everything about one scene on one backend is a list of tasks, which are run in turns: a round is one run of each, so
+//! that a machine that is busy now and then is busy for all of them alike. The first round does not count; of the
+//! others the least time does, as whatever disturbs only adds to it.
+
+mod targets;
+mod tasks;
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::raycast::Reconstruction;
+use isinglass_gpu::{Backend, BackendChoice};
+use serde::Serialize;
+
+use crate::choices::MethodChoice;
+use crate::error::BenchError;
+use crate::progress::Progress;
+use crate::scenes::SceneSource;
+use crate::view::Orbit;
+
+pub use targets::TargetRow;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct SpeedOptions {
+    /// The scenes, see [`crate::scenes::select`].
+    pub scenes: Vec<SceneSource>,
+    /// Preset or file for all scenes; none: the one that suits each.
+    pub transfer: Option<String>,
+    /// Backends to compare.
+    pub backends: Vec<BackendChoice>,
+    /// Layering rules.
+    pub layerings: Vec<Layering>,
+    /// How frames become pictures.
+    pub methods: Vec<MethodChoice>,
+    /// How the ray cast reads lists.
+    pub reconstructions: Vec<Reconstruction>,
+    /// List lengths.
+    pub ks: Vec<u8>,
+    /// The generating camera.
+    pub orbit: Orbit,
+    /// The novel views are turned by so much azimuth.
+    pub angles_degrees: Vec<f32>,
+    /// Picture size, field of view.
+    pub intrinsics: Intrinsics,
+    /// Frame sizes: columns and rows of lists.
+    pub frame_sizes: Vec<[u32; 2]>,
+    /// Whether gradients shade.
+    pub shaded: bool,
+    /// Rounds of which the least time counts, after one that does not.
+    pub repeats: u32,
+    /// Frame rates to be held by a coarser cast.
+    pub target_fps: Vec<f32>,
+}
+
+/// The whole result.
+#[derive(Clone, Debug, Serialize)]
+pub struct SpeedReport {
+    /// What holds for all rows.
+    pub conditions: SpeedConditions,
+    /// One for each scene, backend, frame size, method, K, way of reading lists and turn.
+    pub rows: Vec<SpeedRow>,
+    /// What is left of the picture at a frame rate, where rates were asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub targets: Vec<TargetRow>,
+}
+
+/// What holds for all rows.
+#[derive(Clone, Debug, Serialize)]
+pub struct SpeedConditions {
+    /// Version of this program.
+    pub version: &'static str,
+    /// Columns and rows of the pictures.
+    pub size: [u32; 2],
+    /// Whether gradients shade.
+    pub shading: bool,
+    /// Rounds that count.
+    pub repeats: u32,
+    /// What of them is told.
+    pub statistic: &'static str,
+    /// Threads of the CPU.
+    pub threads: usize,
+}
+
+/// Milliseconds, with the way of results back to the CPU; those called `gpu`: of the passes alone by the device's own
+/// timestamps, none where it has no such clock. Ratios and rates are of the device's times where there are any.
+#[derive(Clone, Debug, Serialize)]
+pub struct SpeedRow {
+    /// Name of the scene.
+    pub scene: String,
+    /// Voxels along x, y and z.
+    pub dims: [u32; 3],
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Layering rule, or the rival method that drew the novel view.
+    pub method: String,
+    /// Rule of the frame.
+    pub layering: &'static str,
+    /// How lists were read; none for what does not ray-cast.
+    pub reconstruction: Option<&'static str>,
+    /// K of the rule.
+    pub k: u8,
+    /// Columns and rows of lists.
+    pub frame_size: [u32; 2],
+    /// Turn of the novel view.
+    pub angle_deg: f32,
+    /// Full rendering from the turned camera.
+    pub render_ms: f64,
+    /// The same on the device.
+    pub render_gpu_ms: Option<f64>,
+    /// Full rendering from the frame's camera that does not stop at opaque matter.
+    pub render_through_ms: f64,
+    /// The same on the device.
+    pub render_through_gpu_ms: Option<f64>,
+    /// A layered frame.
+    pub generate_ms: f64,
+    /// The same on the device.
+    pub generate_gpu_ms: Option<f64>,
+    /// Encoding it.
+    pub encode_ms: f64,
+    /// Decoding it.
+    pub decode_ms: f64,
+    /// Making it ready for views, once.
+    pub prepare_ms: f64,
+    /// Casting it, or drawing it by another method.
+    pub novel_view_ms: f64,
+    /// The same on the device.
+    pub novel_view_gpu_ms: Option<f64>,
+    /// Casting it without the empty-space grid.
+    pub novel_view_no_grid_ms: Option<f64>,
+    /// The same on the device.
+    pub novel_view_no_grid_gpu_ms: Option<f64>,
+    /// Novel views a second.
+    pub fps: f64,
+    /// Full renderings a second.
+    pub render_fps: f64,
+    /// Novel view in units of the full rendering from the same camera.
+    pub view_over_render: f64,
+    /// Making the frame in units of the full rendering that does not stop.
+    pub generate_over_through: f64,
+    /// What the grid saves, as a share of the view without it.
+    pub grid_gain: Option<f64>,
+    /// Share of the grid's cells that hold nothing.
+    pub empty_share: f32,
+    /// SSIM of the novel view against the full rendering.
+    pub ssim: f64,
+    /// DSSIM of the same.
+    pub dssim: f64,
+    /// Bytes of the encoded frame.
+    pub bytes: usize,
+    /// Segments in a list, over lists that have any.
+    pub segments_mean: f64,
+    /// Segments of the frame.
+    pub segments_total: usize,
+}
+
+/// Measures.
+pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
+    let (mut rows, mut targets) = (Vec::new(), Vec::new());
+    let num_runs = options.backends.len() * options.scenes.len();
+    for &choice in &options.backends {
+        let backend = Backend::open(choice)?;
+        for source in &options.scenes {
+            // A step for each round and one for the preparation, and one for the targets.
+            let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
+            progress.begin(&format!("{} on {}", source.name, backend.description()));
+            let mut tasks = tasks::Tasks::open(&backend, options, source)?;
+            for round in 0..=options.repeats {
+                progress.advance(1, &format!("{} on {}, round {round}", source.name, choice));
+                tasks.run_round(round > 0)?;
+            }
+            tasks.rows(source, &mut rows)?;
+            progress.advance(1, &format!("{} on {}, frame rates", source.name, choice));
+            targets::measure(&mut tasks, source, &mut targets)?;
+            progress.finish();
+            if num_runs > 1 {
+                crate::progress::note(&format!("measured {} on {choice}", source.name));
+            }
+        }
+    }
+    let conditions = SpeedConditions {
+        version: env!("CARGO_PKG_VERSION"),
+        size: [options.intrinsics.width, options.intrinsics.height],
+        shading: options.shaded,
+        repeats: options.repeats,
+        statistic: "least of the rounds; all tasks of a scene and backend take turns",
+        threads: rayon::current_num_threads(),
+    };
+    Ok(SpeedReport { conditions, rows, targets })
+}
+
+/// A table for people. Times on the device where it has a clock.
+pub fn table(report: &SpeedReport) -> String {
+    let mut text = format!(
+        "{:<18} {:<21} {:<7} {:>2} {:>9} {:>5} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>6} {:>6} {:>7} {:>6} {:>9}  {}\n",
+        "scene",
+        "method",
+        "lists",
+        "k",
+        "frame",
+        "turn",
+        "render",
+        "through",
+        "generate",
+        "encode",
+        "decode",
+        "prepare",
+        "view",
+        "no grid",
+        "of rdr",
+        "of thr",
+        "fps",
+        "ssim",
+        "bytes",
+        "ms, on"
+    );
+    for r in &report.rows {
+        let no_grid = r.novel_view_no_grid_gpu_ms.or(r.novel_view_no_grid_ms);
+        text += &format!(
+            "{:<18} {:<21} {:<7} {:>2} {:>9} {:>4.0}° {:>8.2} {:>8.2} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>7.2} {:>8} {:>6.3} {:>6.2} {:>7.1} {:>6.4} {:>9}  {}\n",
+            r.scene,
+            r.method,
+            r.reconstruction.unwrap_or("-"),
+            r.k,
+            format!("{}x{}", r.frame_size[0], r.frame_size[1]),
+            r.angle_deg,
+            r.render_gpu_ms.unwrap_or(r.render_ms),
+            r.render_through_gpu_ms.unwrap_or(r.render_through_ms),
+            r.generate_gpu_ms.unwrap_or(r.generate_ms),
+            r.encode_ms,
+            r.decode_ms,
+            r.prepare_ms,
+            r.novel_view_gpu_ms.unwrap_or(r.novel_view_ms),
+            no_grid.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2}")),
+            r.view_over_render,
+            r.generate_over_through,
+            r.fps,
+            r.ssim,
+            r.bytes,
+            r.backend
+        );
+    }
+    if !report.targets.is_empty() {
+        text += "\n";
+        text += &targets::table(&report.targets);
+    }
+    text
+}

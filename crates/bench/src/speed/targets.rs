@@ -1,0 +1,206 @@
+//! What is left of the picture when a frame rate has to be held (Gupta 2022, table 2): SSIM of the coarser cast against
+//! the full cast of the same frame.
+//!
+//! Two ways of casting more coarsely stand side by side. `samples` thins the samples along each ray, as the paper
+//! does, by the largest number that is fast enough; `control` is what the viewer does, by the viewer's own controller
+//! on the times that its choices really take.
+
+use std::time::Duration;
+
+use isinglass_client::{Quality, QualityControl};
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::raycast::CastOptions;
+use isinglass_core::picture::Picture;
+use serde::Serialize;
+
+use super::tasks::{Tasks, error_between};
+use crate::error::BenchError;
+use crate::rivals::stretch;
+use crate::scenes::SceneSource;
+
+/// One frame rate.
+#[derive(Clone, Debug, Serialize)]
+pub struct TargetRow {
+    /// Name of the scene.
+    pub scene: String,
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Layering rule.
+    pub method: &'static str,
+    /// K of the rule.
+    pub k: u8,
+    /// Turn of the novel view.
+    pub angle_deg: f32,
+    /// Frames a second that were asked for.
+    pub target_fps: f32,
+    /// `samples` or `control`.
+    pub by: &'static str,
+    /// Side of the picture that is cast, in units of the one that is shown.
+    pub scale: f32,
+    /// Samples a ray; 0: all that there is.
+    pub num_samples: u32,
+    /// Time of such a cast, on the device where it has a clock.
+    pub novel_view_ms: f64,
+    /// Frames a second that it makes.
+    pub fps: f64,
+    /// SSIM against the full cast.
+    pub ssim: f64,
+    /// SSIM against the full rendering.
+    pub ssim_truth: f64,
+}
+
+/// All frame rates that are asked for, on all frames that are ray-cast, at all turns.
+pub(super) fn measure(
+    tasks: &mut Tasks<'_>,
+    source: &SceneSource,
+    rows: &mut Vec<TargetRow>,
+) -> Result<(), BenchError> {
+    let (backend, options) = (tasks.backend, tasks.options);
+    if options.target_fps.is_empty() {
+        return Ok(());
+    }
+    for (angle, camera) in tasks.turned.clone().into_iter().enumerate() {
+        let truth = tasks.truth(angle)?;
+        for frame in 0..tasks.frames.len() {
+            let mut scale = Scale { tasks, frame, camera, by_samples: Vec::new() };
+            let Some((full, _)) = scale.cast(Quality::FULL)? else { continue };
+            for &target_fps in &options.target_fps {
+                for (by, quality) in
+                    [("samples", scale.by_samples(target_fps)?), ("control", scale.by_control(target_fps)?)]
+                {
+                    let Some((shown, ms)) = scale.cast_thrice(quality)? else { continue };
+                    rows.push(TargetRow {
+                        scene: source.name.clone(),
+                        backend: backend.description(),
+                        method: scale.tasks.frames[frame].rule.name(),
+                        k: scale.tasks.frames[frame].k(),
+                        angle_deg: options.angles_degrees[angle],
+                        target_fps,
+                        by,
+                        scale: quality.scale,
+                        num_samples: quality.num_samples,
+                        novel_view_ms: ms,
+                        fps: 1e3 / ms,
+                        ssim: error_between(&shown, &full)?.ssim,
+                        ssim_truth: error_between(&shown, &truth)?.ssim,
+                    });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A table for people.
+pub(super) fn table(rows: &[TargetRow]) -> String {
+    let mut text = format!(
+        "{:<18} {:<21} {:>2} {:>5} {:>6}  {:<8} {:>5} {:>7} {:>8} {:>7} {:>6} {:>6}  {}\n",
+        "scene",
+        "method",
+        "k",
+        "turn",
+        "target",
+        "by",
+        "scale",
+        "samples",
+        "view ms",
+        "fps",
+        "ssim",
+        "truth",
+        "on"
+    );
+    for r in rows {
+        let samples = if r.num_samples == 0 { "all".to_owned() } else { r.num_samples.to_string() };
+        text += &format!(
+            "{:<18} {:<21} {:>2} {:>4.0}° {:>6.0}  {:<8} {:>5.2} {:>7} {:>8.2} {:>7.1} {:>6.4} {:>6.4}  {}\n",
+            r.scene,
+            r.method,
+            r.k,
+            r.angle_deg,
+            r.target_fps,
+            r.by,
+            r.scale,
+            samples,
+            r.novel_view_ms,
+            r.fps,
+            r.ssim,
+            r.ssim_truth,
+            r.backend
+        );
+    }
+    text
+}
+
+/// One frame from one camera, cast more or less coarsely.
+struct Scale<'a, 'b> {
+    tasks: &'a mut Tasks<'b>,
+    frame: usize,
+    camera: Camera,
+    /// Milliseconds of the first of [`SAMPLES`].
+    by_samples: Vec<f64>,
+}
+
+impl Scale<'_, '_> {
+    /// The picture as it would be shown, and the milliseconds of the cast; none if the frame is not ray-cast. Enlarging
+    /// is left to the display, as the viewer does it.
+    fn cast(&mut self, quality: Quality) -> Result<Option<(Picture, f64)>, BenchError> {
+        let smaller = quality.size_of(self.camera.intrinsics);
+        let camera = Camera { intrinsics: smaller, ..self.camera };
+        let cast = CastOptions { num_samples: quality.num_samples, ..CastOptions::default() };
+        let made = self.tasks.cast(self.frame, &camera, &cast)?;
+        Ok(made.map(|(picture, time)| (stretch(&picture, &smaller, &self.camera), time.best())))
+    }
+
+    /// The same with the least of three times.
+    fn cast_thrice(&mut self, quality: Quality) -> Result<Option<(Picture, f64)>, BenchError> {
+        let Some((picture, mut ms)) = self.cast(quality)? else { return Ok(None) };
+        for _ in 0..2 {
+            ms = self.cast(quality)?.map_or(ms, |(_, again)| ms.min(again));
+        }
+        Ok(Some((picture, ms)))
+    }
+
+    /// Everything, or else the greatest number of samples that is fast enough, or else the least.
+    fn by_samples(&mut self, target_fps: f32) -> Result<Quality, BenchError> {
+        let target_ms = 1e3 / f64::from(target_fps);
+        for (i, num_samples) in SAMPLES.into_iter().enumerate() {
+            let quality = Quality { scale: 1.0, num_samples };
+            if i == self.by_samples.len() {
+                let ms = self.cast_thrice(quality)?.map_or(0.0, |(_, ms)| ms);
+                self.by_samples.push(ms);
+            }
+            if self.by_samples[i] <= target_ms {
+                return Ok(quality);
+            }
+        }
+        Ok(Quality { scale: 1.0, num_samples: SAMPLES[SAMPLES.len() - 1] })
+    }
+
+    /// Where the viewer's controller comes to rest while the camera moves.
+    fn by_control(&mut self, target_fps: f32) -> Result<Quality, BenchError> {
+        let mut control = QualityControl::new(target_fps);
+        let mut now = Duration::ZERO;
+        let mut num_casts_here = 0;
+        for _ in 0..MAX_CASTS {
+            let quality = control.quality(true);
+            let ms = self.cast(quality)?.map_or(0.0, |(_, ms)| ms);
+            let time = Duration::from_secs_f64(ms * 1e-3);
+            now += time.max(REFRESH);
+            control.handle_cast(now, quality, time);
+            num_casts_here = if control.quality(true) == quality { num_casts_here + 1 } else { 0 };
+            if num_casts_here >= CASTS_AT_REST {
+                break;
+            }
+        }
+        Ok(control.quality(true))
+    }
+}
+
+/// Samples a ray from all to few, by halves.
+const SAMPLES: [u32; 9] = [0, 256, 128, 64, 32, 16, 8, 4, 2];
+/// What the controller's clock goes on for a cast, at least: it waits 0.4 s before it tries a finer step, and casts that
+/// only pass the time would tell nothing.
+const REFRESH: Duration = Duration::from_millis(100);
+/// Longer than the controller waits.
+const CASTS_AT_REST: u32 = 6;
+const MAX_CASTS: u32 = 40;

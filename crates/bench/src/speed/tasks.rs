@@ -1,0 +1,343 @@
+//! The tasks of one scene on one backend, and their least times.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::codec;
+use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::empty_space::EmptySpace;
+use isinglass_core::kernels::raycast::CastOptions;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
+use isinglass_formats::OpenOptions;
+use isinglass_gpu::{Backend, Renderer};
+
+use super::{SpeedOptions, SpeedRow};
+use crate::choices::{Rule, methods_by_rule, reconstruction_name};
+use crate::error::BenchError;
+use crate::quality::{black_srgb8, header, march_settings};
+use crate::rivals::{Method, Views};
+use crate::scenes::{SceneSource, open_scene};
+
+/// Everything that takes turns.
+pub(super) struct Tasks<'a> {
+    pub(super) backend: &'a Backend,
+    pub(super) options: &'a SpeedOptions,
+    bounds: Aabb,
+    dims: [u32; 3],
+    renderer: Renderer,
+    /// Turned cameras, as many as angles.
+    pub(super) turned: Vec<Camera>,
+    pub(super) frames: Vec<MadeFrame>,
+    views: Vec<FrameViews>,
+    tasks: Vec<Task>,
+    least: BTreeMap<Task, Time>,
+}
+
+/// A frame of a rule, K and size.
+pub(super) struct MadeFrame {
+    pub(super) rule: Rule,
+    header: FrameHeader,
+    encoded: codec::EncodedFrame,
+    frame: Arc<LayeredFrame>,
+}
+
+impl MadeFrame {
+    pub(super) fn k(&self) -> u8 {
+        self.header.k
+    }
+}
+
+/// A frame kept ready by a method.
+struct FrameViews {
+    frame: usize,
+    method: Method,
+    views: Views,
+}
+
+/// Indices into the lists of [`Tasks`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Task {
+    /// Full rendering from a turned camera.
+    Render(usize),
+    /// Full rendering from a frame's camera that does not stop at opaque matter, at the frame's size.
+    Through([u32; 2]),
+    Generate(usize),
+    Encode(usize),
+    Decode(usize),
+    Prepare(usize),
+    /// Views, turn, way of reading lists, and whether the grid is used.
+    View(usize, usize, usize, bool),
+}
+
+/// Milliseconds: with the way to memory, and on the device by its own clock.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Time {
+    pub(super) wall: f64,
+    pub(super) gpu: Option<f64>,
+}
+
+impl Time {
+    fn least(self, other: Self) -> Self {
+        let gpu = self.gpu.zip(other.gpu).map(|(a, b)| a.min(b)).or(self.gpu).or(other.gpu);
+        Self { wall: self.wall.min(other.wall), gpu }
+    }
+
+    /// The device's own, where it has one.
+    pub(super) fn best(self) -> f64 {
+        self.gpu.unwrap_or(self.wall)
+    }
+}
+
+impl<'a> Tasks<'a> {
+    pub(super) fn open(
+        backend: &'a Backend,
+        options: &'a SpeedOptions,
+        source: &SceneSource,
+    ) -> Result<Self, BenchError> {
+        let settings = march_settings(options.shaded);
+        let transfer = options.transfer.as_deref();
+        let opened = open_scene(&source.source, transfer, settings, &OpenOptions::default())?;
+        let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());
+        let mut renderer = backend.renderer(opened.scene)?;
+        let turned: Vec<Camera> = options
+            .angles_degrees
+            .iter()
+            .map(|&a| options.orbit.turned(a).camera(options.intrinsics, &bounds))
+            .collect();
+        let (mut frames, mut views) = (Vec::new(), Vec::new());
+        let rules: Vec<Rule> = options.layerings.iter().map(|&l| Rule::Layering(l)).collect();
+        for &[width, height] in &options.frame_sizes {
+            let camera = options.orbit.camera(Intrinsics { width, height, ..options.intrinsics }, &bounds);
+            for (rule, methods) in methods_by_rule(&rules, &options.methods) {
+                for k in rule.ks(&options.ks) {
+                    let header = header(camera, k);
+                    let frame = rule.generate(&mut renderer, header)?;
+                    let encoded = codec::encode(&frame, &codec::Settings::default())?;
+                    let frame = Arc::new(decode(&encoded)?);
+                    for &method in &methods {
+                        let frame_views = method.prepare(backend, frame.clone(), &bounds)?;
+                        views.push(FrameViews { frame: frames.len(), method, views: frame_views });
+                    }
+                    frames.push(MadeFrame { rule, header, encoded, frame });
+                }
+            }
+        }
+        let mut opened = Self {
+            backend,
+            options,
+            bounds,
+            dims,
+            renderer,
+            turned,
+            frames,
+            views,
+            tasks: Vec::new(),
+            least: BTreeMap::new(),
+        };
+        opened.tasks = opened.all();
+        Ok(opened)
+    }
+
+    fn all(&self) -> Vec<Task> {
+        let mut tasks: Vec<Task> = (0..self.turned.len()).map(Task::Render).collect();
+        tasks.extend(self.options.frame_sizes.iter().map(|&size| Task::Through(size)));
+        for frame in 0..self.frames.len() {
+            tasks.extend([Task::Generate(frame), Task::Encode(frame), Task::Decode(frame)]);
+        }
+        for (i, views) in self.views.iter().enumerate() {
+            tasks.push(Task::Prepare(i));
+            for angle in 0..self.turned.len() {
+                for reading in 0..self.num_readings(views.method) {
+                    tasks.push(Task::View(i, angle, reading, true));
+                    if views.method == Method::Layers {
+                        tasks.push(Task::View(i, angle, reading, false));
+                    }
+                }
+            }
+        }
+        tasks
+    }
+
+    fn num_readings(&self, method: Method) -> usize {
+        // Only the ray cast reads lists in more than one way.
+        if method == Method::Layers { self.options.reconstructions.len() } else { 1 }
+    }
+
+    /// Runs every task once.
+    pub(super) fn run_round(&mut self, counts: bool) -> Result<(), BenchError> {
+        for task in self.tasks.clone() {
+            let mut time = self.run(task)?;
+            // Going from one rule to the next makes new buffers on the GPU, which a server does not do for each frame.
+            if counts
+                && matches!((task, self.backend), (Task::Generate(_), Backend::Gpu(_)))
+                && time.wall < SHORT_MS
+            {
+                time = time.least(self.run(task)?);
+            }
+            if counts {
+                self.least.entry(task).and_modify(|least| *least = least.least(time)).or_insert(time);
+            }
+        }
+        Ok(())
+    }
+
+    fn run(&mut self, task: Task) -> Result<Time, BenchError> {
+        let backend = self.backend;
+        let Self { renderer, turned, frames, views, options, bounds, .. } = self;
+        match task {
+            Task::Render(angle) => timed(backend, || Ok(renderer.render(&turned[angle])?)),
+            Task::Through([width, height]) => {
+                let camera = options.orbit.camera(Intrinsics { width, height, ..options.intrinsics }, bounds);
+                timed(backend, || Ok(renderer.render_through(&camera)?))
+            }
+            Task::Generate(i) => {
+                let MadeFrame { rule, header, .. } = frames[i];
+                timed(backend, || rule.generate(renderer, header))
+            }
+            Task::Encode(i) => {
+                timed(backend, || Ok(codec::encode(&frames[i].frame, &codec::Settings::default())?))
+            }
+            Task::Decode(i) => timed(backend, || decode(&frames[i].encoded)),
+            Task::Prepare(i) => {
+                let FrameViews { frame, method, .. } = views[i];
+                timed(backend, || method.prepare(backend, frames[frame].frame.clone(), bounds))
+            }
+            Task::View(i, angle, reading, skips_empty_space) => {
+                let cast = CastOptions {
+                    reconstruction: options.reconstructions.get(reading).copied().unwrap_or_default(),
+                    skips_empty_space,
+                    num_samples: 0,
+                };
+                timed(backend, || views[i].views.view_with(&turned[angle], &cast))
+            }
+        }
+    }
+
+    /// A view of a frame, with the time that it took.
+    pub(super) fn cast(
+        &mut self,
+        frame: usize,
+        camera: &Camera,
+        options: &CastOptions,
+    ) -> Result<Option<(Picture, Time)>, BenchError> {
+        let is_cast = |v: &&mut FrameViews| v.frame == frame && v.method == Method::Layers;
+        let Some(views) = self.views.iter_mut().find(is_cast) else { return Ok(None) };
+        let mut picture = None;
+        let time = timed(self.backend, || {
+            picture = Some(views.views.view_with(camera, options)?);
+            Ok(())
+        })?;
+        Ok(picture.map(|picture| (picture, time)))
+    }
+
+    /// The full rendering from a turned camera.
+    pub(super) fn truth(&mut self, angle: usize) -> Result<Picture, BenchError> {
+        Ok(self.renderer.render(&self.turned[angle])?)
+    }
+
+    /// All rows, after the rounds.
+    pub(super) fn rows(&mut self, source: &SceneSource, rows: &mut Vec<SpeedRow>) -> Result<(), BenchError> {
+        let truths = (0..self.turned.len()).map(|a| self.truth(a)).collect::<Result<Vec<_>, _>>()?;
+        for i in 0..self.views.len() {
+            for reading in 0..self.num_readings(self.views[i].method) {
+                for (angle, truth) in truths.iter().enumerate() {
+                    rows.push(self.row(source, i, reading, angle, truth)?);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn row(
+        &mut self,
+        source: &SceneSource,
+        i: usize,
+        reading: usize,
+        angle: usize,
+        truth: &Picture,
+    ) -> Result<SpeedRow, BenchError> {
+        let FrameViews { frame: of, method, .. } = self.views[i];
+        let reconstruction = (method == Method::Layers).then(|| self.options.reconstructions[reading]);
+        let cast = CastOptions { reconstruction: reconstruction.unwrap_or_default(), ..Default::default() };
+        let shown = self.views[i].views.view_with(&self.turned[angle], &cast)?;
+        let error = error_between(&shown, truth)?;
+        let made = &self.frames[of];
+        let size = made.header.camera.intrinsics;
+        let frame_size = [size.width, size.height];
+        // Every task has run; an infinite time would show a mistake.
+        let time =
+            |task: Task| self.least.get(&task).copied().unwrap_or(Time { wall: f64::INFINITY, gpu: None });
+        let (render, through) = (time(Task::Render(angle)), time(Task::Through(frame_size)));
+        let generate = time(Task::Generate(of));
+        let view = time(Task::View(i, angle, reading, true));
+        let no_grid = (method == Method::Layers).then(|| time(Task::View(i, angle, reading, false)));
+        let num_filled = made.frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+        Ok(SpeedRow {
+            scene: source.name.clone(),
+            dims: self.dims,
+            backend: self.backend.description(),
+            method: method.name_on(made.rule).to_owned(),
+            layering: made.rule.name(),
+            reconstruction: reconstruction.map(reconstruction_name),
+            k: made.k(),
+            frame_size,
+            angle_deg: self.options.angles_degrees[angle],
+            render_ms: render.wall,
+            render_gpu_ms: render.gpu,
+            render_through_ms: through.wall,
+            render_through_gpu_ms: through.gpu,
+            generate_ms: generate.wall,
+            generate_gpu_ms: generate.gpu,
+            encode_ms: time(Task::Encode(of)).wall,
+            decode_ms: time(Task::Decode(of)).wall,
+            prepare_ms: time(Task::Prepare(i)).wall,
+            novel_view_ms: view.wall,
+            novel_view_gpu_ms: view.gpu,
+            novel_view_no_grid_ms: no_grid.map(|t| t.wall),
+            novel_view_no_grid_gpu_ms: no_grid.and_then(|t| t.gpu),
+            fps: 1e3 / view.best(),
+            render_fps: 1e3 / render.best(),
+            view_over_render: view.best() / render.best(),
+            generate_over_through: generate.best() / through.best(),
+            grid_gain: no_grid.map(|t| 1.0 - view.best() / t.best()),
+            empty_share: EmptySpace::new(&made.frame).empty_share(),
+            ssim: error.ssim,
+            dssim: error.dssim,
+            bytes: made.encoded.num_bytes(),
+            segments_mean: made.frame.num_segments() as f64 / num_filled.max(1) as f64,
+            segments_total: made.frame.num_segments(),
+        })
+    }
+}
+
+/// Two pictures of one size on black.
+pub(super) fn error_between(a: &Picture, b: &Picture) -> Result<ImageError, BenchError> {
+    let (width, height) = (a.width as usize, a.height as usize);
+    Ok(compare(&black_srgb8(a), &black_srgb8(b), width, height, [0; 3])?)
+}
+
+fn decode(encoded: &codec::EncodedFrame) -> Result<LayeredFrame, BenchError> {
+    let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
+    Ok(codec::decode(&chunks)?)
+}
+
+fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> Result<Time, BenchError> {
+    let run = || -> Result<f64, BenchError> {
+        let start = Instant::now();
+        // What it makes is dropped off the clock.
+        let _made = body()?;
+        Ok(start.elapsed().as_secs_f64() * 1e3)
+    };
+    let (wall, gpu) = match backend {
+        Backend::Gpu(gpu) => gpu.timed(run)?,
+        Backend::Cpu => (run()?, None),
+    };
+    Ok(Time { wall, gpu: gpu.map(|t| t.as_secs_f64() * 1e3) })
+}
+
+/// A run below this is repeated where that is worth it.
+const SHORT_MS: f64 = 2000.0;
