@@ -14,115 +14,111 @@ struct Budget {
 
 @group(1) @binding(4) var<storage, read_write> budget: Budget;
 
-// A linked list, so that nothing moves when two segments become one.
+// The pieces of one ray while they are gathered are those of `list`.
 struct Gather {
     // Length of a step, world units.
     h: f32,
-    len: u32,
-    // The rearmost segment, or NO_SLOT.
-    last: u32,
-    // The slot that is not in use, when all others are.
-    free: u32,
+    // Pieces that cost no more than this to merge are merged.
+    tolerance: f32,
     transmittance: f32,
-    open: array<OpenSegment, K + 1>,
-    // Cost of merging a segment with the one behind it; infinite where there is none.
-    cost: array<f32, K + 1>,
-    // Transmittance in front, at least VISIBILITY_FLOOR.
+    // Weight of collected colour against collected opacity.
+    color_weight: f32,
+    // Transmittance in front, at least VISIBILITY_FLOOR; at the end the weight of what a group that begins here gets
+    // wrong.
     visibility: array<f32, K + 1>,
-    // Slot of the segment behind, or NO_SLOT.
-    next: array<u32, K + 1>,
-    // Slot of the segment in front, or NO_SLOT.
-    prev: array<u32, K + 1>,
+    // Cost of merging a piece with the one behind it; that of the last but one is of before the last had its length.
+    cost: array<f32, K + 1>,
 }
 
 var<private> sink: Gather;
 
 fn gather(ray: Ray, lattice: Lattice) {
     sink.h = lattice.h;
-    sink.len = 0u;
-    sink.last = NO_SLOT;
-    sink.free = K;
+    sink.tolerance = 0.0;
     sink.transmittance = 1.0;
-    for (var slot = 0u; slot <= K; slot++) {
-        sink.cost[slot] = INFINITE_COST;
-    }
+    list.len = 0u;
     march(ray, lattice);
     finish();
 }
 
-// Cost of merging `slot` with what is behind it.
-fn pair_cost(slot: u32) -> f32 {
-    return merge_cost(sink.open[slot], sink.open[sink.next[slot]], sink.h) * sink.visibility[slot];
+// Cost of merging piece i with `behind`.
+fn pair_cost(i: u32, behind: OpenSegment) -> f32 {
+    return merge_cost(list.segments[i], behind, sink.h) * sink.visibility[i];
 }
 
-// Merges the pair that costs least.
-fn merge_cheapest() {
-    var least = 0u;
-    for (var slot = 1u; slot <= K; slot++) {
-        if (sink.cost[slot] < sink.cost[least]) {
-            least = slot;
+// Raises the tolerance to where most of the cheap pairs merge, and merges from the front on.
+fn thin_out() {
+    let last = list.len - 1u;
+    sink.cost[last - 1u] = pair_cost(last - 1u, list.segments[last]);
+    // The harmonic mean is that of the cheap ones; at least one is no dearer.
+    var sum_of_inverses = 0.0;
+    for (var i = 0u; i < last; i++) {
+        sum_of_inverses += 1.0 / max(sink.cost[i], COST_LEAST);
+    }
+    sink.tolerance = max(f32(last) / sum_of_inverses, 2.0 * sink.tolerance);
+    var kept = 0u;
+    for (var i = 1u; i < list.len; i++) {
+        var cost = sink.cost[kept];
+        if (cost == COST_CHANGED) {
+            cost = pair_cost(kept, list.segments[i]);
+        }
+        if (cost <= sink.tolerance) {
+            list.segments[kept] = merged(list.segments[kept], list.segments[i]);
+            sink.cost[kept] = COST_CHANGED;
+            if (kept > 0u) {
+                sink.cost[kept - 1u] = COST_CHANGED;
+            }
+        } else {
+            sink.cost[kept] = cost;
+            if (kept > 0u && sink.cost[kept - 1u] == COST_CHANGED) {
+                sink.cost[kept - 1u] = pair_cost(kept - 1u, list.segments[kept]);
+            }
+            kept += 1u;
+            list.segments[kept] = list.segments[i];
+            sink.visibility[kept] = sink.visibility[i];
+            sink.cost[kept] = sink.cost[i];
         }
     }
-    let behind = sink.next[least];
-    sink.open[least] = merged(sink.open[least], sink.open[behind]);
-    sink.next[least] = sink.next[behind];
-    sink.cost[behind] = INFINITE_COST;
-    sink.free = behind;
-    if (sink.next[least] == NO_SLOT) {
-        sink.last = least;
-        sink.cost[least] = INFINITE_COST;
-    } else {
-        sink.prev[sink.next[least]] = least;
-        sink.cost[least] = pair_cost(least);
-    }
-    if (sink.prev[least] != NO_SLOT) {
-        sink.cost[sink.prev[least]] = pair_cost(sink.prev[least]);
-    }
+    list.len = kept + 1u;
 }
 
 fn sink_step(step: Step) -> u32 {
-    let is_full = sink.len == K;
-    let slot = select(sink.len, sink.free, is_full);
-    sink.open[slot] = step;
-    sink.cost[slot] = INFINITE_COST;
-    sink.visibility[slot] = max(sink.transmittance, VISIBILITY_FLOOR);
-    sink.next[slot] = NO_SLOT;
-    sink.prev[slot] = sink.last;
-    if (sink.last != NO_SLOT) {
-        sink.next[sink.last] = slot;
-        sink.cost[sink.last] = pair_cost(sink.last);
-    }
-    sink.last = slot;
+    let visibility = max(sink.transmittance, VISIBILITY_FLOOR);
     sink.transmittance *= 1.0 - step.alpha;
-    if (is_full) {
-        merge_cheapest();
-    } else {
-        sink.len += 1u;
+    let pace = pace_behind(sink.transmittance);
+    if (list.len > 0u) {
+        let last = list.len - 1u;
+        let cost = pair_cost(last, step);
+        if (cost <= sink.tolerance) {
+            list.segments[last] = merged(list.segments[last], step);
+            return pace;
+        }
+        sink.cost[last] = cost;
+        if (last > 0u) {
+            sink.cost[last - 1u] = pair_cost(last - 1u, list.segments[last]);
+        }
     }
-    return pace_behind(sink.transmittance);
+    list.segments[list.len] = step;
+    sink.visibility[list.len] = visibility;
+    list.len += 1u;
+    if (list.len > K) {
+        thin_out();
+    }
+    return pace;
 }
 
-// What one ray gathered, front to back: the pieces are in `list`.
-var<private> weight: array<f32, K>;
-
 fn finish() {
-    list.len = sink.len;
-    var slot = sink.last;
-    for (var i = sink.len; i > 0u; i--) {
-        list.segments[i - 1u] = sink.open[slot];
-        weight[i - 1u] = sink.visibility[slot];
-        slot = sink.prev[slot];
-    }
     var c = vec3f(0.0);
     var transmittance = 1.0;
     for (var i = 0u; i < list.len; i++) {
         c += list.segments[i].c * transmittance;
         transmittance *= 1.0 - list.segments[i].alpha;
     }
-    // An error counts as what it changes in an sRGB picture, whose slope is about ½/√colour.
+    // The slope of sRGB. Errors of colour show in proportion to it, those of opacity less.
     let slope = 0.5 / sqrt(max(max(max(c.x, c.y), c.z), COLOR_DARK));
+    sink.color_weight = COLOR_WEIGHT * slope;
     for (var i = 0u; i < list.len; i++) {
-        weight[i] *= slope;
+        sink.visibility[i] *= sqrt(slope);
     }
 }
 
@@ -147,7 +143,7 @@ fn composite(first: u32, end: u32) -> OpenSegment {
 }
 
 // How far the colour and opacity that a ray collects on its way through the pieces first..end are from what it collects
-// in their homogeneous composite: the mean distance over the way, times the 3/2-th power of its length in steps.
+// in their homogeneous composite: the mean distance over the way, times the 5/4-th power of its length in steps.
 fn group_error(first: u32, end: u32) -> f32 {
     let all = composite(first, end);
     let tau_per_length = all.tau / (all.s1 - all.s0);
@@ -178,12 +174,12 @@ fn group_error(first: u32, end: u32) -> f32 {
         }
     }
     error += 0.5 * distance_before * (all.s1 - s_before);
-    return error / sink.h * sqrt((all.s1 - all.s0) / sink.h) * weight[first];
+    return error / sink.h * sqrt(sqrt((all.s1 - all.s0) / sink.h)) * sink.visibility[first];
 }
 
 fn distance_collected(color: vec3f, opacity: f32) -> f32 {
     let difference = abs(color);
-    return max(abs(opacity), COLOR_WEIGHT * max(max(difference.x, difference.y), difference.z));
+    return max(abs(opacity), sink.color_weight * max(max(difference.x, difference.y), difference.z));
 }
 
 // What joining group g with the one behind it adds to the error.
@@ -272,7 +268,10 @@ fn generate_list(ray: Ray, lattice: Lattice) {
         return;
     }
     join(MOST, budget.threshold, false);
-    settle();
+    // Groups of one piece or two have the borders that joining gave them.
+    if (list.len > 2u * groups.len) {
+        settle();
+    }
     // A group begins behind all groups in front of it, so its place in the list is free.
     for (var g = 0u; g < groups.len; g++) {
         list.segments[g] = composite(groups.first[g], groups.first[g + 1u]);
@@ -280,13 +279,14 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     list.len = groups.len;
 }
 
-// One of SAMPLE_STRIDE² pixels: what the joins cost.
+// One pixel of 4² or, of a large frame, 8²: what the joins cost.
 @compute @workgroup_size(8, 8)
 fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(camera.width);
     let height = u32(camera.height);
-    let x = id.x * SAMPLE_STRIDE + min(SAMPLE_STRIDE / 2u, width / 2u);
-    let y = (band.first_row + id.y) * SAMPLE_STRIDE + min(SAMPLE_STRIDE / 2u, height / 2u);
+    let stride = select(4u, 8u, width * height >= LARGE_FRAME);
+    let x = id.x * stride + min(stride / 2u, width / 2u);
+    let y = (band.first_row + id.y) * stride + min(stride / 2u, height / 2u);
     if (x >= width || y >= height || id.y >= band.num_rows) {
         return;
     }
@@ -331,30 +331,33 @@ fn merged(a: OpenSegment, b: OpenSegment) -> OpenSegment {
 // While gathering, the error of reading a, the gap and b as one homogeneous piece.
 fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
     let length = b.s1 - a.s0;
-    let per_length = (a.tau + b.tau) / length;
+    let tau = a.tau + b.tau;
     let gap = max(b.s0 - a.s1, 0.0);
+    // Times the length.
     let moved = 0.5
-        * (abs(a.tau - per_length * (a.s1 - a.s0)) + abs(b.tau - per_length * (b.s1 - b.s0)) + per_length * gap);
+        * (abs(a.tau * length - tau * (a.s1 - a.s0)) + abs(b.tau * length - tau * (b.s1 - b.s0)) + tau * gap);
     // |Ea − Eb|·αa·αb with E = C/α.
     let difference = abs(a.c * b.alpha - b.c * a.alpha);
     let mixed = max(max(difference.x, difference.y), difference.z);
-    return (MOVED_WEIGHT * moved / (1.0 + moved) + mixed) * (length / h);
+    return (MOVED_WEIGHT * moved / (length + moved) + mixed) * (length / h);
 }
 
-// No segment.
-const NO_SLOT: u32 = 0xffffffff;
+// Costs below this are equal.
+const COST_LEAST: f32 = 1e-20;
+// Marks a cost that is to be worked out again.
+const COST_CHANGED: f32 = -1.0;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.
-const VISIBILITY_FLOOR: f32 = 0.15;
+const VISIBILITY_FLOOR: f32 = 0.2;
 // Weight of moved opacity against mixed colour while gathering.
 const MOVED_WEIGHT: f32 = 2.0;
-// Weight of collected colour against collected opacity.
-const COLOR_WEIGHT: f32 = 4.0;
+// Weight of collected colour, as sRGB, against collected opacity.
+const COLOR_WEIGHT: f32 = 6.0;
 // Colour below which the slope of sRGB is taken as constant.
 const COLOR_DARK: f32 = 0.02;
-// Every so many pixels along each axis one is marched beforehand for the threshold.
-const SAMPLE_STRIDE: u32 = 4;
+// Lists of a frame of which one ray in 64 says enough.
+const LARGE_FRAME: u32 = 131072;
 // Bits of a float left out in the number of its bin: 1/32 of an octave each.
 const BIN_SHIFT: u32 = 18;
 // Bins of all finite costs.

@@ -2,7 +2,7 @@
 //! them into the planes behind those of the band before, and the planes are read back.
 
 use isinglass_core::kernels::layering::Layering;
-use isinglass_core::kernels::layering::visibility_merge::{COST_BINS, SAMPLE_STRIDE};
+use isinglass_core::kernels::layering::visibility_merge::{COST_BINS, sample_stride};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
 
 use crate::device::{Gpu, bands, bind, rows_per_band};
@@ -154,7 +154,8 @@ impl FrameTarget {
         let mut clear = encoder(gpu);
         clear.clear_buffer(&self.budget, 0, None);
         gpu.queue().submit([clear.finish()]);
-        let (width, height) = (self.width.div_ceil(SAMPLE_STRIDE), self.height.div_ceil(SAMPLE_STRIDE));
+        let stride = sample_stride(self.width, self.height);
+        let (width, height) = (self.width.div_ceil(stride), self.height.div_ceil(stride));
         for band in bands(width, height, self.max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);

@@ -157,12 +157,11 @@ const TWINS: [&str; 18] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 13] = [
+const SHADER_ONLY: [&str; 12] = [
     "K",
     "STOP_AT",
     "MEAN_K",
     "MOST",
-    "NO_SLOT",
     "INFINITE_COST",
     "REPRESENTATIVE",
     "BLOCK",

@@ -7,11 +7,12 @@
 //!    [`group_error`], which compares a group with its own pieces and not with earlier approximations, so that costs
 //!    add up. Then each border between two groups moves by one piece where that lessens their error.
 //! 3. *Budget.* A ray stops joining at a cost that is the same for the whole frame: simple rays end with few segments,
-//!    hard ones with many. The threshold is the least at which the rays of a sample (one of [`SAMPLE_STRIDE`]² pixels)
+//!    hard ones with many. The threshold is the least at which the rays of a sample (one pixel of [`sample_stride`]²)
 //!    have at most K segments on average, among those that meet anything.
 //!
 //! With [`super::Layering::VisibilityMergeFixed`] every ray stops at K segments instead.
 
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::{OpenSegment, SegmentList};
@@ -21,80 +22,81 @@ use crate::layer::{MAX_K, Over};
 
 /// The longest list of a frame with `k` segments a list on average.
 pub const fn longest_list(k: usize) -> usize {
-    let longest = 2 * k + 8;
+    let longest = 3 * k / 2 + 10;
     if longest < MAX_K { longest } else { MAX_K }
 }
 
-/// The open segments of one ray: a linked list, so that nothing moves when two become one.
+/// The pieces of one ray while they are gathered.
 #[derive(Clone, Copy, Debug)]
 pub struct Gather {
-    /// Greatest number of open segments between steps.
+    /// Greatest number of pieces.
     max: usize,
     /// Length of a step, world units.
     h: f32,
-    len: usize,
-    /// The rearmost segment, or [`NO_SLOT`].
-    last: usize,
-    /// The slot that is not in use, when all others are.
-    free: usize,
+    /// Its inverse.
+    steps_per_length: f32,
+    /// Pieces that cost no more than this to merge are merged.
+    tolerance: f32,
     transmittance: f32,
-    open: [OpenSegment; MAX_K + 1],
-    /// Cost of merging a segment with the one behind it; infinite where there is none.
-    cost: [f32; MAX_K + 1],
+    len: usize,
+    piece: [OpenSegment; MAX_K + 1],
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
     visibility: [f32; MAX_K + 1],
-    /// Slot of the segment behind, or [`NO_SLOT`].
-    next: [usize; MAX_K + 1],
-    /// Slot of the segment in front, or [`NO_SLOT`].
-    prev: [usize; MAX_K + 1],
+    /// Cost of merging a piece with the one behind it; that of the last but one is of before the last had its length.
+    cost: [f32; MAX_K + 1],
 }
 
 impl Gather {
-    /// At most `max` open segments; `h` is the length of a step.
+    /// At most `max` pieces; `h` is the length of a step.
     pub fn new(max: usize, h: f32) -> Self {
         Self {
             max,
             h,
-            len: 0,
-            last: NO_SLOT,
-            free: max,
+            steps_per_length: h.recip(),
+            tolerance: 0.0,
             transmittance: 1.0,
-            open: [OpenSegment::default(); MAX_K + 1],
-            cost: [f32::INFINITY; MAX_K + 1],
+            len: 0,
+            piece: [OpenSegment::default(); MAX_K + 1],
             visibility: [0.0; MAX_K + 1],
-            next: [NO_SLOT; MAX_K + 1],
-            prev: [NO_SLOT; MAX_K + 1],
+            cost: [0.0; MAX_K + 1],
         }
     }
 
-    /// Cost of merging `slot` with what is behind it.
-    fn pair_cost(&self, slot: usize) -> f32 {
-        merge_cost(&self.open[slot], &self.open[self.next[slot]], self.h) * self.visibility[slot]
+    /// Cost of merging piece `i` with `behind`.
+    #[inline(always)]
+    fn pair_cost(&self, i: usize, behind: &OpenSegment) -> f32 {
+        merge_cost(&self.piece[i], behind, self.steps_per_length) * self.visibility[i]
     }
 
-    /// Merges the pair that costs least.
-    fn merge_cheapest(&mut self) {
-        let mut least = 0;
-        for slot in 1..=self.max {
-            if self.cost[slot] < self.cost[least] {
-                least = slot;
+    /// Raises the tolerance to where most of the cheap pairs merge, and merges from the front on.
+    fn thin_out(&mut self) {
+        let last = self.len - 1;
+        self.cost[last - 1] = self.pair_cost(last - 1, &self.piece[last]);
+        // The harmonic mean is that of the cheap ones; at least one is no dearer.
+        let sum_of_inverses: f32 = self.cost[..last].iter().map(|cost| 1.0 / cost.max(COST_LEAST)).sum();
+        self.tolerance = (last as f32 / sum_of_inverses).max(2.0 * self.tolerance);
+        let mut kept = 0;
+        for i in 1..self.len {
+            let is_changed = self.cost[kept] == COST_CHANGED;
+            let cost = if is_changed { self.pair_cost(kept, &self.piece[i]) } else { self.cost[kept] };
+            if cost <= self.tolerance {
+                self.piece[kept] = merged(&self.piece[kept], &self.piece[i]);
+                self.cost[kept] = COST_CHANGED;
+                if kept > 0 {
+                    self.cost[kept - 1] = COST_CHANGED;
+                }
+            } else {
+                self.cost[kept] = cost;
+                if kept > 0 && self.cost[kept - 1] == COST_CHANGED {
+                    self.cost[kept - 1] = self.pair_cost(kept - 1, &self.piece[kept]);
+                }
+                kept += 1;
+                self.piece[kept] = self.piece[i];
+                self.visibility[kept] = self.visibility[i];
+                self.cost[kept] = self.cost[i];
             }
         }
-        let behind = self.next[least];
-        self.open[least] = merged(&self.open[least], &self.open[behind]);
-        self.next[least] = self.next[behind];
-        self.cost[behind] = f32::INFINITY;
-        self.free = behind;
-        if self.next[least] == NO_SLOT {
-            self.last = least;
-            self.cost[least] = f32::INFINITY;
-        } else {
-            self.prev[self.next[least]] = least;
-            self.cost[least] = self.pair_cost(least);
-        }
-        if self.prev[least] != NO_SLOT {
-            self.cost[self.prev[least]] = self.pair_cost(self.prev[least]);
-        }
+        self.len = kept + 1;
     }
 
     /// What was gathered.
@@ -102,50 +104,53 @@ impl Gather {
         let mut pieces = Pieces {
             len: self.len,
             h: self.h,
+            color_weight: 0.0,
             piece: [OpenSegment::default(); MAX_K],
+            collects: [Vec4::ZERO; MAX_K],
             visibility: [0.0; MAX_K],
         };
-        let mut slot = self.last;
-        for i in (0..self.len).rev() {
-            pieces.piece[i] = self.open[slot];
-            pieces.visibility[i] = self.visibility[slot];
-            slot = self.prev[slot];
-        }
         let mut over = Over::default();
-        for piece in &pieces.piece[..self.len] {
-            over.c += piece.c * over.transmittance;
-            over.transmittance *= 1.0 - piece.alpha;
+        for i in 0..self.len {
+            pieces.piece[i] = self.piece[i];
+            pieces.collects[i] = self.piece[i].c.extend(self.piece[i].alpha);
+            over.c += self.piece[i].c * over.transmittance;
+            over.transmittance *= 1.0 - self.piece[i].alpha;
         }
-        // An error counts as what it changes in an sRGB picture, whose slope is about ½/√colour.
-        let weight = 0.5 / over.c.max_element().max(COLOR_DARK).sqrt();
-        for visibility in &mut pieces.visibility[..self.len] {
-            *visibility *= weight;
+        // The slope of sRGB. Errors of colour show in proportion to it, those of opacity less.
+        let slope = 0.5 / over.c.max_element().max(COLOR_DARK).sqrt();
+        pieces.color_weight = COLOR_WEIGHT * slope;
+        for i in 0..self.len {
+            pieces.visibility[i] = self.visibility[i] * slope.sqrt();
         }
         pieces
     }
 }
 
 impl Sink for Gather {
+    #[inline(always)]
     fn step(&mut self, step: Step) -> Pace {
-        let is_full = self.len == self.max;
-        let slot = if is_full { self.free } else { self.len };
-        self.open[slot] = step;
-        self.cost[slot] = f32::INFINITY;
-        self.visibility[slot] = self.transmittance.max(VISIBILITY_FLOOR);
-        self.next[slot] = NO_SLOT;
-        self.prev[slot] = self.last;
-        if self.last != NO_SLOT {
-            self.next[self.last] = slot;
-            self.cost[self.last] = self.pair_cost(self.last);
-        }
-        self.last = slot;
+        let visibility = self.transmittance.max(VISIBILITY_FLOOR);
         self.transmittance *= 1.0 - step.alpha;
-        if is_full {
-            self.merge_cheapest();
-        } else {
-            self.len += 1;
+        let pace = Pace::behind(self.transmittance);
+        if self.len > 0 {
+            let last = self.len - 1;
+            let cost = self.pair_cost(last, &step);
+            if cost <= self.tolerance {
+                self.piece[last] = merged(&self.piece[last], &step);
+                return pace;
+            }
+            self.cost[last] = cost;
+            if last > 0 {
+                self.cost[last - 1] = self.pair_cost(last - 1, &self.piece[last]);
+            }
         }
-        Pace::behind(self.transmittance)
+        self.piece[self.len] = step;
+        self.visibility[self.len] = visibility;
+        self.len += 1;
+        if self.len > self.max {
+            self.thin_out();
+        }
+        pace
     }
 }
 
@@ -154,7 +159,11 @@ impl Sink for Gather {
 pub struct Pieces {
     len: usize,
     h: f32,
+    /// Weight of collected colour against collected opacity.
+    color_weight: f32,
     piece: [OpenSegment; MAX_K],
+    /// Colour and opacity of each.
+    collects: [Vec4; MAX_K],
     /// Weight of what a group that begins here gets wrong.
     visibility: [f32; MAX_K],
 }
@@ -171,42 +180,49 @@ struct Groups {
 
 impl Pieces {
     /// How far the colour and opacity that a ray collects on its way through the pieces `from..to` are from what it
-    /// collects in their homogeneous composite: the mean distance over the way, times the 3/2-th power of its length in
+    /// collects in their homogeneous composite: the mean distance over the way, times the 5/4-th power of its length in
     /// steps. Seen at an angle, matter that sits wrongly along the ray sits wrongly in the picture by a share of that
-    /// length; the power above one holds apart what is far apart (found by trial: against the power 1, DSSIM at 15°
-    /// fell by a quarter on opaque cubes and by a tenth on shells, and rose by a twentieth on a head).
+    /// length; a power above one holds apart what is far apart. Found by trial at K = 4: with the power 1 thin shells
+    /// were a tenth worse, with 3/2 dark and diffuse matter was.
     fn group_error(&self, from: usize, to: usize) -> f32 {
-        let pieces = &self.piece[from..to];
-        let mut all = pieces[0];
-        for piece in &pieces[1..] {
-            all = merged(&all, piece);
-        }
-        let length = all.s1 - all.s0;
-        let collected_per_opacity = 1.0 / all.alpha.max(ALPHA_LEAST);
-        let mut true_over = Over::default();
+        let (composite, tau) = self.composite(from, to);
+        let (s_front, s_back) = (self.piece[from].s0, self.piece[to - 1].s1);
+        let length = s_back - s_front;
+        let tau_per_length = tau / length;
+        let per_opacity = composite / composite.w.max(ALPHA_LEAST);
+        let weights = Vec3::splat(self.color_weight).extend(1.0);
+        let mut collected = Vec4::ZERO;
         // Ends of the pieces and, where there is a gap, beginnings; both ways agree at the two ends of the group.
-        let (mut s_before, mut distance_before, mut error) = (all.s0, 0.0, 0.0);
-        let mut visit = |s: f32, over: &Over| {
-            let share = (1.0 - (-all.tau * ((s - all.s0) / length)).exp()) * collected_per_opacity;
-            let color = (over.c - all.c * share).abs().max_element();
-            let opacity = (1.0 - over.transmittance - all.alpha * share).abs();
-            let distance = opacity.max(COLOR_WEIGHT * color);
+        let (mut s_before, mut distance_before, mut error) = (s_front, 0.0, 0.0);
+        let mut visit = |s: f32, collected: Vec4| {
+            let share = 1.0 - (-tau_per_length * (s - s_front)).exp();
+            let distance = ((collected - per_opacity * share).abs() * weights).max_element();
             error += 0.5 * (distance_before + distance) * (s - s_before);
             (s_before, distance_before) = (s, distance);
         };
-        for (i, piece) in pieces.iter().enumerate() {
-            if i > 0 && piece.s0 > pieces[i - 1].s1 {
-                visit(piece.s0, &true_over);
+        for i in from..to {
+            let piece = &self.piece[i];
+            if i > from && piece.s0 > self.piece[i - 1].s1 {
+                visit(piece.s0, collected);
             }
-            true_over.c += piece.c * true_over.transmittance;
-            true_over.transmittance *= 1.0 - piece.alpha;
-            if i + 1 < pieces.len() {
-                visit(piece.s1, &true_over);
+            if i + 1 < to {
+                collected += self.collects[i] * (1.0 - collected.w);
+                visit(piece.s1, collected);
             }
         }
-        error += 0.5 * distance_before * (all.s1 - s_before);
-        let steps = length / self.h;
-        error / self.h * steps.sqrt() * self.visibility[from]
+        error += 0.5 * distance_before * (s_back - s_before);
+        error / self.h * (length / self.h).sqrt().sqrt() * self.visibility[from]
+    }
+
+    /// What a ray collects in the pieces `from..to`, colour and opacity, and their optical depth.
+    fn composite(&self, from: usize, to: usize) -> (Vec4, f32) {
+        let mut collected = self.collects[from];
+        let mut tau = self.piece[from].tau;
+        for i in from + 1..to {
+            collected += self.collects[i] * (1.0 - collected.w);
+            tau += self.piece[i].tau;
+        }
+        (collected, tau)
     }
 
     /// Joins groups, cheapest first, until there are at most `most` and the next join costs more than `threshold`.
@@ -285,30 +301,43 @@ impl Pieces {
             return list;
         }
         let mut groups = self.join(most, threshold, |_, _| ());
-        self.settle(&mut groups);
+        // Groups of one piece or two have the borders that joining gave them.
+        if self.len > 2 * groups.len {
+            self.settle(&mut groups);
+        }
         for g in 0..groups.len {
-            let pieces = &self.piece[groups.first[g]..groups.first[g + 1]];
-            let mut all = pieces[0];
-            for piece in &pieces[1..] {
-                all = merged(&all, piece);
-            }
-            list.push(all);
+            let (from, to) = (groups.first[g], groups.first[g + 1]);
+            let (composite, tau) = self.composite(from, to);
+            list.push(OpenSegment {
+                s0: self.piece[from].s0,
+                s1: self.piece[to - 1].s1,
+                c: composite.truncate(),
+                tau,
+                alpha: composite.w,
+            });
         }
         list
     }
+}
+
+/// Every so many pixels along each axis one is marched beforehand for the threshold: a 64th of the rays of a large
+/// frame, a 16th of a small one.
+pub const fn sample_stride(width: u32, height: u32) -> u32 {
+    if width as u64 * height as u64 >= LARGE_FRAME as u64 { 8 } else { 4 }
 }
 
 /// The cost at which rays stop joining, see the module.
 pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
     let basis = camera.basis();
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let first = |side: u32| (SAMPLE_STRIDE / 2).min(side / 2);
-    let rows: Vec<u32> = (first(height)..height).step_by(SAMPLE_STRIDE as usize).collect();
+    let stride = sample_stride(width, height);
+    let first = |side: u32| (stride / 2).min(side / 2);
+    let rows: Vec<u32> = (first(height)..height).step_by(stride as usize).collect();
     let sample = rows
         .into_par_iter()
         .map(|y| {
             let mut sample = Sample::default();
-            for x in (first(width)..width).step_by(SAMPLE_STRIDE as usize) {
+            for x in (first(width)..width).step_by(stride as usize) {
                 let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
                 if let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth) {
                     let mut gather = Gather::new(longest_list(k), lattice.h);
@@ -389,34 +418,38 @@ fn merged(a: &OpenSegment, b: &OpenSegment) -> OpenSegment {
 /// the total variation between the two densities, and shows as its opacity (here τ/(1 + τ), which saturates like it
 /// and needs no exponential). And the colours of the two pieces mix, which shows where both are opaque enough to be
 /// told apart. Seen at an angle, both errors are displaced by at most the length of the piece, so they grow with it.
-fn merge_cost(a: &OpenSegment, b: &OpenSegment, h: f32) -> f32 {
+#[inline(always)]
+fn merge_cost(a: &OpenSegment, b: &OpenSegment, steps_per_length: f32) -> f32 {
     let length = b.s1 - a.s0;
-    let per_length = (a.tau + b.tau) / length;
+    let tau = a.tau + b.tau;
     let gap = (b.s0 - a.s1).max(0.0);
+    // Times the length.
     let moved = 0.5
-        * ((a.tau - per_length * (a.s1 - a.s0)).abs()
-            + (b.tau - per_length * (b.s1 - b.s0)).abs()
-            + per_length * gap);
+        * ((a.tau * length - tau * (a.s1 - a.s0)).abs()
+            + (b.tau * length - tau * (b.s1 - b.s0)).abs()
+            + tau * gap);
     // |Ea − Eb|·αa·αb with E = C/α.
     let mixed = (a.c * b.alpha - b.c * a.alpha).abs().max_element();
-    (MOVED_WEIGHT * moved / (1.0 + moved) + mixed) * (length / h)
+    (MOVED_WEIGHT * moved / (length + moved) + mixed) * (length * steps_per_length)
 }
 
-/// No segment.
-const NO_SLOT: usize = MAX_K + 1;
+/// Costs below this are equal.
+const COST_LEAST: f32 = 1e-20;
+/// Marks a cost that is to be worked out again.
+const COST_CHANGED: f32 = -1.0;
 /// Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it. At a floor of
 /// 0.05 novel views at 30° were up to 8 % worse, at 0.5 those of smooth media at 10°.
-const VISIBILITY_FLOOR: f32 = 0.15;
+const VISIBILITY_FLOOR: f32 = 0.2;
 /// Weight of moved opacity against mixed colour while gathering: between 1 and 2 the error is flat.
 const MOVED_WEIGHT: f32 = 2.0;
-/// Weight of collected colour against collected opacity. Between 2 and 4 flat on bright scenes; dark ones gain.
-const COLOR_WEIGHT: f32 = 4.0;
+/// Weight of collected colour, as sRGB, against collected opacity: between 4 and 8 flat.
+const COLOR_WEIGHT: f32 = 6.0;
 /// Colour below which the slope of sRGB is taken as constant.
 const COLOR_DARK: f32 = 0.02;
 /// A group without any opacity is divided by this.
 const ALPHA_LEAST: f32 = 1e-30;
-/// Every so many pixels along each axis one is marched beforehand for the threshold: a sixteenth of the rays.
-pub const SAMPLE_STRIDE: u32 = 4;
+/// Lists of a frame of which one ray in 64 says enough: two thousand rays find the mean length to about 2 %.
+const LARGE_FRAME: u32 = 131072;
 /// Bits of a float left out in the number of its bin.
 const BIN_SHIFT: u32 = 18;
 /// Bins of all finite costs.
