@@ -253,9 +253,13 @@ fn layered_frames_are_those_of_the_twin() {
                 let error = |view| Difference::of(view, &truth).mean;
                 let (a, b) = (error(&view_found), error(&view_twin));
                 assert!((a - b).abs() <= 0.02 * b, "{what}: error {a} of the view, the twin's is {b}");
-                // A grazing ray may touch an invisible amount of matter on one side only.
+                // A grazing ray may touch an invisible amount of matter on one side only; where pieces merge below a
+                // tolerance, rounding may let one more or less through.
                 let (a, b) = (found.num_segments() as f64, twin.num_segments() as f64);
-                assert!((a - b).abs() <= 0.01 * b, "{what}: {a} segments, the twin has {b}");
+                assert!(
+                    (a - b).abs() <= if chooses { 0.04 } else { 0.01 } * b,
+                    "{what}: {a} segments, the twin has {b}"
+                );
                 let tau = |f: &LayeredFrame| {
                     (0..f.num_segments()).map(|i| f64::from(f.segment(i).tau)).sum::<f64>()
                 };

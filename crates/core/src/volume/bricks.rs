@@ -51,7 +51,7 @@ impl Bricks {
 pub struct Occupancy {
     /// Bricks along x, y, z.
     pub dims: [u32; 3],
-    /// The distances, 0 where something is visible and at most [`DISTANCE_MAX`], four a word, lowest first.
+    /// The distances, 0 where something is visible and at most `DISTANCE_MAX`, four a word, lowest first.
     pub words: Vec<u32>,
 }
 
@@ -103,7 +103,7 @@ impl Occupancy {
     }
 
     /// How many bricks away from brick (x, y, z), which must be inside, the nearest visible one is: 0 if it is visible
-    /// itself, at most [`DISTANCE_MAX`].
+    /// itself, at most `DISTANCE_MAX`.
     #[inline]
     pub fn distance(&self, x: u32, y: u32, z: u32) -> u32 {
         let i = (z * self.dims[1] + y) * self.dims[0] + x;

@@ -4,7 +4,7 @@
 //! 1. *Gather.* Each step opens a segment; when there are more than [`longest_list`], the neighbouring pair that costs
 //!    least is merged. What is left are pieces, several times as many as there will be segments.
 //! 2. *Reduce.* Neighbouring groups of pieces are joined, cheapest first. What a join costs is the growth of
-//!    [`group_error`], which compares a group with its own pieces and not with earlier approximations, so that costs
+//!    `Pieces::group_error`, which compares a group with its own pieces and not with earlier approximations, so that costs
 //!    add up. Then each border between two groups moves by one piece where that lessens their error.
 //! 3. *Budget.* A ray stops joining at a cost that is the same for the whole frame: simple rays end with few segments,
 //!    hard ones with many. The threshold is the least at which the rays of a sample (one pixel of [`sample_stride`]²)
