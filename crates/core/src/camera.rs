@@ -188,11 +188,16 @@ pub struct Basis {
 }
 
 impl Basis {
-    /// See [`Camera::ray`].
-    pub fn ray(&self, x: f32, y: f32) -> (Ray, f32) {
+    /// The direction of view depth 1 through a point of pixel space.
+    pub fn direction(&self, x: f32, y: f32) -> Vec3 {
         let nx = 2.0 * x / self.width - 1.0;
         let ny = 1.0 - 2.0 * y / self.height;
-        let d = self.forward + self.right * nx + self.up * ny;
+        self.forward + self.right * nx + self.up * ny
+    }
+
+    /// See [`Camera::ray`].
+    pub fn ray(&self, x: f32, y: f32) -> (Ray, f32) {
+        let d = self.direction(x, y);
         let length = d.length();
         (Ray { origin: self.eye, dir: d / length }, length)
     }

@@ -17,14 +17,29 @@
 //! interval and mixed by nearness. Along the line lists have their exact shares of it; across it this removes the
 //! stair-steps of the nearest list. A ray of the frame's own pose runs through a centre, where the nearest list has
 //! all of the weight, so the own pose stays exact (ours; the sources take the nearest list).
+//!
+//! Beside the shader: what a picture's rays can reach is found before they are cast (`reach`), and the lists of a tile's
+//! columns are looked up together and composited after that (`line`, `media` and `pieces`).
 
-use glam::{Vec3, Vec4};
+mod line;
+mod media;
+mod pieces;
+mod reach;
+
+use glam::Vec3;
 use rayon::prelude::*;
 
+use self::line::Stretch;
+pub(super) use self::line::{Columns, Line, greater, lesser};
+pub(super) use self::media::Medium;
+use self::media::{list_cells, unpack};
+pub(super) use self::pieces::opacity;
+use self::pieces::{Crossing, Pieces, Sum};
+use self::reach::Reach;
 use super::empty_space::{EmptySpace, TILE, cell_bits, cell_of_depth};
-use super::march::TRANSMITTANCE_MIN;
+use super::march::{TRANSMITTANCE_MIN, has_avx2};
 use crate::camera::{Basis, Camera};
-use crate::layer::{DEPTH_UNITS, LayeredFrame, Over, pack_halves};
+use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
 
@@ -66,139 +81,31 @@ pub struct Raycaster {
     occupied: Vec<u64>,
     empty_space: EmptySpace,
     pub(super) size: [i32; 2],
-    eye: Vec3,
+    basis: Basis,
     /// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector are its products with these.
     pixel_rows: [Vec3; 3],
     bounds: Aabb,
     near: f32,
     units_per_depth: f32,
+    has_avx2: bool,
 }
 
-/// A segment as a homogeneous medium, in 16 bytes: casting waits for memory as much as it computes.
+/// A list that a ray may meet a segment of.
 #[derive(Clone, Copy, Default)]
-#[repr(C, align(16))]
-pub(super) struct Medium {
-    /// Front and back as in a frame's depth plane.
-    depth: u32,
-    /// Extinction along the list's centre, 1/world unit.
-    pub(super) sigma: f32,
-    /// Source colour E = C/α, and 1, as half floats.
-    e: [u16; 4],
+struct Met {
+    /// Which part of the stretch.
+    part: u32,
+    list: u32,
+    nearness: f32,
 }
 
-impl Medium {
-    pub(super) fn front(&self) -> f32 {
-        (self.depth & 0xffff) as i32 as f32
-    }
-
-    pub(super) fn back(&self) -> f32 {
-        (self.depth >> 16) as i32 as f32
-    }
-
-    /// E and 1.
-    pub(super) fn e(&self) -> Vec4 {
-        Vec4::from_array(self.e.map(|h| f32::from_bits(u32::from(h) << 13))) * HALF_SCALE
-    }
-}
-
-/// A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
-pub(super) struct Line {
-    /// Pixel position at t = 0.
-    pub(super) p0: [f32; 2],
-    /// Pixel position at t = 1 minus that at t = 0.
-    pub(super) d: [f32; 2],
-    pub(super) s_w0: f32,
-    pub(super) w1: f32,
-    pub(super) w0_minus_w1: f32,
-    w0_w1: f32,
-}
-
-/// The parts of a ray inside successive columns of lists, or, for the nearest list, between all borders of lists.
-struct Stretch<const N: usize> {
-    /// How many there are.
-    num: usize,
-    /// Least depth, in units.
-    lo: [f32; N],
-    /// The same, rounded down.
-    lo_units: [u16; N],
-    /// Greatest depth, in units.
-    hi: [f32; N],
-    /// The same, rounded down.
-    hi_units: [u16; N],
-    /// World length of the ray for each unit of depth.
-    length_per_unit: [f32; N],
-    /// The first of the two lists that it runs between, across the way; for the nearest list, that one.
-    row: [i32; N],
-    /// Nearness to the second.
-    fraction: [f32; N],
-}
-
-/// Crossed parts of segments, in the order of the ray: what is worked on at a time.
-struct Pieces {
-    num: usize,
-    /// Optical depth.
-    tau: [f32; MAX_PIECES],
-    rest: [Piece; MAX_PIECES],
-}
-
+/// What a part of a stretch meets first in a list.
 #[derive(Clone, Copy, Default)]
-struct Piece {
-    /// Nearness of the list.
-    weight: f32,
+struct Found {
+    /// The first segment that ends behind the part's least depth, and the end of the list.
     segment: u32,
-    /// 1 for the first piece of a column, else 0.
-    starts_column: f32,
-    /// 1 for a piece behind another one of the same list, else 0.
-    continues_list: f32,
-}
-
-impl Pieces {
-    fn new() -> Self {
-        Self { num: 0, tau: [0.0; MAX_PIECES], rest: [Piece::default(); MAX_PIECES] }
-    }
-}
-
-/// What is seen along a ray, up to some piece of a column.
-struct Sum {
-    color: Vec4,
-    /// In front of the column.
-    before: f32,
-    /// Opacity of the column, lists mixed.
-    mixed: f32,
-    /// Transmittance of the list.
-    of_list: f32,
-}
-
-impl Default for Sum {
-    fn default() -> Self {
-        Self { color: Vec4::ZERO, before: 1.0, mixed: 0.0, of_list: 1.0 }
-    }
-}
-
-impl Sum {
-    /// Puts the pieces behind what is there, and forgets them. Factors of 0 and 1 instead of branches, which a
-    /// processor would guess wrong.
-    #[inline]
-    fn add(&mut self, media: &[Medium], pieces: &mut Pieces) {
-        let num = std::mem::take(&mut pieces.num);
-        let padded = num.next_multiple_of(4).min(MAX_PIECES);
-        for tau in &mut pieces.tau[..padded] {
-            *tau = opacity(*tau);
-        }
-        for (piece, &alpha) in pieces.rest[..num].iter().zip(&pieces.tau) {
-            self.before *= 1.0 - self.mixed * piece.starts_column;
-            self.mixed *= 1.0 - piece.starts_column;
-            self.of_list = (1.0 - piece.continues_list) + piece.continues_list * self.of_list;
-            let share = self.of_list * alpha * piece.weight;
-            self.of_list *= 1.0 - alpha;
-            self.mixed += share;
-            self.color += media[piece.segment as usize].e() * (share * self.before);
-        }
-    }
-
-    fn transmittance(&self) -> f32 {
-        self.before * (1.0 - self.mixed)
-    }
+    end: u32,
+    medium: Medium,
 }
 
 impl Raycaster {
@@ -222,7 +129,7 @@ impl Raycaster {
             occupied,
             empty_space: EmptySpace::new(frame),
             size: [camera.intrinsics.width as i32, camera.intrinsics.height as i32],
-            eye: basis.eye,
+            basis,
             pixel_rows: [
                 (basis.forward + x) * (0.5 * basis.width),
                 (basis.forward - y) * (0.5 * basis.height),
@@ -231,6 +138,7 @@ impl Raycaster {
             bounds: Aabb { min: bounds.min - margin, max: bounds.max + margin },
             near: camera.near,
             units_per_depth: depth_per_unit.recip(),
+            has_avx2: has_avx2(),
         }
     }
 
@@ -246,30 +154,14 @@ impl Raycaster {
 
     /// Premultiplied colour and opacity seen along a ray of world space.
     pub fn cast(&self, ray: &Ray, options: &CastOptions) -> Over {
-        self.cast_with(ray, options, &mut Pieces::new())
+        self.cast_between(ray, (0.0, f32::INFINITY), options)
     }
 
     /// The same between two world distances from the ray's origin.
     pub fn cast_between(&self, ray: &Ray, within: (f32, f32), options: &CastOptions) -> Over {
-        self.cast_line(self.clip(ray, within), options, &mut Pieces::new())
-    }
-
-    fn cast_with(&self, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
-        self.cast_line(self.clip(ray, (0.0, f32::INFINITY)), options, pieces)
-    }
-
-    fn cast_line(&self, line: Option<Line>, options: &CastOptions, pieces: &mut Pieces) -> Over {
-        match line {
+        match self.clip(ray, within) {
             None => Over::default(),
-            Some(line) if options.num_samples > 0 => {
-                self.sample(&line, options.reconstruction, options.num_samples)
-            }
-            Some(line) => match self.row_length {
-                ROW_8 => self.walk_by::<ROW_8>(&line, options, pieces),
-                ROW_16 => self.walk_by::<ROW_16>(&line, options, pieces),
-                ROW_32 => self.walk_by::<ROW_32>(&line, options, pieces),
-                _ => self.walk_by::<0>(&line, options, pieces),
-            },
+            Some(line) => self.cast_line(&line, options, &mut Pieces::new()),
         }
     }
 
@@ -278,15 +170,24 @@ impl Raycaster {
         let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
         let basis = camera.basis();
         let width = picture.width as usize;
+        let reach = options.skips_empty_space.then(|| Reach::new(self, &basis));
         // In blocks of pixels: their rays share lists in the cache, whichever way they run.
         picture.pixels.par_chunks_mut(width * BLOCK_SIDE).enumerate().for_each(|(j, rows)| {
             let mut pieces = Pieces::new();
             for first_x in (0..width).step_by(BLOCK_SIDE) {
                 for (i, row) in rows.chunks_mut(width).enumerate() {
-                    let y = (j * BLOCK_SIDE + i) as f32 + 0.5;
+                    let y = j * BLOCK_SIDE + i;
                     for (x, pixel) in row.iter_mut().enumerate().skip(first_x).take(BLOCK_SIDE) {
-                        let (ray, _) = basis.ray(x as f32 + 0.5, y);
-                        *pixel = self.cast_with(&ray, options, &mut pieces).rgba();
+                        let depths = reach.as_ref().map_or([0.0, f32::INFINITY], |reach| reach.at(x, y));
+                        if depths[0] > depths[1] {
+                            continue;
+                        }
+                        let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
+                        if let Some(mut line) = self.clip(&ray, (0.0, f32::INFINITY))
+                            && line.narrow(depths.map(|depth| depth * s_per_depth))
+                        {
+                            *pixel = self.cast_line(&line, options, &mut pieces).rgba();
+                        }
                     }
                 }
             }
@@ -294,6 +195,37 @@ impl Raycaster {
         picture
     }
 
+    fn cast_line(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+        if options.num_samples > 0 {
+            return self.sample(line, options.reconstruction, options.num_samples);
+        }
+        #[cfg(target_arch = "x86_64")]
+        if self.has_avx2 {
+            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
+            // SAFETY: this processor has them.
+            return unsafe { self.walk_avx2(line, options, pieces) };
+        }
+        self.walk_any(line, options, pieces)
+    }
+
+    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn walk_avx2(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+        self.walk_any(line, options, pieces)
+    }
+
+    #[inline(always)]
+    fn walk_any(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+        match self.row_length {
+            ROW_8 => self.walk_by::<ROW_8>(line, options, pieces),
+            ROW_16 => self.walk_by::<ROW_16>(line, options, pieces),
+            ROW_32 => self.walk_by::<ROW_32>(line, options, pieces),
+            _ => self.walk_by::<0>(line, options, pieces),
+        }
+    }
+
+    #[inline(always)]
     fn walk_by<const K: usize>(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match options.reconstruction {
             Reconstruction::Mixed => self.walk::<K, LANES>(line, options, pieces),
@@ -302,6 +234,7 @@ impl Raycaster {
     }
 
     /// Clips in homogeneous coordinates.
+    #[inline]
     fn clip(&self, ray: &Ray, within: (f32, f32)) -> Option<Line> {
         let (s0, s1) = self.bounds.clip(ray)?;
         let (mut s0, mut s1) = (s0.max(within.0), s1.min(within.1));
@@ -309,7 +242,7 @@ impl Raycaster {
             let [x, y, w] = self.pixel_rows;
             Vec3::new(v.dot(x), v.dot(y), v.dot(w))
         };
-        let o = pixel_from_world(ray.origin - self.eye);
+        let o = pixel_from_world(ray.origin - self.basis.eye);
         let d = pixel_from_world(ray.dir);
         let [width, height] = self.size.map(|n| n as f32);
         let planes = [
@@ -343,11 +276,14 @@ impl Raycaster {
             w1,
             w0_minus_w1: w0 - w1,
             w0_w1: w0 * w1,
+            s0,
+            reach: [0.0, 1.0],
         })
     }
 
     /// Walks the columns of lists along the line, as many at a time as a tile is wide. `K` is the length of a row of
     /// `backs`.
+    #[inline(always)]
     fn walk<const K: usize, const N: usize>(
         &self,
         line: &Line,
@@ -365,7 +301,12 @@ impl Raycaster {
         let sides = 2 * LANES / N;
         let mut sum = Sum::default();
         let mut column = (line.p0[along].floor() as i32).clamp(0, size_along - 1);
-        let (mut t_in, mut enter) = (0.0, self.at(line, 0.0));
+        let mut t_in = 0.0;
+        let start = line.p0[along] + line.d[along] * line.reach[0];
+        if let Some(ahead) = columns.tile_at(start, column, size_along) {
+            (column, t_in) = ahead;
+        }
+        let mut enter = self.at(line, t_in);
         loop {
             // To the border of the tile, of the frame or to the end of the line.
             let num = columns.num_in_tile(column, size_along);
@@ -376,76 +317,70 @@ impl Raycaster {
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
                 let stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
-                // The lists that may have a segment there, two bits a column.
-                let mut met = 0u32;
-                let mut lists = [0; 2 * LANES];
+                // The lists that may have a segment there.
+                let mut num_met = 0;
+                let mut met = [Met::default(); 2 * LANES];
                 for i in 0..stretch.num {
-                    let cells = list_cells(stretch.lo_units[i], stretch.hi_units[i]);
+                    let cells = list_cells(stretch.lo_units[i] as u16, stretch.hi_units[i] as u16);
                     let column = column + columns.step * (i * LANES / N) as i32;
-                    for side in 0..sides {
+                    let nearness = [1.0 - stretch.fraction[i], stretch.fraction[i]];
+                    for (side, &nearness) in nearness.iter().enumerate().take(sides) {
                         let row = (stretch.row[i] + side as i32).clamp(0, size_across - 1);
-                        let list = (column * stride_along + row * stride_across) as usize;
-                        let at = i * sides + side;
-                        lists[at] = list as u32;
-                        met |= u32::from(self.occupied[list] & cells != 0) << at;
+                        let list = (column * stride_along + row * stride_across) as u32;
+                        let is_met = (self.occupied[list as usize] & cells != 0) & (nearness >= MIN_NEARNESS);
+                        met[num_met % (2 * LANES)] = Met { part: i as u32, list, nearness };
+                        num_met += usize::from(is_met);
                     }
                 }
-                let mut last_part = N;
-                while met != 0 {
-                    let at = met.trailing_zeros() as usize % (2 * LANES);
-                    met &= met - 1;
-                    let i = at / sides;
-                    let is_first_side = at.is_multiple_of(sides);
-                    let nearness =
-                        if is_first_side { 1.0 - stretch.fraction[i] } else { stretch.fraction[i] };
-                    if nearness < MIN_NEARNESS {
-                        continue;
-                    }
-                    let list = lists[at] as usize;
-                    let (lo, hi, length_per_unit) =
-                        (stretch.lo[i], stretch.hi[i], stretch.length_per_unit[i]);
-                    let end = self.offsets[list + 1] as usize;
-                    let first = self.first_behind::<K>(list, stretch.lo_units[i]);
-                    let mut piece = Piece { weight: nearness, ..Piece::default() };
-                    let mut push = |segment: usize| {
-                        let medium = &self.media[segment];
-                        let back = medium.back();
-                        let overlap = lesser(hi, back) - greater(lo, medium.front());
-                        let is_crossed = overlap > 0.0 && segment < end;
-                        piece.segment = segment as u32;
-                        piece.starts_column = if i == last_part { 0.0 } else { 1.0 };
-                        if pieces.num == MAX_PIECES {
-                            sum.add(&self.media, pieces);
-                        }
-                        pieces.tau[pieces.num % MAX_PIECES] = medium.sigma * (overlap * length_per_unit);
-                        pieces.rest[pieces.num % MAX_PIECES] = piece;
-                        pieces.num += usize::from(is_crossed);
-                        if is_crossed {
-                            last_part = i;
-                            piece.continues_list = 1.0;
-                        }
-                        back
+                // Without a branch between them the look-ups wait for memory together.
+                let mut found = [Found::default(); 2 * LANES];
+                for (met, found) in met[..num_met].iter().zip(&mut found) {
+                    let list = met.list as usize;
+                    let lo = stretch.lo_units[met.part as usize % N] as u16;
+                    let segment = self.first_behind::<K>(list, lo) as u32;
+                    let medium = self.media[segment as usize];
+                    *found = Found { segment, end: self.offsets[list + 1], medium };
+                }
+                let mut last_part = N as u32;
+                for (met, found) in met[..num_met].iter().zip(&found) {
+                    let i = met.part as usize % N;
+                    let mut crossing = Crossing {
+                        lo: stretch.lo[i],
+                        hi: stretch.hi[i],
+                        length_per_unit: stretch.length_per_unit[i],
+                        weight: met.nearness,
+                        starts_column: if met.part == last_part { 0.0 } else { 1.0 },
+                        continues_list: 0.0,
                     };
                     if is_forward {
-                        let mut segment = first;
-                        while push(segment) < hi && segment + 1 < end {
+                        let (mut segment, mut medium) = (found.segment, found.medium);
+                        let is_crossed = segment < found.end;
+                        pieces.push(&mut sum, &mut crossing, &medium, is_crossed);
+                        while medium.back() < crossing.hi && segment + 1 < found.end {
                             segment += 1;
+                            medium = self.media[segment as usize];
+                            pieces.push(&mut sum, &mut crossing, &medium, true);
                         }
                     } else {
-                        let is_in_front = |segment: &usize| self.media[*segment].front() < hi;
-                        let num = (first..end).take_while(is_in_front).count();
-                        (first..first + num).rev().for_each(|segment| {
-                            push(segment);
-                        });
+                        let mut num = 0;
+                        while found.segment + num < found.end
+                            && self.media[(found.segment + num) as usize].front() < crossing.hi
+                        {
+                            num += 1;
+                        }
+                        for segment in (found.segment..found.segment + num).rev() {
+                            pieces.push(&mut sum, &mut crossing, &self.media[segment as usize], true);
+                        }
                     }
+                    last_part = if crossing.continues_list > 0.0 { met.part } else { last_part };
                 }
-                sum.add(&self.media, pieces);
+                sum.add(pieces);
                 if sum.transmittance() < TRANSMITTANCE_MIN {
                     break;
                 }
             }
             column += columns.step * num;
-            if t_out >= 1.0 || column < 0 || column >= size_along {
+            if t_out >= line.reach[1] || column < 0 || column >= size_along {
                 break;
             }
             (t_in, enter) = (t_out, leave);
@@ -455,7 +390,7 @@ impl Raycaster {
 
     /// Whether a stretch of the line, inside of one column of tiles, may meet a segment: `rows` are its ends across,
     /// as the rows of the first of the two lists it runs between, `depths` those in depth.
-    #[inline]
+    #[inline(always)]
     fn is_occupied(
         &self,
         column: i32,
@@ -475,14 +410,14 @@ impl Raycaster {
     }
 
     /// The first and the last tile, across the way, of the lists that a stretch of a line runs between.
-    #[inline]
+    #[inline(always)]
     pub(super) fn tiles_across(&self, rows: [f32; 2], size_across: i32) -> [i32; 2] {
         let tile_of = |row: f32, side: i32| (row.max(0.0) as i32 + side).min(size_across - 1) / TILE as i32;
         [tile_of(lesser(rows[0], rows[1]), 0), tile_of(greater(rows[0], rows[1]), 1)]
     }
 
     /// The index of the first tile of a column of tiles, and the step from one to the next.
-    #[inline]
+    #[inline(always)]
     pub(super) fn tiles_along(&self, column: i32, along: usize) -> (i32, i32) {
         let tiles_x = self.empty_space.tiles[0] as i32;
         let tile_column = column / TILE as i32;
@@ -498,229 +433,31 @@ impl Raycaster {
     }
 
     /// Depth in units and world distance from the start of the line.
-    #[inline]
+    #[inline(always)]
     pub(super) fn at(&self, line: &Line, t: f32) -> (f32, f32) {
         let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
         ((line.w0_w1 * r - self.near) * self.units_per_depth, line.s_w0 * t * r)
     }
 
-    /// The first segment of a list that ends behind a depth: how many do not is counted for all of a row at once,
-    /// which is faster than to look for it from where the list before was left (Gupta 2022, algorithm 1).
-    #[inline]
+    /// The first segment of a list that ends behind a depth. Looked for in all of a list's backs, which is faster than
+    /// from where the list before was left (Gupta 2022, algorithm 1).
+    #[inline(always)]
     fn first_behind<const K: usize>(&self, list: usize, depth: u16) -> usize {
         let start = self.offsets[list] as usize;
         if K == 0 {
             let media = &self.media[start..self.offsets[list + 1] as usize];
             return start + media.partition_point(|medium| (medium.depth >> 16) as u16 <= depth);
         }
+        // A search without branches: K is a power of two, and all of a row is in one line of the cache.
+        let backs = &self.backs.as_chunks::<K>().0[list];
         let mut num = 0;
-        for back in self.backs.as_chunks::<K>().0[list] {
-            num += u16::from(back <= depth);
+        let mut half = K / 2;
+        while half > 0 {
+            num += half * usize::from(backs[(num + half - 1) % K] <= depth);
+            half /= 2;
         }
-        start + num as usize
+        start + num + usize::from(backs[num % K] <= depth)
     }
-}
-
-impl<const N: usize> Stretch<N> {
-    /// The columns of a tile from `column` on, between two parameters of the line.
-    #[inline]
-    fn new(
-        caster: &Raycaster,
-        line: &Line,
-        columns: &Columns,
-        column: i32,
-        (t_in, t_out): (f32, f32),
-        across: usize,
-    ) -> Self {
-        let (p_across, d_across) = (line.p0[across], line.d[across]);
-        let mut t = [t_in; N];
-        let mut t_end = [t_out; N];
-        if N == LANES {
-            for (i, t_end) in t_end.iter_mut().enumerate() {
-                *t_end = lesser(columns.t(column, i as i32), t_out);
-            }
-            t[1..].copy_from_slice(&t_end[..N - 1]);
-        } else {
-            // The line runs faster along than across, so it changes its row once in a column at most.
-            let mut t_column = t_in;
-            for i in 0..N / 2 {
-                let end = lesser(columns.t(column, i as i32), t_out);
-                let (row, row_end) =
-                    (row_of(p_across + d_across * t_column), row_of(p_across + d_across * end));
-                let border =
-                    if row == row_end { end } else { (row.max(row_end) as f32 - p_across) / d_across };
-                t[2 * i] = t_column;
-                t_end[2 * i] = border.clamp(t_column, end);
-                t[2 * i + 1] = t_end[2 * i];
-                t_end[2 * i + 1] = end;
-                t_column = end;
-            }
-        }
-        let mut s = Self {
-            num: 0,
-            lo: [0.0; N],
-            lo_units: [0; N],
-            hi: [0.0; N],
-            hi_units: [0; N],
-            length_per_unit: [0.0; N],
-            row: [0; N],
-            fraction: [0.0; N],
-        };
-        for i in 0..N {
-            s.num += usize::from(t[i] < t_out);
-            let (depth, distance) = caster.at(line, t[i]);
-            let (depth_end, distance_end) = caster.at(line, t_end[i]);
-            s.lo[i] = lesser(depth, depth_end);
-            // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
-            s.hi[i] = greater(greater(depth, depth_end), s.lo[i] + MIN_CROSSING);
-            s.lo_units[i] = floor_and_fraction(greater(s.lo[i], 0.0)).0 as u16;
-            s.hi_units[i] = floor_and_fraction(greater(lesser(s.hi[i], DEPTH_UNITS), 0.0)).0 as u16;
-            s.length_per_unit[i] = (distance_end - distance) / (s.hi[i] - s.lo[i]);
-            let at_across = p_across + d_across * (0.5 * (t[i] + t_end[i]));
-            if N == LANES {
-                (s.row[i], s.fraction[i]) = floor_and_fraction(at_across - 0.5);
-            } else {
-                s.row[i] = row_of(at_across);
-            }
-        }
-        s
-    }
-}
-
-/// The row of lists at a position.
-fn row_of(position: f32) -> i32 {
-    // Positions are not negative but for a rounding, which is clamped with the rows.
-    (position + 1.0) as i32 - 1
-}
-
-/// The cells of a list between two depths, one bit each.
-#[inline]
-fn list_cells(lo: u16, hi: u16) -> u64 {
-    (u64::MAX << (lo >> 10)) & (u64::MAX >> (63 - (hi >> 10)))
-}
-
-/// As the machine has it: without a thought for NaN.
-#[inline]
-pub(super) fn lesser(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline]
-pub(super) fn greater(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-/// The columns of lists along a line: a DDA along one axis.
-pub(super) struct Columns {
-    /// Step of the index.
-    pub(super) step: i32,
-    /// The parameter of the border at pixel position x is x·slope + offset.
-    slope: f32,
-    offset: f32,
-    /// 1 if the line leaves a column by its upper border.
-    leaves_by: i32,
-}
-
-impl Columns {
-    pub(super) fn new(p: f32, d: f32) -> Self {
-        if d.abs() < MIN_SLOPE {
-            return Self { step: 1, slope: 0.0, offset: f32::INFINITY, leaves_by: 1 };
-        }
-        let forward = d > 0.0;
-        let slope = 1.0 / d;
-        Self { step: if forward { 1 } else { -1 }, slope, offset: -p * slope, leaves_by: forward.into() }
-    }
-
-    /// From `column` on, how many columns there are to the border of the tile or of the frame.
-    #[inline]
-    pub(super) fn num_in_tile(&self, column: i32, size: i32) -> i32 {
-        let in_tile = column & (TILE as i32 - 1);
-        if self.step > 0 { (TILE as i32 - in_tile).min(size - column) } else { in_tile + 1 }
-    }
-
-    /// Where the line leaves the column `i` steps behind `column`.
-    #[inline]
-    pub(super) fn t(&self, column: i32, i: i32) -> f32 {
-        (column + self.leaves_by + self.step * i) as f32 * self.slope + self.offset
-    }
-}
-
-/// Largest integer not above a small number, and the rest. At an integer both that one and the one below with a rest of 1
-/// are right.
-#[inline]
-fn floor_and_fraction(x: f32) -> (i32, f32) {
-    // Adding 1.5·2²³ rounds to the nearest integer and leaves it in the low bits.
-    let shifted = (x - 0.5) + ROUNDER;
-    (shifted.to_bits() as i32 - ROUNDER.to_bits() as i32, x - (shifted - ROUNDER))
-}
-
-/// Opacity 1 − e^−τ to single precision, relative for small τ too, without a branch or a call: 2^−y with
-/// y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
-#[inline]
-pub(super) fn opacity(tau: f32) -> f32 {
-    let y = lesser(tau * std::f32::consts::LOG2_E, 126.0);
-    let shifted = y + ROUNDER;
-    let f = (shifted - ROUNDER) - y;
-    // Taylor's series of 2^f − 1, whose next term is below 2^−25 for |f| ≤ ½.
-    let p = f
-        * (LN_2_POWERS[0]
-            + f * (LN_2_POWERS[1]
-                + f * (LN_2_POWERS[2] + f * (LN_2_POWERS[3] + f * (LN_2_POWERS[4] + f * LN_2_POWERS[5])))));
-    let scale = f32::from_bits(ONE_BITS.wrapping_sub(shifted.to_bits() << 23));
-    (1.0 - scale) - scale * p
-}
-
-/// The backs of all lists and their segments, row by row in parallel.
-fn unpack(
-    frame: &LayeredFrame,
-    basis: &Basis,
-    depth_per_unit: f32,
-    row_length: usize,
-) -> (Vec<u16>, Vec<u64>, Vec<Medium>) {
-    let width = frame.header.camera.intrinsics.width as usize;
-    let num_lists = frame.offsets.len() - 1;
-    let mut backs = vec![u16::MAX; num_lists * row_length];
-    let mut occupied = vec![0; num_lists];
-    // One more: the index behind the last is read.
-    let mut media = vec![Medium::default(); frame.num_segments() + 1];
-    let mut rest_of_media = &mut media[..];
-    let mut rest_of_backs = &mut backs[..];
-    let mut rows = Vec::with_capacity(num_lists / width);
-    for (y, occupied) in occupied.chunks_mut(width).enumerate() {
-        let num = frame.offsets[(y + 1) * width] - frame.offsets[y * width];
-        let (media, others) = rest_of_media.split_at_mut(num as usize);
-        rest_of_media = others;
-        let (backs, others) = rest_of_backs.split_at_mut(width * row_length);
-        rest_of_backs = others;
-        rows.push((y, backs, occupied, media));
-    }
-    rows.into_par_iter().for_each(|(y, backs, occupied, media)| {
-        let start_of_row = frame.offsets[y * width] as usize;
-        for (x, occupied) in occupied.iter_mut().enumerate() {
-            // World length of one depth unit along the centre of this list.
-            let nx = (2.0 * x as f32 + 1.0) / basis.width - 1.0;
-            let ny = 1.0 - (2.0 * y as f32 + 1.0) / basis.height;
-            let center = basis.forward + basis.right * nx + basis.up * ny;
-            let length_per_unit = depth_per_unit * center.length();
-            for (i, index) in frame.list(y * width + x).enumerate() {
-                let segment = frame.segment(index);
-                if row_length > 0 {
-                    backs[x * row_length + i] = segment.back;
-                }
-                *occupied |= list_cells(segment.front, segment.back.saturating_sub(1));
-                let alpha = opacity(segment.tau);
-                let e = if alpha > 0.0 { segment.c / alpha } else { Vec3::ZERO };
-                let length = f32::from(segment.back.saturating_sub(segment.front)) * length_per_unit;
-                let (rg, b1) = (pack_halves(e.x, e.y), pack_halves(e.z, 1.0));
-                media[index - start_of_row] = Medium {
-                    depth: frame.depth[index],
-                    sigma: segment.tau / length,
-                    e: [rg as u16, (rg >> 16) as u16, b1 as u16, (b1 >> 16) as u16],
-                };
-            }
-        }
-    });
-    (backs, occupied, media)
 }
 
 /// The picture of a layered frame from a camera. Premultiplied linear. `bounds` is the box of the volume. For several
@@ -735,23 +472,69 @@ const ROW_16: usize = 16;
 const ROW_32: usize = 32;
 /// Columns that are worked on at a time.
 const LANES: usize = TILE as usize;
-/// Pieces that are worked on at a time: more than there usually are in a tile's columns.
-const MAX_PIECES: usize = 64;
-/// From the bits of a half float, moved to where a float has them, to its value: 2¹¹².
-const HALF_SCALE: f32 = f32::from_bits((254 - 15) << 23);
 /// Side of the blocks of pixels that are cast one after the other.
 const BLOCK_SIDE: usize = 16;
-/// 1.5·2²³.
-const ROUNDER: f32 = 12_582_912.0;
-const ONE_BITS: u32 = 0x3f80_0000;
-/// (ln 2)^i/i!.
-const LN_2_POWERS: [f32; 6] =
-    [std::f32::consts::LN_2, 0.240_226_5, 0.055_504_11, 0.009_618_129, 0.001_333_355_8, 0.000_154_035_3];
-/// Shortest depth interval that is divided by, in depth units: far below the rounding of a segment's ends.
-const MIN_CROSSING: f32 = 1e-2;
 /// A list with less weight than this is left out: a quarter of one step of 1/255.
 const MIN_NEARNESS: f32 = 1e-3;
 /// A row must win by so many pixels: where the eye has not moved and no line moves, rounding must not choose.
 pub(super) const AXIS_BIAS: f32 = 1e-2;
-/// A line that moves less than this many pixels in all crosses no border worth a division.
-const MIN_SLOPE: f32 = 1e-6;
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::camera::{Intrinsics, Pose};
+    use crate::ids::{FrameId, LookVersion, PoseId};
+    use crate::kernels::layering::{Layering, generate};
+    use crate::kernels::march::{MarchSettings, Scene};
+    use crate::layer::FrameHeader;
+    use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+    use crate::volume::procedural::Builtin;
+
+    #[test]
+    fn wider_instructions_and_reach_keep_all_bits() {
+        let point = |x, opacity| ControlPoint { x, color: [0.2, 0.8, 0.5], opacity };
+        let transfer = TransferFunction {
+            name: "test".into(),
+            domain: Domain::Full,
+            unit_length: UnitLength::Radius(0.02),
+            points: vec![point(0.0, 0.0), point(0.3, 0.0), point(1.0, 0.5)],
+        };
+        let scene = Scene::new(Arc::new(Builtin::Cloud.volume(32)), &transfer, MarchSettings::default());
+        let bounds = scene.volume.bounds();
+        let camera = |azimuth: f32| {
+            let intrinsics = Intrinsics { width: 60, height: 50, fov_y: 0.8 };
+            Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 4.0), intrinsics, &bounds)
+        };
+        let header = FrameHeader {
+            frame: FrameId(1),
+            pose: PoseId(1),
+            look: LookVersion(1),
+            camera: camera(0.3),
+            k: 6,
+        };
+        let mut caster = Raycaster::new(&generate(&scene, header, Layering::VisibilityMerge), &bounds);
+        let options = CastOptions::default();
+        let (mut num_out_of_reach, mut pictures) = (0, Vec::new());
+        for azimuth in [0.3, 0.4, 0.8, 2.0] {
+            let camera = camera(azimuth);
+            let reach = Reach::new(&caster, &camera.basis());
+            let picture = caster.picture(&camera, &options);
+            for (i, pixel) in picture.pixels.iter().enumerate() {
+                let (x, y) = (i % 60, i / 60);
+                let (ray, _) = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
+                assert_eq!(*pixel, caster.cast(&ray, &options).rgba(), "{x}, {y} at {azimuth}");
+                let [first, last] = reach.at(x, y);
+                num_out_of_reach += usize::from(first > last);
+            }
+            caster.has_avx2 = false;
+            assert_eq!(picture.pixels, caster.picture(&camera, &options).pixels);
+            caster.has_avx2 = has_avx2();
+            pictures.push(picture.pixels);
+        }
+        // Negative controls: there is something to leave out, and pictures can differ.
+        assert!(num_out_of_reach > 100, "{num_out_of_reach}");
+        assert_ne!(pictures[0], pictures[1]);
+    }
+}

@@ -1,0 +1,216 @@
+//! A ray in the pixel space of the frame, and its walk from column to column of lists.
+
+use super::{LANES, Raycaster};
+use crate::kernels::empty_space::TILE;
+use crate::layer::DEPTH_UNITS;
+
+/// A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
+pub(in crate::kernels) struct Line {
+    /// Pixel position at t = 0.
+    pub(in crate::kernels) p0: [f32; 2],
+    /// Pixel position at t = 1 minus that at t = 0.
+    pub(in crate::kernels) d: [f32; 2],
+    /// World distance from the ray's origin to t = 0.
+    pub(super) s0: f32,
+    pub(in crate::kernels) s_w0: f32,
+    pub(in crate::kernels) w1: f32,
+    pub(in crate::kernels) w0_minus_w1: f32,
+    pub(super) w0_w1: f32,
+    /// Nothing is met before and behind.
+    pub(super) reach: [f32; 2],
+}
+
+impl Line {
+    /// Leaves out what is nearer or farther than two world distances from the ray's origin; whether anything is left.
+    #[inline(always)]
+    pub(super) fn narrow(&mut self, distances: [f32; 2]) -> bool {
+        let [first, last] = distances.map(|s| s - self.s0);
+        // S·w0/w0.
+        let length = self.s_w0 / (self.w1 + self.w0_minus_w1);
+        let t = |s: f32| s * self.w1 / (self.s_w0 - s * self.w0_minus_w1);
+        self.reach = [if first > 0.0 { t(first) } else { 0.0 }, if last < length { t(last) } else { 1.0 }];
+        first < length && last > 0.0
+    }
+}
+
+/// The parts of a ray inside successive columns of lists, or, for the nearest list, between all borders of lists.
+pub(super) struct Stretch<const N: usize> {
+    /// How many there are.
+    pub(super) num: usize,
+    /// Least depth, in units.
+    pub(super) lo: [f32; N],
+    /// The same, rounded down.
+    pub(super) lo_units: [i32; N],
+    /// Greatest depth, in units.
+    pub(super) hi: [f32; N],
+    /// The same, rounded down.
+    pub(super) hi_units: [i32; N],
+    /// World length of the ray for each unit of depth.
+    pub(super) length_per_unit: [f32; N],
+    /// The first of the two lists that it runs between, across the way; for the nearest list, that one.
+    pub(super) row: [i32; N],
+    /// Nearness to the second.
+    pub(super) fraction: [f32; N],
+}
+
+impl<const N: usize> Stretch<N> {
+    /// The columns of a tile from `column` on, between two parameters of the line.
+    #[inline(always)]
+    pub(super) fn new(
+        caster: &Raycaster,
+        line: &Line,
+        columns: &Columns,
+        column: i32,
+        (t_in, t_out): (f32, f32),
+        across: usize,
+    ) -> Self {
+        let (p_across, d_across) = (line.p0[across], line.d[across]);
+        let mut t = [t_in; N];
+        let mut t_end = [t_out; N];
+        if N == LANES {
+            for (i, t_end) in t_end.iter_mut().enumerate() {
+                *t_end = lesser(columns.t(column, i as i32), t_out);
+            }
+            t[1..].copy_from_slice(&t_end[..N - 1]);
+        } else {
+            // The line runs faster along than across, so it changes its row once in a column at most.
+            let mut t_column = t_in;
+            for i in 0..N / 2 {
+                let end = lesser(columns.t(column, i as i32), t_out);
+                let (row, row_end) =
+                    (row_of(p_across + d_across * t_column), row_of(p_across + d_across * end));
+                let border =
+                    if row == row_end { end } else { (row.max(row_end) as f32 - p_across) / d_across };
+                t[2 * i] = t_column;
+                t_end[2 * i] = border.clamp(t_column, end);
+                t[2 * i + 1] = t_end[2 * i];
+                t_end[2 * i + 1] = end;
+                t_column = end;
+            }
+        }
+        let mut s = Self {
+            num: 0,
+            lo: [0.0; N],
+            lo_units: [0; N],
+            hi: [0.0; N],
+            hi_units: [0; N],
+            length_per_unit: [0.0; N],
+            row: [0; N],
+            fraction: [0.0; N],
+        };
+        // Each loop is a few vector instructions.
+        let (mut depth, mut distance) = ([0.0; N], [0.0; N]);
+        for i in 0..N {
+            (depth[i], distance[i]) = caster.at(line, t[i]);
+        }
+        let (mut depth_end, mut distance_end) = ([0.0; N], [0.0; N]);
+        for i in 0..N {
+            (depth_end[i], distance_end[i]) = caster.at(line, t_end[i]);
+        }
+        for i in 0..N {
+            s.lo[i] = lesser(depth[i], depth_end[i]);
+            // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+            s.hi[i] = greater(greater(depth[i], depth_end[i]), s.lo[i] + MIN_CROSSING);
+        }
+        for i in 0..N {
+            s.length_per_unit[i] = (distance_end[i] - distance[i]) / (s.hi[i] - s.lo[i]);
+        }
+        for i in 0..N {
+            s.lo_units[i] = floor_and_fraction(greater(lesser(s.lo[i], LAST_UNIT), 0.0)).0;
+        }
+        for i in 0..N {
+            s.hi_units[i] = floor_and_fraction(greater(lesser(s.hi[i], DEPTH_UNITS), 0.0)).0;
+        }
+        for t in t {
+            s.num += usize::from(t < t_out);
+        }
+        for i in 0..N {
+            let at_across = p_across + d_across * (0.5 * (t[i] + t_end[i]));
+            (s.row[i], s.fraction[i]) =
+                if N == LANES { floor_and_fraction(at_across - 0.5) } else { (row_of(at_across), 0.0) };
+        }
+        s
+    }
+}
+
+/// The row of lists at a position.
+#[inline(always)]
+fn row_of(position: f32) -> i32 {
+    // Positions are not negative but for a rounding, which is clamped with the rows.
+    (position + 1.0) as i32 - 1
+}
+
+/// As the machine has it: without a thought for NaN.
+#[inline(always)]
+pub(in crate::kernels) fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+pub(in crate::kernels) fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The columns of lists along a line: a DDA along one axis.
+pub(in crate::kernels) struct Columns {
+    /// Step of the index.
+    pub(in crate::kernels) step: i32,
+    /// The parameter of the border at pixel position x is x·slope + offset; 0 and infinite for a line that crosses none.
+    pub(super) slope: f32,
+    offset: f32,
+    /// 1 if the line leaves a column by its upper border.
+    leaves_by: i32,
+}
+
+impl Columns {
+    pub(in crate::kernels) fn new(p: f32, d: f32) -> Self {
+        if d.abs() < MIN_SLOPE {
+            return Self { step: 1, slope: 0.0, offset: f32::INFINITY, leaves_by: 1 };
+        }
+        let forward = d > 0.0;
+        let slope = 1.0 / d;
+        Self { step: if forward { 1 } else { -1 }, slope, offset: -p * slope, leaves_by: forward.into() }
+    }
+
+    /// From `column` on, how many columns there are to the border of the tile or of the frame.
+    #[inline(always)]
+    pub(in crate::kernels) fn num_in_tile(&self, column: i32, size: i32) -> i32 {
+        let in_tile = column & (TILE as i32 - 1);
+        if self.step > 0 { (TILE as i32 - in_tile).min(size - column) } else { in_tile + 1 }
+    }
+
+    /// The first column of the tile that holds position `p`, but not one before `column`, and where the line enters it.
+    #[inline(always)]
+    pub(super) fn tile_at(&self, p: f32, column: i32, size: i32) -> Option<(i32, f32)> {
+        let of_tile = TILE as i32 - 1;
+        // One column back, as rounding may.
+        let at = (p as i32 - self.step).clamp(0, size - 1);
+        let first = if self.step > 0 { at & !of_tile } else { (at | of_tile).min(size - 1) };
+        let is_ahead = (first - column) * self.step > 0 && self.slope != 0.0;
+        is_ahead.then(|| (first, self.t(first - self.step, 0)))
+    }
+
+    /// Where the line leaves the column `i` steps behind `column`.
+    #[inline(always)]
+    pub(in crate::kernels) fn t(&self, column: i32, i: i32) -> f32 {
+        (column + self.leaves_by + self.step * i) as f32 * self.slope + self.offset
+    }
+}
+
+/// Largest integer not above a small number, and the rest. At an integer both that one and the one below with a rest of 1
+/// are right.
+#[inline(always)]
+fn floor_and_fraction(x: f32) -> (i32, f32) {
+    // Adding 1.5·2²³ rounds to the nearest integer and leaves it in the low bits.
+    let shifted = (x - 0.5) + ROUNDER;
+    (shifted.to_bits() as i32 - ROUNDER.to_bits() as i32, x - (shifted - ROUNDER))
+}
+
+/// What ends at the last depth of all ends behind this one, and what is filled up with it is behind all.
+const LAST_UNIT: f32 = DEPTH_UNITS - 1.0;
+/// Shortest depth interval that is divided by, in depth units: far below the rounding of a segment's ends.
+const MIN_CROSSING: f32 = 1e-2;
+/// A line that moves less than this many pixels in all crosses no border worth a division.
+const MIN_SLOPE: f32 = 1e-6;
+/// 1.5·2²³.
+pub(super) const ROUNDER: f32 = 12_582_912.0;
