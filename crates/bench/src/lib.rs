@@ -11,6 +11,7 @@ pub mod demo;
 mod error;
 pub mod latency;
 pub mod output;
+pub mod paths;
 pub mod progress;
 pub mod quality;
 pub mod rivals;

@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
+use isinglass_bench::paths;
 use isinglass_bench::progress::Progress;
 use isinglass_bench::quality::march_settings;
 use isinglass_bench::rivals::Method;
@@ -140,7 +141,8 @@ impl ForesightArgs {
 /// A camera path from a file.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct PathArgs {
-    /// Play the camera path in FILE, as `view --record` writes it, in place of the orbit
+    /// Play the camera path in FILE, as `view --record` writes it, in place of the orbit; or builtin:stops,
+    /// builtin:flicks, builtin:zoom-pan
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
 }
@@ -150,6 +152,12 @@ impl PathArgs {
     pub(crate) fn read(&self) -> Result<Option<CameraPath>> {
         let Some(path) = &self.path else { return Ok(None) };
         let name = path.display();
+        if let Some(builtin) = path.to_str().and_then(|p| p.strip_prefix("builtin:")) {
+            let known = || paths::names().collect::<Vec<_>>().join(", ");
+            let found = paths::builtin(builtin);
+            let found = found.with_context(|| format!("{name}: expected one of {}", known()))?;
+            return Ok(Some(found.with_context(|| name.to_string())?));
+        }
         let size = std::fs::metadata(path).with_context(|| name.to_string())?.len();
         if size > MAX_PATH_BYTES {
             bail!("{name}: found {size} bytes, expected a camera path of at most {MAX_PATH_BYTES}");
