@@ -39,7 +39,7 @@ fn cast_ray(ray: Ray) -> Over {
     var parts: array<Parts, MAX_FRAMES>;
     parts[0] = parts_of(0u, ray, whole);
     // What the newest frame sees all of it shows alone.
-    let num = select(combination.num_frames, 1u, all(parts[0].inner == whole));
+    let num = select(num_frames(), 1u, all(parts[0].inner == whole));
     for (var n = 1u; n < num; n++) {
         parts[n] = parts_of(n, ray, whole);
     }
@@ -89,6 +89,11 @@ fn cast_ray(ray: Ray) -> Over {
         from_s = to;
     }
     return acc;
+}
+
+// As zero() does, this hides a uniform.
+fn num_frames() -> u32 {
+    return combination.num_frames + zero();
 }
 
 fn parts_of(n: u32, ray: Ray, whole: vec2f) -> Parts {
@@ -163,7 +168,7 @@ fn inset_at(n: u32, part: Parts, s: f32) -> f32 {
 // Puts a piece behind what is there over which the coverage of a frame changes, in steps of about a list.
 fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX_FRAMES>>, piece: vec2f) {
     var change = 0.0;
-    for (var n = 0u; n < combination.num_frames; n++) {
+    for (var n = 0u; n < num_frames(); n++) {
         change = max(change, abs(inset_at(n, (*parts)[n], piece.x) - inset_at(n, (*parts)[n], piece.y)));
     }
     let steps = clamp(ceil(change), 1.0, BAND);
@@ -171,7 +176,7 @@ fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Part
         let step = piece.x + (piece.y - piece.x) * (vec2f(i, i + 1.0) / steps);
         var weights: array<f32, MAX_FRAMES>;
         var rest = 1.0;
-        for (var n = 0u; n < combination.num_frames; n++) {
+        for (var n = 0u; n < num_frames(); n++) {
             let part = (*parts)[n];
             // The newest frame's band can have no width: then all that it sees is covered.
             var covered = select(0.0, 1.0, part.outer.x < part.outer.y);
@@ -187,7 +192,7 @@ fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Part
         }
         var tau = 0.0;
         var light = vec3f(0.0);
-        for (var n = 0u; n < combination.num_frames; n++) {
+        for (var n = 0u; n < num_frames(); n++) {
             if (weights[n] <= LEAST_WEIGHT) {
                 continue;
             }

@@ -37,11 +37,11 @@ fn count_at(i: u32) -> u32 {
 // Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
 fn cast_ray(ray: Ray) -> Over {
     var acc = over_identity();
-    if (caster.has_frame == 0u) {
+    if (caster.has_frame == zero()) {
         return acc;
     }
     let line = clip(ray, vec2f(0.0, NEVER));
-    if (line.hit && caster.num_samples > 0u) {
+    if (line.hit && caster.num_samples > zero()) {
         sample_line(line, &acc);
     } else if (line.hit) {
         walk(line, &acc);

@@ -16,6 +16,13 @@ struct Line {
     hit: bool,
 }
 
+// The first offset, which is 0 in every frame. Conditions that depend on uniforms alone compare with it: a device in
+// software (lavapipe) builds the values of such uniforms into the kernel and compiles it anew for every draw, which takes
+// longer than a hundred pictures; what is in a storage buffer it leaves there.
+fn zero() -> u32 {
+    return offset_at(0u);
+}
+
 // Clips in homogeneous coordinates, and to two world distances.
 fn clip(ray: Ray, within: vec2f) -> Line {
     var line: Line;
@@ -74,7 +81,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     let p_across = line.p0[across];
     let d_across = line.d[across];
     let columns = columns_of(line.p0[along], line.d[along]);
-    let is_nearest = caster.is_nearest != 0u;
+    let is_nearest = caster.is_nearest != zero();
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
     var hints = vec2u(0u);
     var enter = at(line, 0.0);
@@ -84,7 +91,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
         let leave = at(line, min(column_end(columns, column, num - 1), 1.0));
         let row_in = p_across + d_across * enter.t - 0.5;
         let row_out = p_across + d_across * leave.t - 0.5;
-        if (caster.skips_empty_space == 0u
+        if (caster.skips_empty_space == zero()
             || is_occupied(column, row_in, row_out, enter.depth, leave.depth, along, size[across])) {
             for (var i = 0; i < num; i++) {
                 let end = at(line, min(column_end(columns, column, i), leave.t));

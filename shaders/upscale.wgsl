@@ -1,9 +1,9 @@
 // A smaller picture enlarged onto the screen, linearly between its pixels. Nothing of it has a twin: the picture it
-// enlarges is that of raycast_view.wgsl, in linear light.
+// enlarges is that of raycast_view.wgsl, in the format of the screen, so that nothing but copying is left to do for the
+// many pixels.
 
 @group(0) @binding(0) var smaller: texture_2d<f32>;
 @group(0) @binding(1) var between: sampler;
-@group(0) @binding(2) var<uniform> display: Display;
 
 struct Vertex {
     @builtin(position) position: vec4f,
@@ -18,9 +18,5 @@ fn upscale_vertex(@builtin(vertex_index) index: u32) -> Vertex {
 
 @fragment
 fn upscale_fragment(vertex: Vertex) -> @location(0) vec4f {
-    let linear = textureSampleLevel(smaller, between, vertex.place, 0.0).xyz;
-    if (display.encode_srgb == 0u) {
-        return vec4f(linear, 1.0);
-    }
-    return vec4f(srgb_from_linear(linear.x), srgb_from_linear(linear.y), srgb_from_linear(linear.z), 1.0);
+    return textureSampleLevel(smaller, between, vertex.place, 0.0);
 }

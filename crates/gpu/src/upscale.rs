@@ -1,8 +1,7 @@
 //! Novel views of fewer pixels than are shown: cast into a texture before the pass of the user interface and enlarged
 //! inside it. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
 
-use crate::device::{UNIFORM, bind, buffer, layout, shader_module};
-use crate::gpu_types::Display;
+use crate::device::{bind, layout, shader_module};
 use crate::shaders::{Frames, Kernel};
 
 /// The texture and what draws into and from it.
@@ -12,8 +11,9 @@ pub(crate) struct Upscale {
     enlarge: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
-    /// Of the smaller picture, whose values stay linear.
-    pub(crate) cast_display: wgpu::Buffer,
+    /// That of the screen: pixels are mixed as they are stored, which on a software device is three times as fast as
+    /// mixing light and encoding it, and no eye tells while the picture moves.
+    format: wgpu::TextureFormat,
     target: Option<Target>,
 }
 
@@ -37,8 +37,7 @@ impl Upscale {
             multisampled: false,
         };
         let sampling = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
-        let group_layout =
-            layout(device, "upscale", wgpu::ShaderStages::FRAGMENT, &[texture, sampling, UNIFORM]);
+        let group_layout = layout(device, "upscale", wgpu::ShaderStages::FRAGMENT, &[texture, sampling]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("upscale"),
             bind_group_layouts: &[Some(&group_layout)],
@@ -71,7 +70,7 @@ impl Upscale {
         Self {
             casts: casts
                 .each_ref()
-                .map(|(layout, module)| pipeline(layout, module, ["view_vertex", "view_fragment"], FORMAT)),
+                .map(|(layout, module)| pipeline(layout, module, ["view_vertex", "view_fragment"], format)),
             enlarge: pipeline(&pipeline_layout, &module, ["upscale_vertex", "upscale_fragment"], format),
             layout: group_layout,
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
@@ -80,28 +79,22 @@ impl Upscale {
                 min_filter: wgpu::FilterMode::Linear,
                 ..Default::default()
             }),
-            cast_display: buffer(
-                device,
-                "display of the smaller picture",
-                size_of::<Display>() as u64,
-                wgpu::BufferUsages::UNIFORM,
-            ),
+            format,
             target: None,
         }
     }
 
-    /// Casts into a texture of `size`; `display` is that of the larger picture.
+    /// Casts into a texture of `size`.
     pub(crate) fn cast(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         size: [u32; 2],
-        display: &wgpu::Buffer,
         frames: Frames,
         groups: [&wgpu::BindGroup; 2],
     ) {
         if self.target.as_ref().is_none_or(|t| t.size != size) {
-            self.target = Some(self.target(device, size, display));
+            self.target = Some(self.target(device, size));
         }
         let Some(target) = &self.target else { return };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -132,27 +125,21 @@ impl Upscale {
         pass.draw(0..3, 0..1);
     }
 
-    fn target(&self, device: &wgpu::Device, size: [u32; 2], display: &wgpu::Buffer) -> Target {
+    fn target(&self, device: &wgpu::Device, size: [u32; 2]) -> Target {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("smaller picture"),
             size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: FORMAT,
+            format: self.format,
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
             view_formats: &[],
         });
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let resources = [
-            wgpu::BindingResource::TextureView(&view),
-            wgpu::BindingResource::Sampler(&self.sampler),
-            display.as_entire_binding(),
-        ];
+        let resources =
+            [wgpu::BindingResource::TextureView(&view), wgpu::BindingResource::Sampler(&self.sampler)];
         let bind_group = bind(device, "upscale", &self.layout, &resources);
         Target { size, view, bind_group }
     }
 }
-
-/// Linear light, so that pixels mix as light does.
-const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;

@@ -107,7 +107,7 @@ impl ViewPass {
                 (view, bind_group)
             });
             let smaller = uniform("smaller view", size_of::<Basis>());
-            let resources = [smaller.as_entire_binding(), upscale.cast_display.as_entire_binding()];
+            let resources = [smaller.as_entire_binding(), display.as_entire_binding()];
             let smaller_group = bind(device, "smaller view", &view_layout, &resources);
             let smaller = (smaller, smaller_group);
             let encode_srgb = !target.is_srgb();
@@ -170,14 +170,12 @@ impl ViewPass {
         background: [f32; 3],
     ) {
         queue.write_buffer(&self.smaller.0, 0, bytemuck::bytes_of(&Basis::of(camera)));
-        let linear = Display { background, encode_srgb: 0 };
-        queue.write_buffer(&self.upscale.cast_display, 0, bytemuck::bytes_of(&linear));
         let display = Display { background, encode_srgb: self.encode_srgb.into() };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         self.frames.prepare(queue, &[camera.into()]);
         let (frames, group) = self.frames.cast();
-        self.upscale.cast(device, encoder, size, &self.display, frames, [group, &self.smaller.1]);
+        self.upscale.cast(device, encoder, size, frames, [group, &self.smaller.1]);
     }
 
     /// Fills the viewport with the smaller picture, enlarged.
