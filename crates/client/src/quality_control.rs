@@ -74,8 +74,10 @@ impl QualityControl {
         let Some((here, _)) = self.measured[self.step] else { return };
         if here > self.target {
             let holds = |step: &usize| self.expected(now, *step, here) <= self.target.mul_f32(HEADROOM);
-            let last = LADDER.len() - 1;
-            self.go_to(now, (self.step + 1..last).find(holds).unwrap_or(last));
+            let step = (self.step + 1..LADDER.len()).find(holds);
+            // Samples cost what no step before them tells, so the one before them is tried first.
+            let most = (LADDER.len() - 2).max(self.step + 1);
+            self.go_to(now, step.unwrap_or_else(|| self.finest_of_fastest(now, here).min(most)));
         } else if self.step > 0 && now >= self.changed_at + PATIENCE {
             // One step up at a time, and only if it is expected to hold with room to spare: what it took when it was
             // last tried counts for a while, so that a step too fine is not tried again and again.
@@ -83,6 +85,14 @@ impl QualityControl {
                 self.go_to(now, self.step - 1);
             }
         }
+    }
+
+    /// Where nothing holds the rate: nothing is given up that does not bring it nearer. What does not go with the pixels,
+    /// or a machine that others keep busy, is not helped by a worse picture.
+    fn finest_of_fastest(&self, now: Duration, here: Duration) -> usize {
+        let expected = |step| self.expected(now, step, here);
+        let least = (0..LADDER.len()).map(expected).min().unwrap_or(here);
+        (0..LADDER.len()).find(|step| expected(*step).mul_f32(HEADROOM) <= least).unwrap_or(self.step)
     }
 
     /// What a step took of late, or should take if times go with the pixels and a part of them does not.
@@ -205,11 +215,30 @@ mod tests {
         assert_eq!(control.quality(true), Quality::FULL);
     }
 
-    /// A machine that can hold no rate at all is asked for the least, and nothing breaks.
+    /// A machine that can hold no rate at all gives up what brings it nearer, and only that.
     #[test]
-    fn the_ladder_has_an_end() {
-        let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);
-        run(&mut control, &mut now, 60.0, |_| 2.0);
-        assert_eq!(control.quality(true), LADDER[LADDER.len() - 1]);
+    fn what_does_not_help_is_not_given_up() {
+        let shares = |cost: &dyn Fn(Quality) -> f32, is_wanted: &dyn Fn(Quality) -> bool| {
+            let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);
+            run(&mut control, &mut now, 2.0, cost);
+            let (wanted, all) = (std::cell::Cell::new(0), std::cell::Cell::new(0));
+            run(&mut control, &mut now, 20.0, |q| {
+                wanted.set(wanted.get() + u32::from(is_wanted(q)));
+                all.set(all.get() + 1);
+                cost(q)
+            });
+            f64::from(wanted.get()) / f64::from(all.get())
+        };
+        assert_eq!(shares(&pixels(2.0), &|q| q.scale == 0.25), 1.0);
+        // Samples cost more than they save: tried now and then, and not kept.
+        let sampled = |q: Quality| q.num_samples > 0;
+        let costly = |q| if sampled(q) { 0.15 } else { pixels(0.6)(q) };
+        let share = shares(&costly, &sampled);
+        assert!(share < 0.1, "{share}");
+        let cheap = |q| if sampled(q) { 0.05 } else { pixels(0.6)(q) };
+        assert!(shares(&cheap, &sampled) > 0.9, "what does help is kept");
+        // Time that nothing changes: the picture is whole but for a few tries.
+        let share = shares(&|_| 0.1, &|q| q == Quality::FULL);
+        assert!(share > 0.8, "{share}");
     }
 }
