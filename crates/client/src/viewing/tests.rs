@@ -1,0 +1,334 @@
+//! Laws of [`super::Viewing`].
+
+use glam::Vec3;
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::session::client::FrameTimes;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::wire::{ClientStats, ServerStats, Token, VolumeDescription, Welcome};
+use isinglass_net::{LinkStats, State};
+
+use super::*;
+
+/// Remembers what it was asked and shows what the test puts into it.
+#[derive(Default)]
+pub(crate) struct FakeSource {
+    pub(crate) asked: Vec<(Pose, Intrinsics)>,
+    pub(crate) frame: Option<Arc<ReceivedFrame>>,
+    pub(crate) look: Option<(LookVersion, Arc<Look>)>,
+    pub(crate) wanted_looks: Vec<Look>,
+    pub(crate) shown: Vec<FrameId>,
+    pub(crate) max_side: Option<u32>,
+    pub(crate) stats: LinkStats,
+}
+
+impl FrameSource for FakeSource {
+    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
+        self.asked.push((pose, intrinsics));
+    }
+
+    fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        self.frame.clone()
+    }
+
+    fn state(&self) -> State {
+        State::Connected
+    }
+
+    fn stats(&self) -> LinkStats {
+        self.stats
+    }
+
+    fn description(&self) -> Option<Arc<Welcome>> {
+        let volume = VolumeDescription {
+            name: "cube".into(),
+            dims: [2, 2, 2],
+            spacing: [1.0; 3],
+            unit: None,
+            orientation: None,
+            value_range: (0.0, 1.0),
+            histogram: vec![],
+        };
+        Some(Arc::new(Welcome {
+            ticket: Token::new([0; 16]),
+            volume,
+            look_version: LookVersion(0),
+            look: look("first"),
+            max_side: self.max_side?,
+            max_poses_per_second: 100,
+        }))
+    }
+
+    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        self.look.clone()
+    }
+
+    fn set_look(&mut self, look: Look) {
+        self.wanted_looks.push(look);
+    }
+
+    fn take_notice(&mut self) -> Option<String> {
+        None
+    }
+
+    fn note_shown(&mut self, frame: FrameId) {
+        self.shown.push(frame);
+    }
+
+    fn report(&mut self, _stats: ClientStats) {}
+}
+
+impl FakeSource {
+    /// Answers the wish number `pose`, from 1, that was made at `pose_set`.
+    fn answer(&mut self, pose: u32, pose_set: Duration, is_complete: bool) {
+        let (at, intrinsics) = self.asked[pose as usize - 1];
+        let header = FrameHeader {
+            frame: FrameId(pose),
+            pose: PoseId(pose),
+            look: self.look.as_ref().map_or(LookVersion(0), |l| l.0),
+            camera: Camera::new(at, intrinsics, &BOUNDS),
+            k: 4,
+        };
+        let times = FrameTimes { pose_set: Some(pose_set.as_micros() as u64), ..Default::default() };
+        let frame = LayeredFrame::empty(header);
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, times }));
+    }
+}
+
+pub(crate) const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+const PICTURE: Intrinsics = Intrinsics { width: 60, height: 40, fov_y: 0.7 };
+
+fn ms(x: u64) -> Duration {
+    Duration::from_millis(x)
+}
+
+fn at(azimuth_degrees: f32) -> Pose {
+    Pose::orbit(Vec3::ZERO, azimuth_degrees.to_radians(), 0.2, 6.0)
+}
+
+fn look(name: &str) -> Look {
+    let points = vec![ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.5 }];
+    let (domain, unit_length) = (Domain::Full, UnitLength::Voxel);
+    let transfer = TransferFunction { name: name.into(), domain, unit_length, points };
+    Look { transfer, shaded: true, layering: Layering::default(), k: 8 }
+}
+
+fn viewing() -> Viewing<FakeSource> {
+    Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::default())
+}
+
+#[test]
+fn the_picture_has_the_present_camera_whatever_the_frame() {
+    let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
+    let mut turned = vec![];
+    for i in 0..20u64 {
+        let pose = at(i as f32);
+        let r = v.refresh(ms(i * 16), pose, PICTURE, &BOUNDS);
+        assert_eq!(r.camera, Camera::new(pose, PICTURE, &BOUNDS));
+        turned.extend(r.turned_degrees);
+        // The answer to a wish comes ten refreshes later.
+        if i >= 10 {
+            v.source.answer(i as u32 - 9, ms((i - 10) * 16), true);
+        }
+    }
+    assert_eq!(v.source.asked.len(), 20);
+    let r = v.refresh(ms(20 * 16), at(20.0), PICTURE, &BOUNDS);
+    assert_eq!((r.frame_age, r.standing), (Some(ms(11 * 16)), Standing::Moving));
+    // Azimuths apart at this elevation: the arc is cos(elevation) shorter.
+    assert!((r.turned_degrees.unwrap() - 11.0 * 0.2f32.cos()).abs() < 0.1, "{r:?}");
+    assert!(turned.len() == 9);
+}
+
+#[test]
+fn at_rest_the_standing_goes_from_moving_over_refining_to_exact() {
+    let mut v = viewing();
+    assert_eq!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).standing, Standing::Waiting);
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    assert_eq!(v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
+    assert_eq!(v.refresh(ms(160), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
+    assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    // The second wish was for where the camera seemed to go; the third is for where it stopped.
+    assert!(v.source.asked[1].0 != at(5.0));
+    v.source.answer(2, ms(20), true);
+    assert_eq!(v.refresh(ms(175), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    v.source.answer(3, ms(160), false);
+    assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    v.source.answer(3, ms(160), true);
+    let r = v.refresh(ms(190), at(5.0), PICTURE, &BOUNDS);
+    assert_eq!(r.standing, Standing::Exact);
+    assert_eq!(r.frame_age, Some(Duration::ZERO));
+    // What "exact" promises: the frame's camera is the picture's.
+    assert_eq!(r.frame.unwrap().frame.header.camera, r.camera);
+    assert_eq!(v.source.asked.len(), 3, "a resting camera asks for nothing");
+}
+
+#[test]
+fn a_moving_camera_asks_for_where_it_will_be_and_a_resting_one_for_where_it_is() {
+    let play = |foresight: Foresight| {
+        let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+        let mut turned = vec![];
+        let mut last = None;
+        for i in 0..60u64 {
+            let r = v.refresh(ms(i * 16), at(i.min(40) as f32), PICTURE, &BOUNDS);
+            turned.extend(r.turned_degrees);
+            last = Some(r);
+            // The server makes a frame for every wish, which is there ten refreshes later.
+            let wish = v.source.asked.len().min(i.saturating_sub(8) as usize);
+            if i >= 9 && v.source.frame.as_ref().is_none_or(|f| f.frame.header.frame.0 < wish as u32) {
+                v.source.answer(wish as u32, ms((wish as u64 - 1) * 16), true);
+            }
+        }
+        (v, turned, last.unwrap())
+    };
+    let (asks_now, lagging, _) = play(Foresight::NONE);
+    let (asks_ahead, foreseeing, last) = play(Foresight { predicts: true, ..Foresight::NONE });
+    // In the middle of the steady turn frames are ten refreshes old: ten degrees of azimuth at this elevation.
+    assert!((lagging[20] - 10.0 * 0.2f32.cos()).abs() < 0.1, "{}", lagging[20]);
+    assert!(foreseeing[20] < 0.5, "{}", foreseeing[20]);
+    // At rest both ask for the same, and the frame is the camera's own.
+    assert_eq!(asks_now.source.asked.last(), Some(&(at(40.0), PICTURE)));
+    assert_eq!(asks_ahead.source.asked.last(), Some(&(at(40.0), PICTURE)));
+    assert_eq!(
+        (last.standing, last.is_ahead, last.frame_age),
+        (Standing::Exact, false, Some(Duration::ZERO))
+    );
+}
+
+#[test]
+fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
+    let near = |azimuth: f32| Pose::orbit(Vec3::ZERO, azimuth, 0.2, 2.0);
+    let foresight = Foresight { predicts: false, ..Foresight::default() };
+    let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+    v.source.max_side = Some(4096);
+    let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+    v.refresh(ms(0), near(0.0), picture, &BOUNDS);
+    assert_eq!(v.source.asked, [(near(0.0), picture)]);
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(10), near(0.0), picture, &BOUNDS).standing, Standing::Exact);
+    let wide = v.source.asked[1].1;
+    assert_eq!((v.source.asked[1].0, wide.margin_around(&picture)), (near(0.0), Some(48)));
+    // As long as the wide frame is not complete, the picture stays what it is.
+    v.source.answer(2, ms(10), false);
+    let r = v.refresh(ms(20), near(0.0), picture, &BOUNDS);
+    assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, picture));
+    v.source.answer(2, ms(10), true);
+    let r = v.refresh(ms(30), near(0.0), picture, &BOUNDS);
+    assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, wide));
+    v.refresh(ms(999), near(0.0), picture, &BOUNDS);
+    assert_eq!(v.source.asked.len(), 2, "a resting camera asks for nothing");
+    // On the way to another pose there is a margin; where it stops, the bare frame comes first again.
+    v.refresh(ms(1000), near(0.1), picture, &BOUNDS);
+    v.refresh(ms(1016), near(0.2), picture, &BOUNDS);
+    assert!(v.source.asked[3].1.margin_around(&picture).unwrap() > 0);
+    v.refresh(ms(1050), near(0.2), picture, &BOUNDS);
+    assert_eq!(v.source.asked[4], (near(0.2), picture));
+    // A new look begins with the bare frame, too.
+    v.source.answer(5, ms(1050), true);
+    v.refresh(ms(1300), near(0.2), picture, &BOUNDS);
+    assert!(v.source.asked[5].1 != picture);
+    v.source.look = Some((LookVersion(7), Arc::new(look("bone"))));
+    v.refresh(ms(1400), near(0.2), picture, &BOUNDS);
+    assert_eq!(v.source.asked[6], (near(0.2), picture));
+}
+
+#[test]
+fn a_frame_that_was_shown_comes_in_for_what_the_newest_does_not_see() {
+    let near = |azimuth: f32| Pose::orbit(Vec3::ZERO, azimuth, 0.2, 2.0);
+    for keeps in [true, false] {
+        let foresight = Foresight { keeps, ..Foresight::NONE };
+        let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+        for (i, azimuth) in [0.0, 0.6].into_iter().enumerate() {
+            let at = ms(1000 * i as u64);
+            v.refresh(at, near(azimuth), PICTURE, &BOUNDS);
+            v.source.answer(i as u32 + 1, at, true);
+            let r = v.refresh(at + ms(500), near(azimuth), PICTURE, &BOUNDS);
+            assert!(r.standing == Standing::Exact && r.kept.is_empty());
+        }
+        // On the way back the newest frame is that of 0.6.
+        let r = v.refresh(ms(2000), near(0.1), PICTURE, &BOUNDS);
+        let kept: Vec<u32> = r.kept.iter().map(|f| f.frame.header.frame.0).collect();
+        assert_eq!(kept, if keeps { vec![1] } else { vec![] });
+    }
+}
+
+#[test]
+fn a_frame_of_another_size_settles_but_is_never_exact() {
+    let mut v =
+        Viewing::new(FakeSource::default(), FrameSize { scale: 0.5, ..Default::default() }, Foresight::NONE);
+    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[0].1, Intrinsics { width: 30, height: 20, fov_y: 0.7 });
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Settled);
+}
+
+#[test]
+fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
+    let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
+    let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
+    v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
+    v.source.answer(1, ms(1), true);
+    v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
+    assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    // A quarter of the lists costs 147.5 ms.
+    let half = Intrinsics { width: 30, height: 20, fov_y: 0.7 };
+    v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[1], (at(5.0), half));
+    v.source.answer(2, ms(20), true);
+    assert_eq!(v.refresh(ms(30), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
+    // At rest the full size is asked for, once, and then shown as exact.
+    assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    assert_eq!(v.source.asked[2], (at(5.0), PICTURE));
+    v.source.answer(3, ms(171), true);
+    assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    assert_eq!(v.refresh(ms(999), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    assert_eq!(v.source.asked.len(), 3);
+    // A fast server is asked for full frames throughout.
+    v.source.stats.server = ServerStats { frame: FrameId(3), generate_micros: 40_000, ..Default::default() };
+    v.refresh(ms(1000), at(9.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[3], (at(9.0), PICTURE));
+}
+
+#[test]
+fn a_look_that_is_on_its_way_is_not_exact() {
+    let mut v = viewing();
+    v.source.look = Some((LookVersion(1), Arc::new(look("bone"))));
+    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    v.set_look(ms(20), look("skin"));
+    assert_eq!(v.source.wanted_looks, [look("skin")]);
+    assert_eq!(v.look(ms(30)), Some(Arc::new(look("skin"))));
+    assert_eq!(v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
+    assert_eq!(v.refresh(ms(40), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(50), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+    // A wish that the server ignores is forgotten.
+    v.set_look(ms(60), look("no such thing"));
+    assert_eq!(v.look(ms(4_000)), Some(Arc::new(look("skin"))));
+    assert_eq!(v.refresh(ms(4_000), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+}
+
+#[test]
+fn frames_are_asked_for_in_the_picture_s_shape_within_the_limits() {
+    let size = FrameSize::default();
+    let picture = |width, height| Intrinsics { width, height, fov_y: 1.0 };
+    assert_eq!(size.frame_for(picture(800, 600), 4096), picture(800, 600));
+    assert_eq!(size.frame_for(picture(3840, 2160), 4096), picture(1920, 1080));
+    assert_eq!(size.frame_for(picture(1000, 2400), 4096), picture(500, 1200));
+    assert_eq!(FrameSize { scale: 0.5, ..size }.frame_for(picture(801, 1), 4096), picture(401, 1));
+    assert_eq!(size.frame_for(picture(800, 600), 400), picture(400, 300), "the server's limit");
+}
+
+#[test]
+fn a_refresh_knows_whether_anything_changed_and_tells_of_new_frames_once() {
+    let mut v = viewing();
+    assert!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).changed);
+    assert!(!v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).changed);
+    v.source.answer(1, ms(0), false);
+    assert!(v.refresh(ms(2), at(0.0), PICTURE, &BOUNDS).changed);
+    assert!(!v.refresh(ms(3), at(0.0), PICTURE, &BOUNDS).changed);
+    assert_eq!(v.source.shown, [FrameId(1)]);
+}
