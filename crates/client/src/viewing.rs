@@ -359,4 +359,4 @@ const LOOK_PATIENCE: Duration = Duration::from_secs(3);
 const MAX_LEFT: usize = 256;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
