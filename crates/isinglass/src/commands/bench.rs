@@ -251,6 +251,8 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
     if let Some(choice) = args.cast.method.iter().find(|choice| choice.rule == Some(Rule::AllSamples)) {
         bail!("--method {choice}: no codec takes such frames, expected a rule that `layers` knows");
     }
+    // First: what is refused opens no device.
+    let scenes = common.select()?;
     let mut backends = args.backend;
     if backends.is_empty() {
         backends.push(BackendChoice::Cpu);
@@ -259,7 +261,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         }
     }
     let report = speed::run(&speed::SpeedOptions {
-        scenes: common.select()?,
+        scenes,
         transfer: common.look.tf.clone(),
         backends,
         layerings: args.layering,
