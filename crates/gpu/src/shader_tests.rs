@@ -135,7 +135,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 18] = [
+const TWINS: [&str; 20] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
@@ -144,6 +144,8 @@ const TWINS: [&str; 18] = [
     include_str!("../../core/src/kernels/march.rs"),
     include_str!("../../core/src/kernels/empty_space.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
+    include_str!("../../core/src/kernels/raycast/line.rs"),
+    include_str!("../../core/src/kernels/raycast/pieces.rs"),
     include_str!("../../core/src/kernels/subsample.rs"),
     include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
