@@ -63,7 +63,7 @@ fn thin_out() {
             cost = pair_cost(kept, list.segments[i]);
         }
         if (cost <= sink.tolerance) {
-            list.segments[kept] = merged(list.segments[kept], list.segments[i]);
+            list.segments[kept] = appended(list.segments[kept], list.segments[i]);
             sink.cost[kept] = COST_CHANGED;
             if (kept > 0u) {
                 sink.cost[kept - 1u] = COST_CHANGED;
@@ -90,7 +90,7 @@ fn sink_step(step: Step) -> u32 {
         let last = list.len - 1u;
         let cost = pair_cost(last, step);
         if (cost <= sink.tolerance) {
-            list.segments[last] = merged(list.segments[last], step);
+            list.segments[last] = appended(list.segments[last], step);
             return pace;
         }
         sink.cost[last] = cost;
@@ -137,7 +137,7 @@ var<private> groups: Groups;
 fn composite(first: u32, end: u32) -> OpenSegment {
     var all = list.segments[first];
     for (var i = first + 1u; i < end; i++) {
-        all = merged(all, list.segments[i]);
+        all = appended(all, list.segments[i]);
     }
     return all;
 }
@@ -315,17 +315,6 @@ fn choose_threshold() {
         bin += 1u;
     }
     budget.threshold = bitcast<f32>(bin << BIN_SHIFT);
-}
-
-// The homogeneous segment with the composite of a over b, from the front of a to the back of b.
-fn merged(a: OpenSegment, b: OpenSegment) -> OpenSegment {
-    return OpenSegment(
-        a.c + b.c * (1.0 - a.alpha),
-        a.tau + b.tau,
-        a.s0,
-        b.s1,
-        a.alpha + b.alpha * (1.0 - a.alpha),
-    );
 }
 
 // While gathering, the error of reading a, the gap and b as one homogeneous piece.

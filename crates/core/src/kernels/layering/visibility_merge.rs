@@ -15,7 +15,7 @@
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::{OpenSegment, SegmentList};
+use super::{OpenSegment, SegmentList, append};
 use crate::camera::Camera;
 use crate::kernels::march::{Marcher, Pace, Scene, Sink, Step, Texels};
 use crate::layer::{MAX_K, Over};
@@ -80,7 +80,8 @@ impl Gather {
             let is_changed = self.cost[kept] == COST_CHANGED;
             let cost = if is_changed { self.pair_cost(kept, &self.piece[i]) } else { self.cost[kept] };
             if cost <= self.tolerance {
-                self.piece[kept] = merged(&self.piece[kept], &self.piece[i]);
+                let behind = self.piece[i];
+                append(&mut self.piece[kept], &behind);
                 self.cost[kept] = COST_CHANGED;
                 if kept > 0 {
                     self.cost[kept - 1] = COST_CHANGED;
@@ -136,7 +137,7 @@ impl Sink for Gather {
             let last = self.len - 1;
             let cost = self.pair_cost(last, &step);
             if cost <= self.tolerance {
-                self.piece[last] = merged(&self.piece[last], &step);
+                append(&mut self.piece[last], &step);
                 return pace;
             }
             self.cost[last] = cost;
@@ -399,17 +400,6 @@ impl Sample {
 /// Bins of equal ratio, 1/32 of an octave each.
 fn bin(cost: f32) -> usize {
     (cost.to_bits() >> BIN_SHIFT) as usize
-}
-
-/// The homogeneous segment with the composite of `a` over `b`, from the front of `a` to the back of `b`.
-fn merged(a: &OpenSegment, b: &OpenSegment) -> OpenSegment {
-    OpenSegment {
-        s0: a.s0,
-        s1: b.s1,
-        c: a.c + b.c * (1.0 - a.alpha),
-        tau: a.tau + b.tau,
-        alpha: a.alpha + b.alpha * (1.0 - a.alpha),
-    }
 }
 
 /// While gathering, the error of reading `a`, the gap and `b` as one homogeneous piece.
