@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<uniform> combination: Combination;
 // Of each frame, the newest first, its two buffers: offsets and depths, from the first word and from `places.x`;
-// occupied cells, c_rg and c_b_tau, from the first word, `places.y` and `places.z`.
+// occupied cells, e_rg, e_b_tau and summaries, from the first word, `places.y`, `places.z` and `places.w`.
 @group(0) @binding(1) var<storage, read> lists_0: array<u32>;
 @group(0) @binding(2) var<storage, read> matter_0: array<u32>;
 @group(0) @binding(3) var<storage, read> lists_1: array<u32>;
@@ -236,12 +236,16 @@ fn occupied_at(i: i32) -> u32 {
     return matter_word(u32(i));
 }
 
-fn c_rg_at(i: u32) -> u32 {
+fn e_rg_at(i: u32) -> u32 {
     return matter_word(places.y + i);
 }
 
-fn c_b_tau_at(i: u32) -> u32 {
+fn e_b_tau_at(i: u32) -> u32 {
     return matter_word(places.z + i);
+}
+
+fn summary_at(i: u32) -> u32 {
+    return matter_word(places.w + i);
 }
 
 fn lists_word(i: u32) -> u32 {

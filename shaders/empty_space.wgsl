@@ -11,6 +11,21 @@ fn cell_bits(first: u32, last: u32) -> u32 {
     return (0xffffffffu << first) & ~(0xfffffffeu << last);
 }
 
+// Two depths in a word.
+fn range_from_word(word: u32) -> vec2f {
+    return vec2f(f32(word & 0xffffu), f32(word >> 16u));
+}
+
+// The cell of a depth among those of a list, which its own range of depth is divided into.
+fn list_cell(range: vec2f, depth: f32) -> u32 {
+    let scale = LIST_CELLS / max(range.y - range.x, 1.0);
+    return u32(clamp((depth - range.x) * scale, 0.0, LIST_CELLS - 1.0));
+}
+
+// Cells of a list: one bit each of a word.
+const LIST_CELLS: f32 = 32.0;
+// The range of a list as the word of a segment, its occupied cells and those that a segment ends in.
+const SUMMARY_WORDS: u32 = 3;
 // Lists along the side of a tile.
 const TILE: u32 = 8;
 // Slices between near and far: one bit each of a word.

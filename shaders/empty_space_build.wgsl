@@ -1,5 +1,5 @@
-// The grid of a frame, one workgroup a tile and one invocation a list. Twin of EmptySpace::new in
-// crates/core/src/kernels/empty_space.rs.
+// Makes a frame ready for casting, one workgroup a tile and one invocation a list: the grid (twin of EmptySpace::new in
+// crates/core/src/kernels/empty_space.rs), a summary of each list, and E = C/α instead of C.
 
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
@@ -7,6 +7,12 @@
 @group(0) @binding(3) var<storage, read_write> occupied: array<u32>;
 // DEPTH_CELLS counts a tile.
 @group(0) @binding(4) var<storage, read_write> counts: array<u32>;
+
+// SUMMARY_WORDS words a list.
+@group(0) @binding(5) var<storage, read_write> summaries: array<u32>;
+// C before, E after.
+@group(0) @binding(6) var<storage, read_write> rg: array<u32>;
+@group(0) @binding(7) var<storage, read_write> b_tau: array<u32>;
 
 var<workgroup> tile_counts: array<atomic<u32>, DEPTH_CELLS>;
 var<workgroup> tile_occupied: atomic<u32>;
@@ -32,6 +38,7 @@ fn empty_space(
             list_occupied |= cell_bits(first, last);
         }
         atomicOr(&tile_occupied, list_occupied);
+        summarize(list);
     }
     workgroupBarrier();
     let index = tile.y * tiles.x + tile.x;
@@ -41,4 +48,34 @@ fn empty_space(
     if (lane == 0u) {
         occupied[index] = atomicLoad(&tile_occupied);
     }
+}
+
+fn summarize(list: u32) {
+    let start = offsets[list];
+    let end = offsets[list + 1u];
+    var word = 0xffffu;
+    for (var i = start; i < end; i++) {
+        word = min(word & 0xffffu, depth_plane[i] & 0xffffu) | max(word & 0xffff0000u, depth_plane[i] & 0xffff0000u);
+        light(i);
+    }
+    let range = range_from_word(word);
+    var cells = vec2u(0u);
+    for (var i = start; i < end; i++) {
+        let ends = range_from_word(depth_plane[i]);
+        let last = list_cell(range, ends.y);
+        cells |= vec2u(cell_bits(list_cell(range, ends.x), last), 1u << last);
+    }
+    summaries[SUMMARY_WORDS * list] = word;
+    summaries[SUMMARY_WORDS * list + 1u] = cells.x;
+    summaries[SUMMARY_WORDS * list + 2u] = cells.y;
+}
+
+// From C to E.
+fn light(i: u32) {
+    let b_and_tau = unpack_halves(b_tau[i]);
+    let alpha = opacity(b_and_tau.y);
+    let per_alpha = select(1.0 / alpha, 0.0, alpha <= 0.0);
+    let e_rg = unpack_halves(rg[i]) * per_alpha;
+    rg[i] = pack_halves(e_rg.x, e_rg.y);
+    b_tau[i] = pack_halves(b_and_tau.x * per_alpha, b_and_tau.y);
 }

@@ -3,12 +3,15 @@
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
-@group(0) @binding(3) var<storage, read> c_rg: array<u32>;
-@group(0) @binding(4) var<storage, read> c_b_tau: array<u32>;
+// E of red and green; E of blue and τ (empty_space_build.wgsl).
+@group(0) @binding(3) var<storage, read> e_rg: array<u32>;
+@group(0) @binding(4) var<storage, read> e_b_tau: array<u32>;
 // One word a tile: the cells of it that hold a segment (empty_space.wgsl).
 @group(0) @binding(5) var<storage, read> occupied: array<u32>;
 // DEPTH_CELLS counts a tile (empty_space_build.wgsl).
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
+// SUMMARY_WORDS words a list (empty_space_build.wgsl).
+@group(0) @binding(7) var<storage, read> summaries: array<u32>;
 
 fn offset_at(i: u32) -> u32 {
     return offsets[i];
@@ -18,16 +21,20 @@ fn depth_at(i: u32) -> u32 {
     return depth_plane[i];
 }
 
-fn c_rg_at(i: u32) -> u32 {
-    return c_rg[i];
+fn e_rg_at(i: u32) -> u32 {
+    return e_rg[i];
 }
 
-fn c_b_tau_at(i: u32) -> u32 {
-    return c_b_tau[i];
+fn e_b_tau_at(i: u32) -> u32 {
+    return e_b_tau[i];
 }
 
 fn occupied_at(i: i32) -> u32 {
     return occupied[i];
+}
+
+fn summary_at(i: u32) -> u32 {
+    return summaries[i];
 }
 
 fn count_at(i: u32) -> u32 {

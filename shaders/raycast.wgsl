@@ -73,7 +73,9 @@ fn clip(ray: Ray, within: vec2f) -> Line {
     return line;
 }
 
-// Walks the columns of lists along the line, as many at a time as a tile is wide.
+// Walks the columns of lists along the line, as many at a time as a tile is wide. A device in software (lavapipe) runs
+// both sides of every branch and each loop at least once, so there is one path for all: each turn of the inner loop looks
+// at one column or leaves one column of tiles out, and only what may be met goes on to `cross`.
 fn walk(line: Line, acc: ptr<function, Over>) {
     let size = vec2i(i32(caster.basis.width), i32(caster.basis.height));
     let along = select(0u, 1u, abs(line.d.x) + AXIS_BIAS < abs(line.d.y));
@@ -81,81 +83,153 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     let p_across = line.p0[across];
     let d_across = line.d[across];
     let columns = columns_of(line.p0[along], line.d[along]);
+    let rows = columns_of(p_across, d_across);
+    let strides = select(vec2i(size.x, 1), vec2i(1, size.x), along == 0u);
     let is_nearest = caster.is_nearest != zero();
+    let is_whole = caster.skips_empty_space == zero();
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
-    var hints = vec2u(0u);
+    var row = clamp(i32(floor(p_across)), 0, size[across] - 1);
+    var num_left = 0;
     var enter = at(line, 0.0);
+    var is_done = false;
     loop {
-        // To the border of the tile, of the frame or to the end of the line.
-        let num = num_in_tile(columns, column, size[along]);
-        let leave = at(line, min(column_end(columns, column, num - 1), 1.0));
-        let row_in = p_across + d_across * enter.t - 0.5;
-        let row_out = p_across + d_across * leave.t - 0.5;
-        if (caster.skips_empty_space == zero()
-            || is_occupied(column, row_in, row_out, enter.depth, leave.depth, along, size[across])) {
-            for (var i = 0; i < num; i++) {
-                let end = at(line, min(column_end(columns, column, i), leave.t));
-                if (is_nearest) {
-                    nearest(line, column + columns.step * i, enter, end, along, &hints, acc);
+        var met: Met;
+        var leave: Point;
+        loop {
+            if (num_left == 0) {
+                // To the border of the tile, of the frame or to the end of the line.
+                let num = num_in_tile(columns, column, size[along]);
+                let border = at(line, min(column_end(columns, column, num - 1), 1.0));
+                let row_in = p_across + d_across * enter.t - 0.5;
+                let row_out = p_across + d_across * border.t - 0.5;
+                if (is_whole || is_occupied(column, row_in, row_out, enter.depth, border.depth, along, size[across])) {
+                    num_left = num;
                 } else {
-                    mixed(line, column + columns.step * i, enter, end, along, &hints, acc);
-                }
-                if ((*acc).transmittance < TRANSMITTANCE_MIN) {
-                    return;
-                }
-                enter = end;
-                if (end.t >= leave.t) {
-                    break;
+                    column += columns.step * num;
+                    row = select(row, i32(floor(row_out + 0.5)), is_nearest);
+                    enter = border;
+                    is_done = border.t >= 1.0 || column < 0 || column >= size[along];
                 }
             }
+            if (num_left > 0) {
+                // A column; for the nearest list, the part of it up to the border of the row.
+                let column_t = min(column_end(columns, column, 0), 1.0);
+                let row_t = select(NEVER, column_end(rows, row, 0), is_nearest);
+                leave = at(line, max(min(column_t, row_t), enter.t));
+                let at_across = p_across + d_across * (0.5 * (enter.t + leave.t)) - 0.5;
+                let first = floor(at_across);
+                let first_row = select(i32(first), row, is_nearest);
+                let lists = clamp(vec2i(first_row, first_row + 1), vec2i(0), vec2i(size[across] - 1));
+                let fraction = select(at_across - first, 0.0, is_nearest);
+                met.lists = vec2u(column * strides.x + lists * strides.y);
+                met.nearness = vec2f(1.0 - fraction, fraction);
+                met.lo = min(enter.depth, leave.depth);
+                met.hi = max(enter.depth, leave.depth);
+                met.is_met = vec2<bool>(
+                    met.nearness.x >= MIN_NEARNESS && may_meet(summary_of(met.lists.x), met.lo, met.hi),
+                    met.nearness.y >= MIN_NEARNESS && may_meet(summary_of(met.lists.y), met.lo, met.hi),
+                );
+                met.length = leave.distance - enter.distance;
+                enter = leave;
+                if (row_t < column_t) {
+                    row += rows.step;
+                } else {
+                    column += columns.step;
+                    num_left -= 1;
+                }
+                is_done = leave.t >= 1.0 || column < 0 || column >= size[along];
+            }
+            if (any(met.is_met) || is_done) {
+                break;
+            }
         }
-        column += columns.step * num;
-        enter = leave;
-        if (leave.t >= 1.0 || column < 0 || column >= size[along]) {
+        if (any(met.is_met) && met.length > 0.0) {
+            cross(met, line.w0_minus_w1 <= 0.0, acc);
+        }
+        if (is_done || (*acc).transmittance < TRANSMITTANCE_MIN) {
             return;
         }
     }
 }
 
-// Composites one column of lists: the two that the line runs between, mixed by nearness.
-fn mixed(line: Line, column: i32, enter: Point, leave: Point, along: u32, hints: ptr<function, vec2u>, acc: ptr<function, Over>) {
-    if (leave.distance <= enter.distance) {
-        return;
-    }
-    let crossing = crossing_between(line, enter, leave);
-    let at_across = line.p0[1u - along] + line.d[1u - along] * (0.5 * (enter.t + leave.t)) - 0.5;
-    let first = floor(at_across);
-    let nearness = vec2f(1.0 - (at_across - first), at_across - first);
+// What a line may meet in a column of lists: the two that it runs between.
+struct Met {
+    lists: vec2u,
+    nearness: vec2f,
+    is_met: vec2<bool>,
+    // Least and greatest depth, in units.
+    lo: f32,
+    hi: f32,
+    // World length.
+    length: f32,
+}
+
+// Composites a column of lists: the segments of one list and then of the other, each list by itself, mixed by nearness.
+// Where the ray runs towards the old eye, each segment is put in front of those before.
+fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
+    // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+    let hi = max(met.hi, met.lo + MIN_CROSSING);
+    // The ray's length over the lists' own lengths, for the same depth.
+    let lengths = vec2f(length_per_depth(met.lists.x), length_per_depth(met.lists.y));
+    let ratios = met.length / (hi - met.lo) * caster.units_per_depth / lengths;
+    let second = first_behind(met.lists.y, met.lo);
+    let last = offset_at(met.lists.y + 1u);
+    var side = select(1u, 0u, met.is_met.x);
+    var i = select(second, first_behind(met.lists.x, met.lo), met.is_met.x);
+    var end = select(last, offset_at(met.lists.x + 1u), met.is_met.x);
     var mixture = vec4f(0.0);
-    for (var side = 0u; side < 2u; side++) {
-        if (nearness[side] < MIN_NEARNESS) {
-            continue;
+    var list = over_identity();
+    loop {
+        let medium = medium_at(i);
+        let overlap = max(min(hi, medium.ends.y) - max(met.lo, medium.ends.x), 0.0);
+        let share = overlap / max(medium.ends.y - medium.ends.x, 1.0);
+        let crossed = opacity(medium.tau * share * ratios[side]);
+        let behind = select(1.0 - crossed, 1.0, is_forward);
+        let before = select(1.0, list.transmittance, is_forward);
+        list.c = list.c * behind + medium.e * (crossed * before);
+        list.transmittance *= 1.0 - crossed;
+        i += 1u;
+        var is_done = false;
+        if (i >= end || medium.ends.y >= hi) {
+            mixture += vec4f(list.c, 1.0 - list.transmittance) * met.nearness[side];
+            list = over_identity();
+            is_done = side == 1u || !met.is_met.y;
+            i = second;
+            end = last;
+            side = 1u;
         }
-        var list = over_identity();
-        (*hints)[side] = cross_list(column, i32(first) + i32(side), along, crossing, (*hints)[side], &list);
-        mixture += vec4f(list.c, 1.0 - list.transmittance) * nearness[side];
+        if (is_done) {
+            break;
+        }
     }
     (*acc).c += mixture.xyz * (*acc).transmittance;
     (*acc).transmittance *= 1.0 - mixture.w;
 }
 
-// Composites one column of lists: the list that the line is in. It runs faster along than across, so it changes its row
-// once in a column at most.
-fn nearest(line: Line, column: i32, enter: Point, leave: Point, along: u32, hints: ptr<function, vec2u>, acc: ptr<function, Over>) {
-    let p = line.p0[1u - along];
-    let d = line.d[1u - along];
-    let row = floor(p + d * enter.t);
-    let row_out = floor(p + d * leave.t);
-    var middle = leave;
-    if (row != row_out) {
-        middle = at(line, clamp((max(row, row_out) - p) / d, enter.t, leave.t));
-    }
-    if (middle.distance > enter.distance) {
-        (*hints).x = cross_list(column, i32(row), along, crossing_between(line, enter, middle), (*hints).x, acc);
-    }
-    if (leave.distance > middle.distance) {
-        (*hints).x = cross_list(column, i32(row_out), along, crossing_between(line, middle, leave), (*hints).x, acc);
-    }
+// What is known of a list without looking at its segments (empty_space_build.wgsl).
+struct Summary {
+    // Least front and greatest back, depth units.
+    range: vec2f,
+    // The list's cells that hold a segment.
+    occupied: u32,
+}
+
+fn summary_of(list: u32) -> Summary {
+    return Summary(range_from_word(summary_at(SUMMARY_WORDS * list)), summary_at(SUMMARY_WORDS * list + 1u));
+}
+
+// Whether a list may have a segment between two depths.
+fn may_meet(list: Summary, lo: f32, hi: f32) -> bool {
+    let cells = cell_bits(list_cell(list.range, lo), list_cell(list.range, hi));
+    return lo < list.range.y && hi > list.range.x && (list.occupied & cells) != 0u;
+}
+
+// The first segment of a list that may end behind a depth: not those that end in cells before its own. The twin looks at
+// all of a list's ends at once instead.
+fn first_behind(list: u32, depth: f32) -> u32 {
+    let range = range_from_word(summary_at(SUMMARY_WORDS * list));
+    let before = (1u << list_cell(range, depth)) - 1u;
+    return offset_at(list) + countOneBits(summary_at(SUMMARY_WORDS * list + 2u) & before);
 }
 
 // Whether a stretch of the line, inside of one column of tiles, may meet a segment: the rows are its ends across, as
@@ -183,21 +257,12 @@ fn tile_index(column: i32, tile: i32, along: u32) -> i32 {
     return select(tile_column * tiles_x + tile, tile * tiles_x + tile_column, along == 0u);
 }
 
-// A list by its column and row along and across the way; a row outside of the frame is the one at its border.
-struct List {
-    index: u32,
-    // World length along its centre for each unit of view depth.
-    length_per_depth: f32,
-}
-
-fn list_at(column: i32, row_unclamped: i32, along: u32) -> List {
-    let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
-    let x = select(row, column, along == 0u);
-    let y = select(column, row, along == 0u);
-    let nx = (2.0 * f32(x) + 1.0) / caster.basis.width - 1.0;
-    let ny = 1.0 - (2.0 * f32(y) + 1.0) / caster.basis.height;
-    let center = caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny;
-    return List(u32(y) * u32(caster.basis.width) + u32(x), length_of(center));
+// World length along the centre of a list for each unit of view depth.
+fn length_per_depth(list: u32) -> f32 {
+    let width = u32(caster.basis.width);
+    let nx = (2.0 * f32(list % width) + 1.0) / caster.basis.width - 1.0;
+    let ny = 1.0 - (2.0 * f32(list / width) + 1.0) / caster.basis.height;
+    return length_of(caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny);
 }
 
 // A point of the line: its parameter, depth in units and world distance from the start.
@@ -212,91 +277,24 @@ fn at(line: Line, t: f32) -> Point {
     return Point(t, (line.w0_w1 * r - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
 }
 
-// The part of a ray inside a column of lists.
-struct Crossing {
-    // Least and greatest depth, in units.
-    lo: f32,
-    hi: f32,
-    // World length of the ray for each unit of depth.
-    length_per_unit: f32,
-    // Whether the ray runs away from the old eye.
-    is_forward: bool,
+// A segment as a homogeneous medium.
+struct Medium {
+    // Front and back, depth units.
+    ends: vec2f,
+    // Source colour E = C/α.
+    e: vec3f,
+    tau: f32,
 }
 
-fn crossing_between(line: Line, enter: Point, leave: Point) -> Crossing {
-    let lo = min(enter.depth, leave.depth);
-    // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
-    let hi = max(max(enter.depth, leave.depth), lo + MIN_CROSSING);
-    return Crossing(lo, hi, (leave.distance - enter.distance) / (hi - lo), line.w0_minus_w1 <= 0.0);
+fn medium_at(i: u32) -> Medium {
+    let rg = halves(e_rg_at(i));
+    let b_tau = halves(e_b_tau_at(i));
+    return Medium(range_from_word(depth_at(i)), vec3f(rg, b_tau.x), b_tau.y);
 }
 
-// Composites the segments of a list that the crossing meets. `hint` is the index at which the list before was left;
-// returns that for the next list. The twin looks at all of a list's ends at once instead.
-fn cross_list(column: i32, row_unclamped: i32, along: u32, crossing: Crossing, hint: u32, acc: ptr<function, Over>) -> u32 {
-    let list = list_at(column, row_unclamped, along);
-    let start = offset_at(list.index);
-    let end = offset_at(list.index + 1u);
-    if (start >= end) {
-        return hint;
-    }
-    let lo = crossing.lo;
-    let hi = crossing.hi;
-    let ratio = crossing.length_per_unit * caster.units_per_depth / list.length_per_depth;
-    // Previous-index search (Gupta 2022, algorithm 1): neighbouring lists are alike, so start where the last list was
-    // left and walk to the first segment that the ray meets.
-    var i = start + min(hint, end - start - 1u);
-    if (crossing.is_forward) {
-        while (i > start && ends(i - 1u).y > lo) {
-            i -= 1u;
-        }
-        while (i < end && ends(i).y <= lo) {
-            i += 1u;
-        }
-        while (i < end && ends(i).x < hi) {
-            cross_segment(i, ends(i), lo, hi, ratio, acc);
-            i += 1u;
-        }
-        return max(i, start + 1u) - start - 1u;
-    }
-    while (i + 1u < end && ends(i + 1u).x < hi) {
-        i += 1u;
-    }
-    var after = i + 1u;
-    while (after > start && ends(after - 1u).x >= hi) {
-        after -= 1u;
-    }
-    while (after > start && ends(after - 1u).y > lo) {
-        cross_segment(after - 1u, ends(after - 1u), lo, hi, ratio, acc);
-        after -= 1u;
-    }
-    return after - start;
-}
-
-// Front and back of segment i, depth units.
-fn ends(i: u32) -> vec2f {
-    let word = depth_at(i);
-    return vec2f(f32(word & 0xffffu), f32(word >> 16u));
-}
-
-// Composites the part of segment i between the depths lo and hi; `ratio` is the ray's length over the list's own
-// length, for the same depth.
-fn cross_segment(i: u32, front_back: vec2f, lo: f32, hi: f32, ratio: f32, acc: ptr<function, Over>) {
-    let overlap = min(hi, front_back.y) - max(lo, front_back.x);
-    if (overlap <= 0.0) {
-        return;
-    }
-    let rg = unpack_halves(c_rg_at(i));
-    let b_tau = unpack_halves(c_b_tau_at(i));
-    let c = vec3f(rg, b_tau.x);
-    let tau = b_tau.y;
-    let tau_crossed = tau * (overlap / (front_back.y - front_back.x)) * ratio;
-    let alpha = opacity(tau);
-    if (alpha <= 0.0) {
-        return;
-    }
-    let alpha_crossed = opacity(tau_crossed);
-    (*acc).c += c * ((*acc).transmittance * alpha_crossed / alpha);
-    (*acc).transmittance *= 1.0 - alpha_crossed;
+// As unpack_halves, without a branch; what is below 2^-14 may become 0.
+fn halves(word: u32) -> vec2f {
+    return bitcast<vec2f>(vec2u((word & 0x7fffu) << 13u, (word & 0x7fff0000u) >> 3u)) * HALF_SCALE;
 }
 
 fn length_of(v: vec3f) -> f32 {
@@ -341,5 +339,7 @@ const MIN_NEARNESS: f32 = 1e-3;
 const AXIS_BIAS: f32 = 1e-2;
 // A line that moves less than this many pixels in all crosses no border worth a division.
 const MIN_SLOPE: f32 = 1e-6;
+// From the bits of a half float, moved to where a float has them, to its value: 2^112.
+const HALF_SCALE: f32 = 5.192296858534828e33;
 // The parameter of a crossing that does not come: far beyond the end of the line at 1.
 const NEVER: f32 = 1e30;

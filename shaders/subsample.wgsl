@@ -109,24 +109,24 @@ fn sample_at(line: Line, distance: f32, length: f32, stretch: TileStretch, along
 
 // Colour and opacity of a length of the segment of a list that holds a depth.
 fn look_up(column: i32, row_unclamped: i32, depth: f32, length: f32, along: u32) -> vec4f {
-    let list = list_at(column, row_unclamped, along);
-    let end = offset_at(list.index + 1u);
-    var i = offset_at(list.index);
-    while (i < end && ends(i).y <= depth) {
+    let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
+    let position = select(vec2i(row, column), vec2i(column, row), along == 0u);
+    let list = u32(position.y * i32(caster.basis.width) + position.x);
+    let end = offset_at(list + 1u);
+    var i = first_behind(list, depth);
+    while (i < end && range_from_word(depth_at(i)).y <= depth) {
         i += 1u;
     }
-    if (i >= end || ends(i).x > depth) {
+    if (i >= end) {
         return vec4f(0.0);
     }
-    let rg = unpack_halves(c_rg_at(i));
-    let b_tau = unpack_halves(c_b_tau_at(i));
-    let alpha = opacity(b_tau.y);
-    if (alpha <= 0.0) {
+    let medium = medium_at(i);
+    if (medium.ends.x > depth) {
         return vec4f(0.0);
     }
-    let sigma = b_tau.y * caster.units_per_depth / ((ends(i).y - ends(i).x) * list.length_per_depth);
+    let sigma = medium.tau * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list));
     let crossed = opacity(sigma * length);
-    return vec4f(vec3f(rg, b_tau.x) * (crossed / alpha), crossed);
+    return vec4f(medium.e * crossed, crossed);
 }
 
 // Mean count of the cells that a stretch of a line runs through, inside of one column of tiles.

@@ -67,7 +67,7 @@ struct Raycaster {
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
 struct Combination {
     casters: array<Raycaster, MAX_FRAMES>,
-    // Where the planes of each begin (combine.wgsl); the fourth word is not used.
+    // Where the planes of each begin (combine.wgsl).
     places: array<vec4u, MAX_FRAMES>,
     // The volume's box with the widest of the margins.
     bounds_min: vec3f,

@@ -17,7 +17,7 @@ use crate::gpu_types::Raycaster;
 use crate::picture_target::PictureTarget;
 use crate::shaders::Kernel;
 
-/// Counts the segments of coarse cells. Kernel: `shaders/empty_space_build.wgsl`.
+/// Makes a frame ready for casting. Kernel: `shaders/empty_space_build.wgsl`.
 #[derive(Clone)]
 pub(crate) struct GridBuilder {
     pub(crate) pipeline: wgpu::ComputePipeline,
@@ -38,10 +38,10 @@ pub(crate) struct FrameOnGpu {
     build_group: wgpu::BindGroup,
 }
 
-/// Two buffers for six planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
+/// Two buffers for seven planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
 /// that its kernel reads.
 struct Buffers {
-    /// Offsets and depth; occupied cells, c_rg, c_b_tau and counts.
+    /// Offsets and depth; occupied cells, colours, summaries of the lists and counts.
     buffers: [wgpu::Buffer; 2],
     planes: [Plane; NUM_PLANES],
 }
@@ -89,6 +89,7 @@ impl FrameOnGpu {
             bytes[plane] = words.len() as u64 * 4;
         }
         bytes[OCCUPIED] = num_tiles * 4;
+        bytes[SUMMARIES] = size.num_pixels() as u64 * SUMMARY_BYTES;
         bytes[COUNTS] = num_tiles * u64::from(DEPTH_CELLS) * 4;
         for bytes in bytes {
             check_binding(device, "plane of a layered frame in bytes", bytes)?;
@@ -156,7 +157,7 @@ impl FrameOnGpu {
     /// `places` of `shaders/combine.wgsl`.
     pub(crate) fn places(&self) -> [u32; 4] {
         let word = |plane: usize| (self.buffers.planes[plane].start / 4) as u32;
-        [word(DEPTH), word(C_RG), word(C_B_TAU), 0]
+        [word(DEPTH), word(C_RG), word(C_B_TAU), word(SUMMARIES)]
     }
 
     /// Both buffers for `shaders/combine.wgsl`; none if the device cannot bind a buffer as far as that reads it.
@@ -164,9 +165,10 @@ impl FrameOnGpu {
         let limit = device.limits().max_storage_buffer_binding_size;
         let end = |plane: usize| self.buffers.planes[plane].start + self.buffers.planes[plane].size;
         let [lists, matter] = &self.buffers.buffers;
-        let is_bindable = end(DEPTH) <= limit && end(C_B_TAU) <= limit;
-        is_bindable
-            .then(|| [(lists, DEPTH), (matter, C_B_TAU)].map(|(buffer, last)| binding(buffer, 0, end(last))))
+        let is_bindable = end(DEPTH) <= limit && end(SUMMARIES) <= limit;
+        is_bindable.then(|| {
+            [(lists, DEPTH), (matter, SUMMARIES)].map(|(buffer, last)| binding(buffer, 0, end(last)))
+        })
     }
 }
 
@@ -193,8 +195,18 @@ impl Buffers {
         let caster = || caster.as_entire_binding();
         let [offsets, depth] = [plane(OFFSETS), plane(DEPTH)];
         let [occupied, counts] = [plane(OCCUPIED), plane(COUNTS)];
-        let build = [caster(), offsets.clone(), depth.clone(), occupied.clone(), counts.clone()];
-        let cast = [caster(), offsets, depth, plane(C_RG), plane(C_B_TAU), occupied, counts];
+        let [rg, b_tau, summaries] = [plane(C_RG), plane(C_B_TAU), plane(SUMMARIES)];
+        let build = [
+            caster(),
+            offsets.clone(),
+            depth.clone(),
+            occupied.clone(),
+            counts.clone(),
+            summaries.clone(),
+            rg.clone(),
+            b_tau.clone(),
+        ];
+        let cast = [caster(), offsets, depth, rg, b_tau, occupied, counts, summaries];
         (bind(device, "frame", layout, &cast), bind(device, "grid", &builder.layout, &build))
     }
 }
@@ -335,11 +347,14 @@ fn check_indices(frame: &LayeredFrame) -> Result<(), GpuError> {
 }
 
 const LABELS: [&str; 2] = ["lists", "matter"];
-const NUM_PLANES: usize = 6;
+const NUM_PLANES: usize = 7;
 const OFFSETS: usize = 0;
 const DEPTH: usize = 1;
 const OCCUPIED: usize = 2;
 const C_RG: usize = 3;
 const C_B_TAU: usize = 4;
+const SUMMARIES: usize = 5;
 /// Behind the others: several frames are cast without.
-const COUNTS: usize = 5;
+const COUNTS: usize = 6;
+/// `SUMMARY_WORDS` of `shaders/empty_space.wgsl`.
+const SUMMARY_BYTES: u64 = 12;

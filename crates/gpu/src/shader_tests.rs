@@ -159,7 +159,7 @@ const TWINS: [&str; 20] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 12] = [
+const SHADER_ONLY: [&str; 15] = [
     "K",
     "STOP_AT",
     "MEAN_K",
@@ -172,6 +172,9 @@ const SHADER_ONLY: [&str; 12] = [
     "NEVER",
     "OUT_OF_REACH",
     "NONE",
+    "HALF_SCALE",
+    "LIST_CELLS",
+    "SUMMARY_WORDS",
 ];
 
 #[test]

@@ -80,7 +80,7 @@ impl Kernel {
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
-            Self::EmptySpace => &[TYPES, EMPTY_SPACE, EMPTY_SPACE_BUILD],
+            Self::EmptySpace => &[TYPES, LAYER, EMPTY_SPACE, EMPTY_SPACE_BUILD],
             Self::RaycastCompute(frames) => &[
                 TYPES,
                 SPACE,
