@@ -68,19 +68,14 @@ fn cast_ray(ray: Ray) -> Over {
                 has_others = true;
             }
         }
-        let sole = select(first, NONE, has_others && !is_full);
-        if (sole != NONE && sole == alone) {
+        let next = select(first, MIXED, has_others && !is_full);
+        if (next < MIXED && next == alone) {
             piece.y = to;
         } else {
             if (alone != NONE) {
-                let seen = cast_between(alone, ray, piece);
-                acc.c += seen.c * acc.transmittance;
-                acc.transmittance *= seen.transmittance;
+                add(&acc, ray, &parts, alone, piece);
             }
-            if (first != NONE && sole == NONE) {
-                add_mixed(&acc, ray, &parts, vec2f(from_s, to));
-            }
-            alone = sole;
+            alone = next;
             piece = vec2f(from_s, to);
         }
         if (is_done || acc.transmittance < TRANSMITTANCE_MIN) {
@@ -165,22 +160,25 @@ fn inset_at(n: u32, part: Parts, s: f32) -> f32 {
     return clamp(nearest, 0.0, band_of(n));
 }
 
-// Puts a piece behind what is there over which the coverage of a frame changes, in steps of about a list.
-fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX_FRAMES>>, piece: vec2f) {
+// Puts a piece behind what is there: of the frame that is alone in it, or MIXED, in steps of about a list. There is one
+// call of the caster for both: devices in software compile each, and that takes them seconds.
+fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX_FRAMES>>, alone: u32, piece: vec2f) {
     var change = 0.0;
-    for (var n = 0u; n < num_frames(); n++) {
+    for (var n = 0u; n < num_frames() && alone == MIXED; n++) {
         change = max(change, abs(inset_at(n, (*parts)[n], piece.x) - inset_at(n, (*parts)[n], piece.y)));
     }
     let steps = clamp(ceil(change), 1.0, BAND);
     for (var i = 0.0; i < steps; i += 1.0) {
-        let step = piece.x + (piece.y - piece.x) * (vec2f(i, i + 1.0) / steps);
+        let step = mix(piece.xx, piece.yy, vec2f(i, i + 1.0) / steps);
         var weights: array<f32, MAX_FRAMES>;
         var rest = 1.0;
         for (var n = 0u; n < num_frames(); n++) {
             let part = (*parts)[n];
             // The newest frame's band can have no width: then all that it sees is covered.
             var covered = select(0.0, 1.0, part.outer.x < part.outer.y);
-            if (band_of(n) > 0.0) {
+            if (alone != MIXED) {
+                covered = select(0.0, 1.0, n == alone);
+            } else if (band_of(n) > 0.0) {
                 covered = inset_at(n, part, 0.5 * (step.x + step.y)) / band_of(n);
             }
             weights[n] = rest * covered;
@@ -197,7 +195,10 @@ fn add_mixed(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Part
                 continue;
             }
             let seen = cast_between(n, ray, step);
-            if (seen.transmittance < 1.0) {
+            if (alone != MIXED) {
+                (*acc).c += seen.c * (*acc).transmittance;
+                (*acc).transmittance *= seen.transmittance;
+            } else if (seen.transmittance < 1.0) {
                 // Where nothing can be seen through, casting stops: how much more there is was not looked at.
                 let tau_n = -log(max(seen.transmittance, TRANSMITTANCE_MIN));
                 tau += weights[n] / sum * tau_n;
@@ -266,8 +267,15 @@ fn matter_word(i: u32) -> u32 {
     }
 }
 
+// Several frames are cast between lists.
+fn takes_nearest() -> bool {
+    return false;
+}
+
 // No frame.
 const NONE: u32 = 0xffffffff;
+// Several frames.
+const MIXED: u32 = 0xfffffffe;
 // Width of the band in which frames are mixed, lists.
 const BAND: f32 = 8.0;
 // A frame with less weight is left out.

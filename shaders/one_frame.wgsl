@@ -41,6 +41,11 @@ fn count_at(i: u32) -> u32 {
     return counts[i];
 }
 
+// Whether the list that the line is in is taken alone (`CastOptions::nearest`).
+fn takes_nearest() -> bool {
+    return caster.is_nearest != zero();
+}
+
 // Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
 fn cast_ray(ray: Ray) -> Over {
     var acc = over_identity();

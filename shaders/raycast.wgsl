@@ -85,7 +85,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     let columns = columns_of(line.p0[along], line.d[along]);
     let rows = columns_of(p_across, d_across);
     let strides = select(vec2i(size.x, 1), vec2i(1, size.x), along == 0u);
-    let is_nearest = caster.is_nearest != zero();
+    let is_nearest = takes_nearest();
     let is_whole = caster.skips_empty_space == zero();
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
     var row = clamp(i32(floor(p_across)), 0, size[across] - 1);

@@ -97,7 +97,7 @@ fn sample_at(line: Line, distance: f32, length: f32, stretch: TileStretch, along
     let depth = at(line, t).depth;
     let position = line.p0 + line.d * t;
     let column = clamp(i32(position[along]), stretch.columns.x, stretch.columns.y);
-    if (caster.is_nearest != zero()) {
+    if (takes_nearest()) {
         return look_up(column, i32(position[1u - along]), depth, length, along);
     }
     let at_across = position[1u - along] - 0.5;

@@ -1,5 +1,7 @@
 //! What the tests that cross crates share.
 
+pub mod twins;
+
 use std::path::PathBuf;
 
 /// The folder with the real volumes: the environment variable `ISINGLASS_DATA`, or `../shared/data` beside the

@@ -1,6 +1,6 @@
 //! Do pictures of several views, and views that are off-axis, come out of the GPU as they come out of the CPU?
 //!
-//! Tolerance as of every kernel against its twin (see `gpu_against_twin.rs`): at most 2/255 at any channel and below
+//! Tolerance as of every kernel against its twin (see `isinglass_tests::twins`): at most 2/255 at any channel and below
 //! 0.1/255 in the mean.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
@@ -16,18 +16,11 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_gpu::{Backend, Gpu, GpuError};
+use isinglass_gpu::{Backend, GpuError};
+use isinglass_tests::twins::gpu;
 
 fn backends() -> Option<[Backend; 2]> {
-    match Gpu::open() {
-        Ok(gpu) => Some([Backend::Gpu(gpu), Backend::Cpu]),
-        Err(e) => {
-            let is_strict = std::env::var_os("ISINGLASS_STRICT").is_some_and(|v| v == "1");
-            assert!(!is_strict, "{e}");
-            eprintln!("skipped: {e}");
-            None
-        }
-    }
+    gpu().map(|gpu| [Backend::Gpu(gpu.clone()), Backend::Cpu])
 }
 
 /// Greatest and mean difference in 1/255.

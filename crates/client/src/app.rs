@@ -33,6 +33,8 @@ pub(crate) struct ViewerApp<S> {
     last_refresh: Duration,
     was_active: bool,
     last_standing: Option<Standing>,
+    /// Whether there were older frames to cast at the refresh before.
+    had_kept: bool,
     refreshes: RefreshMeter,
     quality: QualityControl,
     picture_status: Arc<PictureStatus>,
@@ -70,6 +72,7 @@ impl<S: FrameSource> ViewerApp<S> {
             last_refresh: opened_at,
             was_active: false,
             last_standing: None,
+            had_kept: false,
             refreshes: RefreshMeter::default(),
             quality: QualityControl::new(TARGET_RATE),
             picture_status,
@@ -220,9 +223,11 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         }
         // What was drawn at the refresh before took until now, if that one moved too.
         if is_active && self.was_active && self.last_standing == Some(Standing::Moving) {
-            let drawn = self.quality.quality(true);
+            let mut drawn = self.quality.quality(true);
+            drawn.keeps &= self.had_kept;
             self.quality.handle_cast(now, drawn, elapsed);
         }
+        self.had_kept = refresh.as_ref().is_some_and(|r| !r.kept.is_empty());
         self.last_standing = refresh.as_ref().map(|r| r.standing);
         self.was_active = is_active;
 
@@ -272,7 +277,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let stereo = self.stereo();
         let quality = self.quality.quality(refresh.standing == Standing::Moving);
-        let kept = refresh.kept.clone();
+        let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
         ui.painter().add(PicturePaint { frame, kept, camera, bounds, stereo, quality }.shape(rect));
     }
 

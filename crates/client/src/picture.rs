@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::{Channels, Eye, NUM_SLOTS, ViewPass};
+use isinglass_gpu::{Channels, Eye, GpuError, NUM_SLOTS, ViewPass};
 use isinglass_net::ReceivedFrame;
 
 use crate::gpu_timer::{GpuTime, GpuTimer};
@@ -62,12 +62,27 @@ struct PictureResources {
 pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatus>, String> {
     let (device, queue) = (&state.device, &state.queue);
     let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
+    warm_up(&pass, device, queue).map_err(|e| e.to_string())?;
     let time = Arc::new(GpuTime::default());
     let timer = GpuTimer::new(device, queue, time.clone());
     let status = Arc::new(PictureStatus { time, has_timer: timer.is_some(), problem: Mutex::default() });
     let resources = PictureResources { pass, slots: Slots::default(), timer, status: status.clone() };
     state.renderer.write().callback_resources.insert(resources);
     Ok(status)
+}
+
+/// Draws once with each pipeline, beside the page that waits for the first frame.
+fn warm_up(pass: &ViewPass, device: &wgpu::Device, queue: &wgpu::Queue) -> Result<(), GpuError> {
+    let warm_up = pass.warm_up(device, queue)?;
+    let (device, queue) = (device.clone(), queue.clone());
+    let run = move || {
+        if let Err(e) = warm_up.run(&device, &queue, || true) {
+            tracing::warn!("first draws: {e}");
+        }
+    };
+    // Without a thread the first pictures come as late as they would have.
+    let _ = std::thread::Builder::new().name("warm-up".into()).spawn(run);
+    Ok(())
 }
 
 impl PictureResources {

@@ -1,7 +1,8 @@
 //! How finely the picture is cast while the camera moves, so that it keeps a rate of refreshes. Pure: time comes in as
 //! an argument.
 //!
-//! What can be given up is a ladder of [`Quality`]. Its order is that of measured quality at equal time: a smaller
+//! What can be given up is a ladder of [`Quality`]. Kept frames go first: they fill edges, and cost all of the picture
+//! twice and more. The rest of its order is that of measured quality at equal time: a smaller
 //! picture, enlarged, keeps more than fewer samples a ray do (bonsai, 512², K = 8, 30°: half the size SSIM .982 in 0.28
 //! of the full time; 16 samples a ray .934 in more than the full time on the CPU), so samples are thinned last.
 //!
@@ -19,6 +20,8 @@ pub struct Quality {
     pub scale: f32,
     /// Samples a ray; 0: all that there is.
     pub num_samples: u32,
+    /// Whether older frames are cast, too, where the newest does not see all of the picture.
+    pub keeps: bool,
 }
 
 impl Quality {
@@ -50,7 +53,7 @@ impl QualityControl {
         Self { target, step: 0, measured: [None; LADDER.len()], changed_at: Duration::ZERO }
     }
 
-    /// A cast of `quality` took `time`, known at `now`.
+    /// A cast of `quality` took `time`, known at `now`. Without kept frames to cast, `keeps` is false in what was cast.
     pub fn handle_cast(&mut self, now: Duration, quality: Quality, time: Duration) {
         let Some(step) = LADDER.iter().position(|q| *q == quality) else { return };
         let smoothed = match self.measured[step] {
@@ -58,21 +61,30 @@ impl QualityControl {
             _ => time,
         };
         self.measured[step] = Some((smoothed, now));
+        if (self.step, step) == (0, ALONE) && smoothed > self.target {
+            self.go_to(now, ALONE);
+            self.measured[step] = Some((smoothed, now));
+        }
         if step == self.step {
             self.choose(now);
         }
     }
 
-    /// How to cast at `now`. A camera that rests is shown in full at once; when it moves again, the step that held the
-    /// rate before is taken up.
+    /// How to cast. A camera that rests is shown in full at once, but for kept frames that were too slow: the window
+    /// stands still as long as the cast takes. When it moves again, the step that held the rate before is taken up.
     pub fn quality(&self, is_moving: bool) -> Quality {
-        if is_moving { LADDER[self.step] } else { Quality::FULL }
+        LADDER[if is_moving { self.step } else { self.step.min(ALONE) }]
     }
 
     /// The finest step that is expected to hold the rate.
     fn choose(&mut self, now: Duration) {
         let Some((here, _)) = self.measured[self.step] else { return };
-        if here > self.target {
+        let may_hold_alone =
+            self.step < ALONE && !self.is_known(now, ALONE) && here <= self.target * MOST_OF_KEPT;
+        if here > self.target && may_hold_alone {
+            // What kept frames cost is not known beforehand: the picture is made smaller only if it is too slow without.
+            self.go_to(now, ALONE);
+        } else if here > self.target {
             let holds = |step: &usize| self.expected(now, *step, here) <= self.target.mul_f32(HEADROOM);
             let step = (self.step + 1..LADDER.len()).find(holds);
             // Samples cost what no step before them tells, so the one before them is tried first.
@@ -103,6 +115,10 @@ impl QualityControl {
         }
     }
 
+    fn is_known(&self, now: Duration, step: usize) -> bool {
+        self.measured[step].is_some_and(|(_, at)| now < at + MEMORY)
+    }
+
     fn go_to(&mut self, now: Duration, step: usize) {
         if step != self.step {
             self.step = step;
@@ -114,16 +130,22 @@ impl QualityControl {
 }
 
 /// From everything to what still shows where things are.
-const LADDER: [Quality; 6] = [
-    Quality { scale: 1.0, num_samples: 0 },
-    Quality { scale: 0.75, num_samples: 0 },
-    Quality { scale: 0.5, num_samples: 0 },
-    Quality { scale: 0.35, num_samples: 0 },
-    Quality { scale: 0.25, num_samples: 0 },
-    Quality { scale: 0.25, num_samples: 16 },
+const LADDER: [Quality; 7] = [
+    Quality { scale: 1.0, num_samples: 0, keeps: true },
+    Quality { scale: 1.0, num_samples: 0, keeps: false },
+    Quality { scale: 0.75, num_samples: 0, keeps: false },
+    Quality { scale: 0.5, num_samples: 0, keeps: false },
+    Quality { scale: 0.35, num_samples: 0, keeps: false },
+    Quality { scale: 0.25, num_samples: 0, keeps: false },
+    Quality { scale: 0.25, num_samples: 16, keeps: false },
 ];
-/// Time of each step in units of the first: the share of its pixels, and a tenth that stays.
-const COSTS: [f32; LADDER.len()] = [1.0, 0.61, 0.33, 0.21, 0.16, 0.13];
+/// The step of the whole picture of the newest frame alone.
+const ALONE: usize = 1;
+/// Time of each step in units of the second: the share of its pixels, and a tenth that stays. Kept frames are tried where
+/// there is some time to spare: how much they cost goes with how much of the picture they fill.
+const COSTS: [f32; LADDER.len()] = [1.4, 1.0, 0.61, 0.33, 0.21, 0.16, 0.13];
+/// With kept frames a picture takes so many times as long as without, at most.
+const MOST_OF_KEPT: u32 = 4;
 /// A step is taken up if it is expected to need no more than this part of the time.
 const HEADROOM: f32 = 0.85;
 /// Weight of a new time: the mean of about the last five (Gupta 2022, section 5).
@@ -195,14 +217,58 @@ mod tests {
         }
     }
 
+    /// Kept frames are given up before pixels are, tried now and then, and kept where there is time for them.
+    #[test]
+    fn kept_frames_go_first() {
+        for (alone, kept) in [(0.012, 0.05), (0.02, 0.08), (0.03, 0.04), (0.01, 0.03), (0.06, 0.3)] {
+            let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);
+            let (num, num_kept) = (std::cell::Cell::new(0u32), std::cell::Cell::new(0u32));
+            let scales = run(&mut control, &mut now, 20.0, |q| {
+                num.set(num.get() + 1);
+                num_kept.set(num_kept.get() + u32::from(q.keeps));
+                if q.keeps { kept } else { pixels(alone)(q) }
+            });
+            let share = num_kept.get() as f32 / num.get() as f32;
+            if kept < 1.0 / 30.0 {
+                assert_eq!(share, 1.0, "{alone} {kept}");
+            } else {
+                assert!(share < 0.02, "{alone} {kept}: {share}");
+            }
+            if alone < 1.0 / 30.0 {
+                assert!(scales.iter().all(|s| *s == 1.0), "{alone} {kept}: the picture was made smaller");
+            }
+            // At rest, too: the window would stand still as long.
+            assert_eq!(control.quality(false), LADDER[usize::from(share < 1.0)]);
+        }
+    }
+
+    /// Where there are no kept frames to cast, nothing is learnt of them, and a slow picture is made smaller all the same.
+    #[test]
+    fn without_kept_frames_the_picture_itself_counts() {
+        let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);
+        let mut cast = |control: &mut QualityControl, full: f32| {
+            let quality = Quality { keeps: false, ..control.quality(true) };
+            let time = Duration::from_secs_f32(pixels(full)(quality));
+            now += time.max(Duration::from_millis(16));
+            control.handle_cast(now, quality, time);
+        };
+        (0..100).for_each(|_| cast(&mut control, 0.03));
+        assert_eq!(control.quality(true), Quality::FULL, "kept frames may come");
+        (0..100).for_each(|_| cast(&mut control, 0.085));
+        assert_eq!(control.quality(true).scale, 0.5);
+        assert_eq!(control.quality(false), LADDER[ALONE]);
+        (0..400).for_each(|_| cast(&mut control, 0.01));
+        assert_eq!(control.quality(true), Quality::FULL);
+    }
+
     #[test]
     fn a_camera_that_rests_is_shown_in_full_and_goes_on_as_before() {
         let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);
         run(&mut control, &mut now, 2.0, pixels(0.1));
         let moving = control.quality(true);
         assert!(moving.scale < 1.0);
-        assert_eq!(control.quality(false), Quality::FULL);
-        control.handle_cast(now, Quality::FULL, Duration::from_millis(100));
+        assert_eq!(control.quality(false), LADDER[ALONE]);
+        control.handle_cast(now, LADDER[ALONE], Duration::from_millis(100));
         assert_eq!(control.quality(true), moving);
     }
 

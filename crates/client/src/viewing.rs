@@ -7,13 +7,14 @@ use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::PoseId;
+use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
 use crate::camera_controls::angle_between_degrees;
-use crate::foresight::{Foresight, guard_band, widest};
+use crate::foresight::{Foresight, Limits, guard_band, widest};
 use crate::frame_source::FrameSource;
 use crate::kept::KeptFrames;
 
@@ -119,6 +120,8 @@ pub struct Viewing<S> {
     /// Poses that were asked for, and when they last were.
     left: VecDeque<(Pose, Duration)>,
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
+    /// The first refresh.
+    began_at: Option<Duration>,
     moved_at: Duration,
     refreshed_at: Duration,
     /// What a list costs the server to generate and encode, as it last said.
@@ -139,6 +142,7 @@ impl<S: FrameSource> Viewing<S> {
             asked: None,
             left: VecDeque::new(),
             last: None,
+            began_at: None,
             moved_at: Duration::ZERO,
             refreshed_at: Duration::ZERO,
             micros_per_list: None,
@@ -161,6 +165,7 @@ impl<S: FrameSource> Viewing<S> {
         let camera = Camera::new(pose, picture, bounds);
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
         let full = self.frame_size.frame_for(picture, max_side);
+        self.began_at.get_or_insert(now);
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
@@ -227,14 +232,19 @@ impl<S: FrameSource> Viewing<S> {
     ) -> Intrinsics {
         let picture = ahead.intrinsics;
         let full = self.frame_size.frame_for(picture, max_side);
+        let k = self.source.look().map_or(MAX_K as u8, |(_, look)| look.k);
+        let limits = Limits { max_side, max_lists: max_lists(k) };
         if let Some(own) = own {
             // The picture is the server's own; what lies beside it is for the movement to come.
             let has_margin = own.frame.header.camera.intrinsics != full;
             return match self.foresight.guards {
                 true if has_margin => own.frame.header.camera.intrinsics,
-                true => widest(Camera { intrinsics: full, ..ahead }, bounds, max_side),
+                true => widest(Camera { intrinsics: full, ..ahead }, bounds, limits),
                 false => full,
             };
+        }
+        if self.is_beginning(now) {
+            return self.frame_size.moving_frame_for(picture, max_side, Some(UNKNOWN_MICROS_PER_LIST));
         }
         if !self.is_moving(now) {
             return full;
@@ -245,7 +255,7 @@ impl<S: FrameSource> Viewing<S> {
         let bare = of_size(1.0);
         let reach = self.predictor.reach().filter(|_| self.foresight.guards && !self.predictor.is_resting());
         let Some(reach) = reach else { return bare };
-        let wide = |i| guard_band(Camera { intrinsics: i, ..ahead }, pose, reach, bounds, max_side);
+        let wide = |i| guard_band(Camera { intrinsics: i, ..ahead }, pose, reach, bounds, limits);
         let growth = wide(bare).num_pixels() as f32 / bare.num_pixels() as f32;
         wide(of_size(growth))
     }
@@ -288,6 +298,13 @@ impl<S: FrameSource> Viewing<S> {
     pub fn set_look(&mut self, now: Duration, look: Look) {
         self.source.set_look(look.clone());
         self.wanted_look = Some((Arc::new(look), now));
+    }
+
+    /// Whether no frame has been there and the first is being asked for. That one is small, so that there is something to
+    /// see while the server makes a whole one, which is asked for a moment later: by then the server is at work.
+    fn is_beginning(&self, now: Duration) -> bool {
+        let has_frame = self.last.as_ref().is_some_and(|(_, frame)| frame.is_some());
+        !has_frame && self.began_at.is_some_and(|began| now < began + BEGINNING)
     }
 
     fn is_moving(&self, now: Duration) -> bool {
@@ -350,6 +367,10 @@ fn is_own(frame: &ReceivedFrame, (pose, full): (Pose, Intrinsics)) -> bool {
 
 /// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
 const REST: Duration = Duration::from_millis(150);
+/// The first frame is asked for in the size of a moving camera's for so long: a few refreshes.
+const BEGINNING: Duration = Duration::from_millis(80);
+/// What a list is taken to cost a server that has not spoken of it: what one takes that has two cores and no GPU.
+const UNKNOWN_MICROS_PER_LIST: f32 = 3.0;
 /// Sizes of frames while the camera moves: few, so that they do not change all the time.
 const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
 const LEAST_MOVING_SCALE: f32 = 0.25;

@@ -196,6 +196,13 @@ impl Over {
     }
 }
 
+/// Most lists of a frame that a server makes for lists of mean length `k`: with that many segments and an eighth more, the
+/// planes stay within what a peer of the codec accepts and within wgpu's default binding size, 2²⁵ words.
+pub fn max_lists(k: u8) -> usize {
+    let k = usize::from(k.max(1));
+    ((1 << 25) / (k + k.div_ceil(8))).clamp(ALWAYS_LISTS, MAX_LISTS)
+}
+
 /// View depth (world units) to the 16-bit scale of a frame, unrounded and unclamped.
 pub fn depth_to_units(camera: &Camera, depth: f32) -> f32 {
     (depth - camera.near) * (DEPTH_UNITS / (camera.far - camera.near))
@@ -229,9 +236,10 @@ fn half_from_f32(x: f32) -> u16 {
 pub const TAU_MAX: f32 = 1000.0;
 /// Greatest list length: Gupta 2022 compares lists of 15 and of 30.
 pub const MAX_K: usize = 32;
-/// Most lists of a frame that a server makes. With 16 segments in each, the planes stay within what a peer of the codec
-/// accepts and within wgpu's default binding size.
-pub const MAX_LISTS: usize = 1920 * 1088;
+/// Most lists of a frame that a server makes at all: 1920×1080 with a margin of 160 on each side.
+pub const MAX_LISTS: usize = 2240 * 1400;
+/// Lists of the largest picture that a viewer asks for, 1920×1200: a server makes so many of any K.
+pub const ALWAYS_LISTS: usize = 1920 * 1200;
 /// Depth units between near and far.
 pub const DEPTH_UNITS: f32 = 65535.0;
 /// Greatest finite half float.
@@ -259,6 +267,19 @@ mod tests {
         }
         for h in 0..=0x7bffu16 {
             assert_eq!(half_from_f32(f32_from_half(h)), h);
+        }
+    }
+
+    #[test]
+    fn the_more_segments_the_fewer_lists() {
+        assert_eq!([1, 8].map(max_lists), [MAX_LISTS; 2]);
+        assert_eq!([0, 255].map(max_lists), [MAX_LISTS, ALWAYS_LISTS]);
+        for k in 1..=MAX_K as u8 {
+            let lists = max_lists(k);
+            assert!(lists <= max_lists(k - 1) && (ALWAYS_LISTS..=MAX_LISTS).contains(&lists), "{k}");
+            // Above the lists of the largest picture, full ones are within what the codec takes from a peer.
+            let segments = lists * usize::from(k);
+            assert!(lists == ALWAYS_LISTS || segments <= crate::codec::MAX_FRAME_SEGMENTS, "{k}");
         }
     }
 

@@ -27,7 +27,7 @@ pub struct VolumeFacts {
     pub percentiles: [f32; PERCENTILES.len()],
     /// Where the axes point, such as `RAS`, if known.
     pub orientation: Option<String>,
-    /// Bytes the voxels take in memory, on the GPU as well.
+    /// Bytes the voxels and their brightness take in memory, on the GPU as well.
     pub bytes_in_memory: u64,
     /// What is odd about the file, one sentence each.
     pub warnings: Vec<String>,
@@ -112,7 +112,7 @@ mod tests {
         ];
         assert_eq!(keys, promised);
         assert_eq!(json["dims"], serde_json::json!([16, 16, 16]));
-        assert_eq!(json["bytes_in_memory"], 4096);
+        assert_eq!(json["bytes_in_memory"], 2 * 4096);
         assert_eq!(json["percentiles"]["99.9"].as_f64().unwrap() as f32, facts.percentiles[9]);
         assert_eq!(json["orientation"], serde_json::Value::Null);
         assert_eq!(facts.to_string().lines().count(), 8);

@@ -82,6 +82,21 @@ impl FramesOnGpu {
         }
     }
 
+    /// Group 0 of a kernel, for a draw in which nothing is seen; none if the device cannot bind it.
+    pub(crate) fn warm_up(&self, device: &wgpu::Device, frames: Frames) -> Option<wgpu::BindGroup> {
+        let empty = FrameOnGpu::new(device, self.layouts.of(Frames::One), self.builder.clone());
+        match frames {
+            Frames::One => Some(empty.bind_group),
+            Frames::Several => {
+                let buffers = empty.whole_buffers(device)?;
+                let of_all = (0..MAX_FRAMES).flat_map(|_| buffers.clone());
+                let resources: Vec<_> =
+                    std::iter::once(self.combination.as_entire_binding()).chain(of_all).collect();
+                Some(bind(device, "no frames", self.layouts.of(frames), &resources))
+            }
+        }
+    }
+
     /// How frames are cast from now on.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         self.options = *options;

@@ -20,6 +20,7 @@ mod shader_tests;
 mod shaders;
 pub mod upscale;
 mod view_pass;
+mod warm_up;
 
 pub use backend::{Backend, BackendChoice, Renderer, Reprojector};
 pub use device::{Gpu, GpuInfo};
@@ -27,5 +28,6 @@ pub use error::GpuError;
 pub use march::GpuRenderer;
 pub use raycast::GpuReprojector;
 pub use view_pass::{Channels, Eye, NUM_SLOTS, ViewPass};
+pub use warm_up::WarmUp;
 /// The version of wgpu that [`ViewPass`] speaks.
 pub use wgpu;

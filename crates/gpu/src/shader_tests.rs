@@ -159,7 +159,7 @@ const TWINS: [&str; 20] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 15] = [
+const SHADER_ONLY: [&str; 16] = [
     "K",
     "STOP_AT",
     "MEAN_K",
@@ -171,6 +171,7 @@ const SHADER_ONLY: [&str; 15] = [
     "HALF_SUBNORMAL",
     "NEVER",
     "OUT_OF_REACH",
+    "MIXED",
     "NONE",
     "HALF_SCALE",
     "LIST_CELLS",

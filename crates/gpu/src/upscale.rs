@@ -2,12 +2,11 @@
 //! inside it. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
 
 use crate::device::{bind, layout, shader_module};
-use crate::shaders::{Frames, Kernel};
+use crate::shaders::Kernel;
+use crate::warm_up::Draw;
 
 /// The texture and what draws into and from it.
 pub(crate) struct Upscale {
-    /// Of one frame and of several.
-    casts: [wgpu::RenderPipeline; 2],
     enlarge: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
@@ -24,13 +23,8 @@ struct Target {
 }
 
 impl Upscale {
-    /// `casts` are layout and module of the view's own pipelines, of one frame and of several; `format` is what is enlarged
-    /// into.
-    pub(crate) fn new(
-        device: &wgpu::Device,
-        format: wgpu::TextureFormat,
-        casts: &[(wgpu::PipelineLayout, wgpu::ShaderModule); 2],
-    ) -> Self {
+    /// `format` is what is enlarged into.
+    pub(crate) fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: true },
             view_dimension: wgpu::TextureViewDimension::D2,
@@ -44,34 +38,29 @@ impl Upscale {
             immediate_size: 0,
         });
         let module = shader_module(device, Kernel::Upscale);
-        let pipeline = |layout, module, [vertex, fragment]: [&str; 2], format: wgpu::TextureFormat| {
-            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                label: Some("upscale"),
-                layout: Some(layout),
-                vertex: wgpu::VertexState {
-                    module,
-                    entry_point: Some(vertex),
-                    compilation_options: Default::default(),
-                    buffers: &[],
-                },
-                primitive: wgpu::PrimitiveState::default(),
-                depth_stencil: None,
-                multisample: wgpu::MultisampleState::default(),
-                fragment: Some(wgpu::FragmentState {
-                    module,
-                    entry_point: Some(fragment),
-                    compilation_options: Default::default(),
-                    targets: &[Some(format.into())],
-                }),
-                multiview_mask: None,
-                cache: None,
-            })
-        };
+        let enlarge = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("upscale"),
+            layout: Some(&pipeline_layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("upscale_vertex"),
+                compilation_options: Default::default(),
+                buffers: &[],
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: None,
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("upscale_fragment"),
+                compilation_options: Default::default(),
+                targets: &[Some(format.into())],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
         Self {
-            casts: casts
-                .each_ref()
-                .map(|(layout, module)| pipeline(layout, module, ["view_vertex", "view_fragment"], format)),
-            enlarge: pipeline(&pipeline_layout, &module, ["upscale_vertex", "upscale_fragment"], format),
+            enlarge,
             layout: group_layout,
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("between pixels"),
@@ -84,13 +73,13 @@ impl Upscale {
         }
     }
 
-    /// Casts into a texture of `size`.
+    /// Casts into a texture of `size` by a pipeline for the screen's format.
     pub(crate) fn cast(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         size: [u32; 2],
-        frames: Frames,
+        pipeline: &wgpu::RenderPipeline,
         groups: [&wgpu::BindGroup; 2],
     ) {
         if self.target.as_ref().is_none_or(|t| t.size != size) {
@@ -110,11 +99,16 @@ impl Upscale {
             })],
             ..Default::default()
         });
-        pass.set_pipeline(&self.casts[frames as usize]);
+        pass.set_pipeline(pipeline);
         for (i, group) in (0..).zip(groups) {
             pass.set_bind_group(i, group, &[]);
         }
         pass.draw(0..3, 0..1);
+    }
+
+    /// A first draw with the pipeline that enlarges.
+    pub(crate) fn warm_up(&self, device: &wgpu::Device) -> Draw {
+        Draw { pipeline: self.enlarge.clone(), groups: vec![self.target(device, [1, 1]).bind_group] }
     }
 
     /// Fills the viewport with what was cast.

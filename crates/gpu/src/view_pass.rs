@@ -9,7 +9,7 @@
 //! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
 //! once.
 
-use isinglass_core::camera::Camera;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
@@ -24,6 +24,7 @@ use crate::gpu_types::{Basis, Display};
 use crate::raycast::GridBuilder;
 use crate::shaders::{Frames, Kernel};
 use crate::upscale::Upscale;
+use crate::warm_up::{Draw, WarmUp};
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
@@ -37,6 +38,7 @@ pub struct ViewPass {
     smaller: (wgpu::Buffer, wgpu::BindGroup),
     upscale: Upscale,
     encode_srgb: bool,
+    target: wgpu::TextureFormat,
 }
 
 /// One of two.
@@ -95,7 +97,7 @@ impl ViewPass {
             let pipelines = casts.each_ref().map(|(layout, module)| {
                 Channels::ALL.map(|channels| pipeline(device, target, module, layout, channels))
             });
-            let upscale = Upscale::new(device, target, &casts);
+            let upscale = Upscale::new(device, target);
             let frames = FramesOnGpu::new(device, &caster_layouts, builder);
             let uniform =
                 |label, bytes: usize| buffer(device, label, bytes as u64, wgpu::BufferUsages::UNIFORM);
@@ -111,7 +113,31 @@ impl ViewPass {
             let smaller_group = bind(device, "smaller view", &view_layout, &resources);
             let smaller = (smaller, smaller_group);
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipelines, frames, eyes, display, smaller, upscale, encode_srgb })
+            Ok(Self { pipelines, frames, eyes, display, smaller, upscale, encode_srgb, target })
+        })
+    }
+
+    /// What the pictures of one eye are drawn with, for a first draw ahead of the first frame. Call it before anything else
+    /// is prepared; it can be run at any time.
+    ///
+    /// # Errors
+    /// If the device has no room for it.
+    pub fn warm_up(&self, device: &wgpu::Device, queue: &wgpu::Queue) -> Result<WarmUp, GpuError> {
+        scoped(device, "preparing the first draws", || {
+            // Nothing is in the one pixel, but its ray is one.
+            let pixel = Intrinsics { width: 1, height: 1, fov_y: 1.0 };
+            let nowhere = Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::ZERO };
+            let camera = Camera::new(Pose::orbit(glam::Vec3::ONE, 0.0, 0.0, 1.0), pixel, &nowhere);
+            self.prepare(queue, &camera, [0.0; 3]);
+            let (_, view) = &self.eyes[0];
+            let casts = [Frames::One, Frames::Several].into_iter().filter_map(|frames| {
+                let pipeline = self.pipelines[frames as usize][Channels::All as usize].clone();
+                let group = self.frames.warm_up(device, frames)?;
+                Some(Draw { pipeline, groups: vec![group, view.clone()] })
+            });
+            let mut draws: Vec<Draw> = casts.collect();
+            draws.insert(1, self.upscale.warm_up(device));
+            Ok(WarmUp { target: self.target, draws })
         })
     }
 
@@ -175,7 +201,8 @@ impl ViewPass {
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         self.frames.prepare(queue, &[camera.into()]);
         let (frames, group) = self.frames.cast();
-        self.upscale.cast(device, encoder, size, frames, [group, &self.smaller.1]);
+        let pipeline = &self.pipelines[frames as usize][Channels::All as usize];
+        self.upscale.cast(device, encoder, size, pipeline, [group, &self.smaller.1]);
     }
 
     /// Fills the viewport with the smaller picture, enlarged.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::layer::{FrameHeader, MAX_LISTS};
+use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
 use isinglass_core::space::Aabb;
@@ -130,7 +130,7 @@ impl Viewer {
             frame: self.frame,
             pose: request.id,
             look: self.version,
-            camera: Camera::new(request.pose, bounded(request.intrinsics), &self.bounds),
+            camera: Camera::new(request.pose, bounded(request.intrinsics, self.look.k), &self.bounds),
             k: self.look.k,
         };
         let Some(result) = self.generator.generate((*self.look).clone(), header).await else { return false };
@@ -200,9 +200,9 @@ async fn send(
     frames.send(header.frame, header.pose, encoded.chunks).await
 }
 
-/// The picture size that is rendered for a wish: the same shape, at most [`MAX_LISTS`] pixels.
-fn bounded(wish: Intrinsics) -> Intrinsics {
-    let excess = wish.num_pixels() as f32 / MAX_LISTS as f32;
+/// The picture size that is rendered for a wish: the same shape, at most [`max_lists`] pixels.
+fn bounded(wish: Intrinsics, k: u8) -> Intrinsics {
+    let excess = wish.num_pixels() as f32 / max_lists(k) as f32;
     if excess <= 1.0 {
         return wish;
     }
@@ -216,11 +216,13 @@ mod tests {
 
     #[test]
     fn wishes_are_bounded_and_keep_their_shape() {
-        let wish = |width, height| bounded(Intrinsics { width, height, fov_y: 1.0 });
-        assert_eq!(wish(1920, 1080), Intrinsics { width: 1920, height: 1080, fov_y: 1.0 });
-        let big = wish(8192, 4096);
-        assert!(big.num_pixels() <= MAX_LISTS && big.num_pixels() > MAX_LISTS * 9 / 10);
-        assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);
-        assert!(wish(8192, 1).num_pixels() >= 1);
+        for k in [1, 8, 15, 32] {
+            let wish = |width, height| bounded(Intrinsics { width, height, fov_y: 1.0 }, k);
+            assert_eq!(wish(1920, 1200), Intrinsics { width: 1920, height: 1200, fov_y: 1.0 });
+            let (big, most) = (wish(8192, 4096), max_lists(k));
+            assert!(big.num_pixels() <= most && big.num_pixels() > most * 9 / 10);
+            assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);
+            assert!(wish(8192, 1).num_pixels() >= 1);
+        }
     }
 }

@@ -164,7 +164,7 @@ impl Scale<'_, '_> {
     fn by_samples(&mut self, target_fps: f32) -> Result<Quality, BenchError> {
         let target_ms = 1e3 / f64::from(target_fps);
         for (i, num_samples) in SAMPLES.into_iter().enumerate() {
-            let quality = Quality { scale: 1.0, num_samples };
+            let quality = Quality { scale: 1.0, num_samples, keeps: false };
             if i == self.by_samples.len() {
                 let ms = self.cast_thrice(quality)?.map_or(0.0, |(_, ms)| ms);
                 self.by_samples.push(ms);
@@ -173,26 +173,28 @@ impl Scale<'_, '_> {
                 return Ok(quality);
             }
         }
-        Ok(Quality { scale: 1.0, num_samples: SAMPLES[SAMPLES.len() - 1] })
+        Ok(Quality { scale: 1.0, num_samples: SAMPLES[SAMPLES.len() - 1], keeps: false })
     }
 
     /// Where the viewer's controller comes to rest while the camera moves.
     fn by_control(&mut self, target_fps: f32) -> Result<Quality, BenchError> {
         let mut control = QualityControl::new(target_fps);
+        // One frame is measured: there are no kept ones.
+        let chosen = |control: &QualityControl| Quality { keeps: false, ..control.quality(true) };
         let mut now = Duration::ZERO;
         let mut num_casts_here = 0;
         for _ in 0..MAX_CASTS {
-            let quality = control.quality(true);
+            let quality = chosen(&control);
             let ms = self.cast(quality)?.map_or(0.0, |(_, ms)| ms);
             let time = Duration::from_secs_f64(ms * 1e-3);
             now += time.max(REFRESH);
             control.handle_cast(now, quality, time);
-            num_casts_here = if control.quality(true) == quality { num_casts_here + 1 } else { 0 };
+            num_casts_here = if chosen(&control) == quality { num_casts_here + 1 } else { 0 };
             if num_casts_here >= CASTS_AT_REST {
                 break;
             }
         }
-        Ok(control.quality(true))
+        Ok(chosen(&control))
     }
 }
 

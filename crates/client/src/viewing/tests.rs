@@ -119,6 +119,31 @@ fn viewing() -> Viewing<FakeSource> {
 }
 
 #[test]
+fn the_first_frame_asked_for_is_small() {
+    let picture = Intrinsics { width: 1200, height: 800, ..PICTURE };
+    let frame_size = FrameSize { moving_budget: Some(ms(300)), ..FrameSize::default() };
+    let asked = |frame_size, picture, times: &[u64]| {
+        let mut v = Viewing::new(FakeSource::default(), frame_size, Foresight::default());
+        for &time in times {
+            v.refresh(ms(time), at(0.0), picture, &BOUNDS);
+        }
+        v.source().asked.iter().map(|(_, i)| i.width).collect::<Vec<_>>()
+    };
+    assert_eq!(asked(frame_size, picture, &[0, 30, 60, 90, 120]), [300, 1200]);
+    // One that is small anyway is asked for at once, and so is every frame if nothing is said of time.
+    assert_eq!(asked(frame_size, PICTURE, &[0, 30, 90]), [60]);
+    assert_eq!(asked(FrameSize::default(), picture, &[0, 30, 90]), [1200]);
+    // A first frame that is there soon is followed by a whole one at once.
+    let mut v = Viewing::new(FakeSource::default(), frame_size, Foresight::default());
+    v.refresh(ms(0), at(0.0), picture, &BOUNDS);
+    v.source_mut().answer(1, ms(0), true);
+    v.refresh(ms(10), at(0.0), picture, &BOUNDS);
+    let refresh = v.refresh(ms(20), at(0.0), picture, &BOUNDS);
+    assert_eq!(v.source().asked.last().map(|(_, i)| *i), Some(picture));
+    assert_eq!(refresh.standing, Standing::Refining);
+}
+
+#[test]
 fn the_picture_has_the_present_camera_whatever_the_frame() {
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
     let mut turned = vec![];

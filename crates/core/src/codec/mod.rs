@@ -252,4 +252,5 @@ fn base_k(frame: &LayeredFrame) -> usize {
     frame.num_segments().div_ceil(2 * num_filled.max(1)).max(1)
 }
 
+const _: () = assert!(crate::layer::MAX_LISTS <= MAX_FRAME_LISTS);
 const _: () = assert!(MAX_K == 32, "a list's base is marked in 32 bits");

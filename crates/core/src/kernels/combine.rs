@@ -63,6 +63,15 @@ struct Parts {
     inner: (f32, f32),
 }
 
+/// What is cast from one cut of a ray to another.
+#[derive(Clone, Copy)]
+enum Piece {
+    /// One frame.
+    Alone(usize),
+    /// Several, in a band where the coverage of one changes.
+    Mixed,
+}
+
 impl View {
     fn of(camera: &Camera) -> Self {
         Self { basis: camera.basis(), near: camera.near }
@@ -162,7 +171,7 @@ impl Combiner {
         cuts.sort_unstable_by(f32::total_cmp);
         let mut acc = Over::default();
         // A frame that is alone from one cut to the next is cast over both pieces at once.
-        let mut alone: Option<(usize, (f32, f32))> = None;
+        let mut pending: Option<(Piece, (f32, f32))> = None;
         for pair in cuts.windows(2) {
             let [from, to] = [pair[0], pair[1]];
             if to <= from {
@@ -174,48 +183,52 @@ impl Combiner {
             let middle = 0.5 * (from + to);
             let holds = |(a, b): (f32, f32)| a <= middle && middle <= b;
             let first = parts.iter().position(|p| p.is_some_and(|p| holds(p.outer)));
-            let sole = first.filter(|&n| {
+            let next = first.map(|n| {
                 let is_full = parts[n].is_some_and(|p| holds(p.inner));
-                is_full || !parts[n + 1..].iter().any(|p| p.is_some_and(|p| holds(p.outer)))
+                let has_others = parts[n + 1..].iter().any(|p| p.is_some_and(|p| holds(p.outer)));
+                if has_others && !is_full { Piece::Mixed } else { Piece::Alone(n) }
             });
-            match (sole, &mut alone) {
-                (Some(n), Some((layer, piece))) if *layer == n => piece.1 = to,
+            match (next, &mut pending) {
+                (Some(Piece::Alone(n)), Some((Piece::Alone(before), (_, end)))) if *before == n => *end = to,
                 _ => {
-                    if let Some((layer, piece)) = alone.take() {
-                        self.add(&mut acc, ray, layer, piece);
+                    if let Some((piece, within)) = pending.take() {
+                        self.add(&mut acc, ray, &parts, piece, within);
                     }
-                    match (first, sole) {
-                        (Some(_), None) => self.add_mixed(&mut acc, ray, &parts, (from, to)),
-                        _ => alone = sole.map(|n| (n, (from, to))),
-                    }
+                    pending = next.map(|piece| (piece, (from, to)));
                 }
             }
         }
-        if let Some((layer, piece)) = alone {
-            self.add(&mut acc, ray, layer, piece);
+        if let Some((piece, within)) = pending {
+            self.add(&mut acc, ray, &parts, piece, within);
         }
         acc
     }
 
-    /// Puts a piece of one frame behind what is there.
-    fn add(&self, acc: &mut Over, ray: &Ray, layer: usize, piece: (f32, f32)) {
-        let seen = self.layers[layer].caster.cast_between(ray, piece, &CastOptions::default());
-        acc.c += seen.c * acc.transmittance;
-        acc.transmittance *= seen.transmittance;
-    }
-
-    /// Puts a piece behind what is there over which the coverage of a frame changes, in steps of about a list.
-    fn add_mixed(&self, acc: &mut Over, ray: &Ray, parts: &[Option<Parts>; MAX_FRAMES], piece: (f32, f32)) {
+    /// Puts a piece behind what is there: of one frame, or mixed, in steps of about a list.
+    fn add(
+        &self,
+        acc: &mut Over,
+        ray: &Ray,
+        parts: &[Option<Parts>; MAX_FRAMES],
+        piece: Piece,
+        within: (f32, f32),
+    ) {
+        if let Piece::Alone(n) = piece {
+            let seen = self.layers[n].caster.cast_between(ray, within, &CastOptions::default());
+            acc.c += seen.c * acc.transmittance;
+            acc.transmittance *= seen.transmittance;
+            return;
+        }
         let insets = |s: f32| -> [f32; MAX_FRAMES] {
             std::array::from_fn(|n| match (parts[n], self.layers.get(n)) {
                 (Some(p), Some(layer)) => layer.view.inset(p.line.at(s)).clamp(0.0, layer.band),
                 _ => 0.0,
             })
         };
-        let (a, b) = (insets(piece.0), insets(piece.1));
+        let (a, b) = (insets(within.0), insets(within.1));
         let change = (0..MAX_FRAMES).map(|n| (a[n] - b[n]).abs()).fold(0.0, f32::max);
         let steps = (change.ceil() as usize).clamp(1, BAND as usize);
-        let at = |i: usize| piece.0 + (piece.1 - piece.0) * (i as f32 / steps as f32);
+        let at = |i: usize| within.0 + (within.1 - within.0) * (i as f32 / steps as f32);
         for i in 0..steps {
             let (from, to) = (at(i), at(i + 1));
             let insets = insets(0.5 * (from + to));

@@ -10,6 +10,8 @@
 //! with and without skipping is the same.
 
 mod grid;
+#[cfg(test)]
+mod whole_marches;
 
 use std::sync::Arc;
 

@@ -206,9 +206,9 @@ impl Volume {
         (a.min(b), a.max(b))
     }
 
-    /// Bytes of the voxels in memory.
+    /// Bytes of the voxels in memory, and of their brightness, which shaded pictures need ([`super::Lit`]).
     pub fn bytes_in_memory(&self) -> u64 {
-        self.voxels.len() as u64 * self.voxels.bytes_per_voxel() as u64
+        self.voxels.len() as u64 * (self.voxels.bytes_per_voxel() + BRIGHTNESS_BYTES) as u64
     }
 
     /// The stored number at integer coordinates, clamped to the grid.
@@ -218,6 +218,9 @@ impl Volume {
         self.voxels.get((z * self.dims[1] as usize + y) * self.dims[0] as usize + x)
     }
 }
+
+/// Bytes of the brightness of a voxel.
+const BRIGHTNESS_BYTES: usize = 1;
 
 fn min_max(values: impl Iterator<Item = f32>) -> (f32, f32) {
     values.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)))
