@@ -62,7 +62,7 @@ struct PictureResources {
 pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatus>, String> {
     let (device, queue) = (&state.device, &state.queue);
     let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
-    warm_up(&pass, device, queue).map_err(|e| e.to_string())?;
+    warm_up(&pass, state).map_err(|e| e.to_string())?;
     let time = Arc::new(GpuTime::default());
     let timer = GpuTimer::new(device, queue, time.clone());
     let status = Arc::new(PictureStatus { time, has_timer: timer.is_some(), problem: Mutex::default() });
@@ -72,11 +72,11 @@ pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatu
 }
 
 /// Draws once with each pipeline, beside the page that waits for the first frame.
-fn warm_up(pass: &ViewPass, device: &wgpu::Device, queue: &wgpu::Queue) -> Result<(), GpuError> {
-    let warm_up = pass.warm_up(device, queue)?;
-    let (device, queue) = (device.clone(), queue.clone());
+fn warm_up(pass: &ViewPass, state: &egui_wgpu::RenderState) -> Result<(), GpuError> {
+    let (adapter, device, queue) = (state.adapter.clone(), state.device.clone(), state.queue.clone());
+    let warm_up = pass.warm_up(&device, &queue)?;
     let run = move || {
-        if let Err(e) = warm_up.run(&device, &queue, || true) {
+        if let Err(e) = warm_up.run(Some(&adapter), &device, &queue) {
             tracing::warn!("first draws: {e}");
         }
     };

@@ -1,11 +1,14 @@
 //! The first draw with each pipeline, ahead of time and off the screen.
 //!
 //! Software devices, and some drivers of hardware, compile a kernel when it is drawn with for the first time: a second
-//! or more, in which a window that draws with it stands still.
+//! or more, in which a window that draws with it stands still, as all draws of a device wait for each other. Software
+//! devices keep what they have compiled in a cache that others find it in, so what is
+//! not needed at once is drawn with on another device first.
 
 use std::time::Duration;
 
 use crate::error::{GpuError, scoped};
+use crate::view_pass::ViewPass;
 
 /// Draws of one pixel that nobody sees. Holds what it needs, so that any thread can run it while the window draws.
 pub struct WarmUp {
@@ -22,17 +25,55 @@ pub(crate) struct Draw {
 
 impl WarmUp {
     /// Draws with one pipeline after the other and waits for each, so that whatever else is drawn meanwhile waits for one
-    /// kernel at most. Ends early if `goes_on` says so between two of them. Returns how many were drawn with.
+    /// kernel at most; if `adapter` is one in software whose cache is in use, for those of the first picture alone. Returns how many were drawn with.
     ///
     /// # Errors
     /// If the device reports one.
     pub fn run(
         &self,
+        adapter: Option<&wgpu::Adapter>,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        mut goes_on: impl FnMut() -> bool,
     ) -> Result<usize, GpuError> {
-        let view = scoped(device, "making a target of one pixel", || {
+        let is_software = |a: &&wgpu::Adapter| a.get_info().device_type == wgpu::DeviceType::Cpu;
+        // Without another device the first draws take their time here, and that is all.
+        let beside = adapter.filter(is_software).and_then(|adapter| self.beside(adapter, device).ok());
+        let view = self.view(device)?;
+        for (number, draw) in self.draws.iter().enumerate() {
+            // What the first picture needs is needed soon: compiling it twice at once would only take longer.
+            if number >= NUM_AT_ONCE
+                && let Some((device, queue, warm_up, view)) = &beside
+                && let Some(draw) = warm_up.draws.get(number)
+            {
+                scoped(device, "drawing one pixel beside", || draw.run(device, queue, view))?;
+                std::thread::sleep(CACHE_DELAY);
+            }
+            scoped(device, "drawing one pixel", || draw.run(device, queue, &view))?;
+        }
+        Ok(self.draws.len())
+    }
+
+    /// The same on another device of the adapter.
+    fn beside(
+        &self,
+        adapter: &wgpu::Adapter,
+        device: &wgpu::Device,
+    ) -> Result<(wgpu::Device, wgpu::Queue, Self, wgpu::TextureView), GpuError> {
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("warm-up"),
+            required_features: device.features(),
+            required_limits: device.limits(),
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|e| GpuError::Failed { what: "opening a device", reason: e.to_string() })?;
+        let warm_up = ViewPass::new(&device, self.target)?.warm_up(&device, &queue)?;
+        let view = warm_up.view(&device)?;
+        Ok((device, queue, warm_up, view))
+    }
+
+    fn view(&self, device: &wgpu::Device) -> Result<wgpu::TextureView, GpuError> {
+        scoped(device, "making a target of one pixel", || {
             let texture = device.create_texture(&wgpu::TextureDescriptor {
                 label: Some("warm-up"),
                 size: wgpu::Extent3d::default(),
@@ -44,14 +85,7 @@ impl WarmUp {
                 view_formats: &[],
             });
             Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
-        })?;
-        for (num_drawn, draw) in self.draws.iter().enumerate() {
-            if !goes_on() {
-                return Ok(num_drawn);
-            }
-            scoped(device, "drawing one pixel", || draw.run(device, queue, &view))?;
-        }
-        Ok(self.draws.len())
+        })
     }
 }
 
@@ -96,4 +130,8 @@ impl Draw {
     }
 }
 
+/// Draws for the first picture: of one frame, and of a smaller picture enlarged.
+const NUM_AT_ONCE: usize = 2;
+/// The cache is written by a thread of the driver.
+const CACHE_DELAY: Duration = Duration::from_millis(50);
 const WAIT: Duration = Duration::from_millis(10);
