@@ -13,6 +13,7 @@
 //! Decoding is total: any bytes give a value or an error, in time and memory bounded by the constants here.
 
 mod assembly;
+pub mod blocks;
 mod header;
 mod planes;
 mod predict;

@@ -1,0 +1,58 @@
+//! What a block of lists is when its lists share their cuts.
+
+use glam::Vec3;
+
+/// Lists along a side of a block.
+pub const BLOCK: usize = 8;
+/// Lists of a block.
+pub const BLOCK_LISTS: usize = BLOCK * BLOCK;
+/// Most layers of a block.
+pub const MAX_LAYERS: usize = 24;
+
+/// A plane of depth over a block, in depth units: `z` at the middle of the block, (3.5, 3.5) lists from its first,
+/// and its growth for each list rightwards and downwards.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DepthPlane {
+    /// Depth at the middle of the block.
+    pub z: f32,
+    /// Growth for each list rightwards.
+    pub dx: f32,
+    /// Growth for each list downwards.
+    pub dy: f32,
+}
+
+impl DepthPlane {
+    /// Depth at list `i` of the block, counted row by row.
+    pub fn at(&self, i: usize) -> f32 {
+        const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;
+        let (x, y) = ((i % BLOCK) as f32 - MIDDLE, (i / BLOCK) as f32 - MIDDLE);
+        self.z + self.dx * x + self.dy * y
+    }
+}
+
+/// What the lists of a block have between two depth planes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlockLayer {
+    /// Where the layer begins.
+    pub front: DepthPlane,
+    /// Where it ends.
+    pub back: DepthPlane,
+    /// Bit 8y + x: that list has matter here.
+    pub mask: u64,
+    /// Optical depth of each list; 0 where it has none.
+    pub tau: [f32; BLOCK_LISTS],
+    /// Premultiplied linear colour of each list; 0 where it has none.
+    pub c: [Vec3; BLOCK_LISTS],
+}
+
+impl Default for BlockLayer {
+    fn default() -> Self {
+        Self {
+            front: DepthPlane::default(),
+            back: DepthPlane::default(),
+            mask: 0,
+            tau: [0.0; BLOCK_LISTS],
+            c: [Vec3::ZERO; BLOCK_LISTS],
+        }
+    }
+}
