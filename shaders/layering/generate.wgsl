@@ -18,7 +18,7 @@ alias OpenSegment = Step;
 // One more than K: visibility-merge opens a segment before it merges two.
 struct SegmentList {
     len: u32,
-    segments: array<OpenSegment, K + 1>,
+    segments: array<OpenSegment, OPEN + 1>,
 }
 
 var<private> list: SegmentList;

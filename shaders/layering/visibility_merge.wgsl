@@ -1,8 +1,8 @@
 // One march with a bounded number of open segments, reduced to a budget that the whole frame shares. Twin of
-// crates/core/src/kernels/layering/visibility_merge.rs, which derives it. K is the longest list that is gathered.
+// crates/core/src/kernels/layering/visibility_merge.rs, which derives it. OPEN pieces are
+// gathered.
 //
-// Before this part stand generated lines: const MEAN_K: u32, the segments a list may have on average, and const MOST: u32,
-// those it may have at most.
+// Before this part stands a generated line: const MEAN_K: u32, the segments a list may have on average; it has K at most.
 
 struct Budget {
     num_lists: atomic<u32>,
@@ -25,9 +25,9 @@ struct Gather {
     color_weight: f32,
     // Transmittance in front, at least VISIBILITY_FLOOR; at the end the weight of what a group that begins here gets
     // wrong.
-    visibility: array<f32, K + 1>,
+    visibility: array<f32, OPEN + 1>,
     // Cost of merging a piece with the one behind it; that of the last but one is of before the last had its length.
-    cost: array<f32, K + 1>,
+    cost: array<f32, OPEN + 1>,
 }
 
 var<private> sink: Gather;
@@ -101,7 +101,7 @@ fn sink_step(step: Step) -> u32 {
     list.segments[list.len] = step;
     sink.visibility[list.len] = visibility;
     list.len += 1u;
-    if (list.len > K) {
+    if (list.len > OPEN) {
         thin_out();
     }
     return pace;
@@ -122,59 +122,93 @@ fn finish() {
     }
 }
 
-// Groups of neighbouring pieces: group g has the pieces first[g]..first[g + 1].
+// Groups of neighbouring pieces, with borders that may lie inside of pieces: group g has what is between first[g] and
+// first[g + 1], counted in pieces (3.25 is a quarter into the fourth).
 struct Groups {
     len: u32,
-    first: array<u32, K + 1>,
+    first: array<f32, OPEN + 1>,
     // Error of each group.
-    error: array<f32, K>,
+    error: array<f32, OPEN>,
     // Error of each group joined with the one behind it.
-    joined: array<f32, K>,
+    joined: array<f32, OPEN>,
 }
 
 var<private> groups: Groups;
 
-fn composite(first: u32, end: u32) -> OpenSegment {
-    var all = list.segments[first];
-    for (var i = first + 1u; i < end; i++) {
-        all = appended(all, list.segments[i]);
+// What of piece i is between two borders: matter is spread evenly in a piece.
+fn part_of(i: u32, begin: f32, end: f32) -> OpenSegment {
+    var part = list.segments[i];
+    let first = max(begin - f32(i), 0.0);
+    let last = min(end - f32(i), 1.0);
+    if (last - first == 1.0) {
+        return part;
+    }
+    let s0 = part.s0;
+    let length = part.s1 - s0;
+    part.s0 = s0 + first * length;
+    if (last < 1.0) {
+        part.s1 = s0 + last * length;
+    }
+    part.tau *= last - first;
+    let alpha = 1.0 - exp(-part.tau);
+    part.c *= alpha / max(part.alpha, ALPHA_LEAST);
+    part.alpha = alpha;
+    return part;
+}
+
+// The number of the last piece that has a part in front of a border.
+fn last_piece(end: f32) -> u32 {
+    return u32(ceil(end)) - 1u;
+}
+
+// What is between two borders as one segment.
+fn composite(begin: f32, end: f32) -> OpenSegment {
+    let first = u32(begin);
+    var all = part_of(first, begin, end);
+    for (var i = first + 1u; i <= last_piece(end); i++) {
+        all = appended(all, part_of(i, begin, end));
     }
     return all;
 }
 
-// How far the colour and opacity that a ray collects on its way through the pieces first..end are from what it collects
-// in their homogeneous composite: the mean distance over the way, times the 5/4-th power of its length in steps.
-fn group_error(first: u32, end: u32) -> f32 {
-    let all = composite(first, end);
+// How far the colour and opacity that a ray collects on its way from one border to another are from what it collects in
+// the homogeneous composite of that way: the mean distance over the way, times the 11/8-th power of its length in steps.
+fn group_error(begin: f32, end: f32) -> f32 {
+    let all = composite(begin, end);
+    let first = u32(begin);
+    let last = last_piece(end);
     let tau_per_length = all.tau / (all.s1 - all.s0);
     let collected_per_opacity = 1.0 / max(all.alpha, ALPHA_LEAST);
     var c = vec3f(0.0);
     var transmittance = 1.0;
     var s_before = all.s0;
+    var s_end = all.s0;
     var distance_before = 0.0;
     var error = 0.0;
-    // Ends of the pieces and, where there is a gap, beginnings; both ways agree at the two ends of the group.
-    for (var i = first; i < end; i++) {
-        let piece = list.segments[i];
-        if (i > first && piece.s0 > list.segments[i - 1u].s1) {
-            let share = (1.0 - exp(-tau_per_length * (piece.s0 - all.s0))) * collected_per_opacity;
+    // Ends of the parts and, where there is a gap, beginnings; both ways agree at the two ends of the group.
+    for (var i = first; i <= last; i++) {
+        let part = part_of(i, begin, end);
+        if (part.s0 > s_end) {
+            let share = (1.0 - exp(-tau_per_length * (part.s0 - all.s0))) * collected_per_opacity;
             let distance = distance_collected(c - all.c * share, 1.0 - transmittance - all.alpha * share);
-            error += 0.5 * (distance_before + distance) * (piece.s0 - s_before);
-            s_before = piece.s0;
+            error += 0.5 * (distance_before + distance) * (part.s0 - s_before);
+            s_before = part.s0;
             distance_before = distance;
         }
-        c += piece.c * transmittance;
-        transmittance *= 1.0 - piece.alpha;
-        if (i + 1u < end) {
-            let share = (1.0 - exp(-tau_per_length * (piece.s1 - all.s0))) * collected_per_opacity;
+        if (i < last) {
+            c += part.c * transmittance;
+            transmittance *= 1.0 - part.alpha;
+            let share = (1.0 - exp(-tau_per_length * (part.s1 - all.s0))) * collected_per_opacity;
             let distance = distance_collected(c - all.c * share, 1.0 - transmittance - all.alpha * share);
-            error += 0.5 * (distance_before + distance) * (piece.s1 - s_before);
-            s_before = piece.s1;
+            error += 0.5 * (distance_before + distance) * (part.s1 - s_before);
+            s_before = part.s1;
             distance_before = distance;
         }
+        s_end = part.s1;
     }
     error += 0.5 * distance_before * (all.s1 - s_before);
-    return error / sink.h * sqrt(sqrt((all.s1 - all.s0) / sink.h)) * sink.visibility[first];
+    let fourth_root = sqrt(sqrt((all.s1 - all.s0) / sink.h));
+    return error / sink.h * (fourth_root * sqrt(fourth_root)) * sink.visibility[first];
 }
 
 fn distance_collected(color: vec3f, opacity: f32) -> f32 {
@@ -192,14 +226,14 @@ fn growth(g: u32) -> f32 {
 fn join(most: u32, threshold: f32, is_sample: bool) {
     groups.len = list.len;
     for (var g = 0u; g < list.len; g++) {
-        groups.first[g] = g;
+        groups.first[g] = f32(g);
         groups.error[g] = 0.0;
         groups.joined[g] = INFINITE_COST;
         if (g + 1u < list.len) {
-            groups.joined[g] = group_error(g, g + 2u);
+            groups.joined[g] = group_error(f32(g), f32(g + 2u));
         }
     }
-    groups.first[list.len] = list.len;
+    groups.first[list.len] = f32(list.len);
     var greatest = 0.0;
     while (groups.len > 1u) {
         var least = 0u;
@@ -222,7 +256,7 @@ fn join(most: u32, threshold: f32, is_sample: bool) {
             groups.joined[g] = groups.joined[g + 1u];
             groups.first[g] = groups.first[g + 1u];
         }
-        groups.first[groups.len] = list.len;
+        groups.first[groups.len] = f32(list.len);
         groups.joined[least] = joined_error(least);
         if (least > 0u) {
             groups.joined[least - 1u] = joined_error(least - 1u);
@@ -238,25 +272,28 @@ fn joined_error(g: u32) -> f32 {
     return group_error(groups.first[g], groups.first[g + 2u]);
 }
 
-// Moves each border by one piece where that lessens the error of the two groups.
+// Moves each border by a piece, then half of one, then a quarter where that lessens the error of the two groups.
 fn settle() {
     for (var g = 1u; g < groups.len; g++) {
-        let first = groups.first[g - 1u];
-        let border = groups.first[g];
+        let begin = groups.first[g - 1u];
         let end = groups.first[g + 1u];
         var least = groups.error[g - 1u] + groups.error[g];
-        for (var side = 0u; side < 2u; side++) {
-            let moved = border - 1u + 2u * side;
-            if (moved <= first || moved >= end) {
-                continue;
-            }
-            let before = group_error(first, moved);
-            let behind = group_error(moved, end);
-            if (before + behind < least) {
-                least = before + behind;
-                groups.first[g] = moved;
-                groups.error[g - 1u] = before;
-                groups.error[g] = behind;
+        for (var step = 1.0; step > 0.2; step *= 0.5) {
+            let border = groups.first[g];
+            for (var side = -1.0; side < 2.0; side += 2.0) {
+                let moved = border + side * step;
+                // A group never begins in a piece with a number below its own: see generate_list.
+                if (moved <= begin || moved >= end || moved < f32(g)) {
+                    continue;
+                }
+                let before = group_error(begin, moved);
+                let behind = group_error(moved, end);
+                if (before + behind < least) {
+                    least = before + behind;
+                    groups.first[g] = moved;
+                    groups.error[g - 1u] = before;
+                    groups.error[g] = behind;
+                }
             }
         }
     }
@@ -267,7 +304,7 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     if (list.len == 0u) {
         return;
     }
-    join(MOST, budget.threshold, false);
+    join(K, budget.threshold, false);
     // Groups of one piece or two have the borders that joining gave them.
     if (list.len > 2u * groups.len) {
         settle();

@@ -58,12 +58,12 @@ impl Kernel {
             Self::Generate(kind, layering, k) => {
                 let header;
                 let k = usize::from(k).clamp(1, MAX_K);
-                let mut longest = k;
+                // Segments open at once.
+                let mut open = k;
                 let [shared, rule] = match layering {
                     Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
-                        longest = visibility_merge::longest_list(k);
-                        let most = if layering == Layering::VisibilityMerge { longest } else { k };
-                        header = format!("const MEAN_K: u32 = {k}u;\nconst MOST: u32 = {most}u;\n");
+                        open = MAX_K;
+                        header = format!("const MEAN_K: u32 = {k}u;\n");
                         [&header, VISIBILITY_MERGE]
                     }
                     Layering::EqualTransmittance => ["", EQUAL_TRANSMITTANCE],
@@ -75,7 +75,8 @@ impl Kernel {
                     }
                     Layering::Slabs => [CUTS, SLABS],
                 };
-                let k = format!("const K: u32 = {longest}u;\n");
+                let longest = layering.longest_list(k as u8);
+                let k = format!("const K: u32 = {longest}u;\nconst OPEN: u32 = {open}u;\n");
                 return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
             }
             Self::Compact => &[TYPES, COMPACT],
