@@ -163,7 +163,7 @@ const SHADER_ONLY: [&str; 16] = [
     "K",
     "STOP_AT",
     "MEAN_K",
-    "MOST",
+    "OPEN",
     "INFINITE_COST",
     "REPRESENTATIVE",
     "BLOCK",

@@ -1,6 +1,6 @@
 //! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
 
-use isinglass_core::kernels::layering::{Layering, visibility_merge};
+use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
 
 /// How the voxels are stored, as far as a shader can tell.

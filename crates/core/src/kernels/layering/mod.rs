@@ -240,7 +240,8 @@ fn generate_list<T: Texels>(
     let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return SegmentList::default() };
     match layering {
         Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
-            let most = if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
+            let most =
+                if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
             let mut gather = visibility_merge::Gather::new(lattice.h);
             marcher.march(ray, lattice, &mut gather);
             gather.finish().reduce(most, threshold)

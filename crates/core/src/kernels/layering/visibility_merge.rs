@@ -264,7 +264,13 @@ impl Pieces {
             all.tau += part.tau;
             all.s1 = part.s1;
         }
-        OpenSegment { s0: all.s0, s1: all.s1, c: all.collects.truncate(), tau: all.tau, alpha: all.collects.w }
+        OpenSegment {
+            s0: all.s0,
+            s1: all.s1,
+            c: all.collects.truncate(),
+            tau: all.tau,
+            alpha: all.collects.w,
+        }
     }
 
     /// Joins groups, cheapest first, until there are at most `most` and the next join costs more than `threshold`.
