@@ -33,7 +33,7 @@ use self::line::Stretch;
 pub(super) use self::line::{Columns, Line, greater, lesser};
 pub(super) use self::media::Medium;
 use self::media::{list_cells, unpack};
-pub(super) use self::pieces::opacity;
+pub(crate) use self::pieces::opacity;
 use self::pieces::{Crossing, Pieces, Sum};
 use self::reach::Reach;
 use super::empty_space::{EmptySpace, TILE, cell_bits, cell_of_depth};

@@ -2,3 +2,4 @@
 //! are small planes a transform can code.
 
 pub mod model;
+pub mod relayer;

@@ -111,7 +111,7 @@ impl Sum {
 /// Opacity 1 − e^−τ to single precision, relative for small τ too, without a branch or a call: 2^−y with
 /// y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
 #[inline(always)]
-pub(in crate::kernels) fn opacity(tau: f32) -> f32 {
+pub(crate) fn opacity(tau: f32) -> f32 {
     let y = lesser(tau * std::f32::consts::LOG2_E, 126.0);
     let shifted = y + ROUNDER;
     let f = (shifted - ROUNDER) - y;

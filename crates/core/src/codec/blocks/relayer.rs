@@ -1,0 +1,147 @@
+//! From ragged lists to layers that a block shares: the server's part of the rate mode.
+//!
+//! [`Relayer::fresh`] finds the layers: candidate cuts through a block, parallel to its first surface, of which the
+//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::given`] has the layers
+//! and puts the lists' matter into them. Both conserve matter: the parts of a list in its layers composite to what the
+//! list composited to.
+//!
+//! What a loss moves is measured where visible, as (opacity or colour) × depth units^(5/4): joined parts of a list are
+//! read as one homogeneous medium, whose collected colour and opacity differ on the way from what they were; and a
+//! layer has one front and one back plane, from which the ends of its lists differ. The power 5/4 makes one long move
+//! dearer than many short ones.
+//!
+//! Only an encoder runs this, so results need not be the same on all machines. Lists are worked on 64 at a time, in
+//! loops that become vector instructions.
+
+mod assign;
+mod lists;
+mod merge;
+#[cfg(test)]
+mod tests;
+
+use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
+use assign::Assigned;
+pub use lists::BlockLists;
+use lists::Walk;
+use merge::Merge;
+
+/// When two layers become one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// What a layer is worth: the mean move of a list's matter, in pixels^(5/4), that is accepted to be rid of it.
+    pub lambda: f32,
+    /// Depth units that are as long as a pixel of the frame is wide, in the middle between near and far.
+    pub units_per_pixel: f32,
+}
+
+impl Rule {
+    /// The error that a block may have for a layer less, in the unit of [`Relayer::fresh`] and [`Relayer::given`].
+    pub fn error_per_layer(&self) -> f32 {
+        self.lambda * self.units_per_pixel * self.units_per_pixel.sqrt().sqrt() * BLOCK_LISTS as f32
+    }
+}
+
+/// Depth units that are as long as a pixel is wide, in the middle between near and far.
+pub fn units_per_pixel(camera: &crate::camera::Camera) -> f32 {
+    let units_per_world = crate::layer::DEPTH_UNITS / (camera.far - camera.near);
+    let middle = 0.5 * (camera.far + camera.near);
+    let (_, tan_half_y) = camera.intrinsics.tan_half();
+    2.0 * middle * tan_half_y / camera.intrinsics.height as f32 * units_per_world
+}
+
+/// Scratch memory to find layers with; one for each thread.
+#[derive(Clone, Debug)]
+pub struct Relayer {
+    walk: Walk,
+    merge: Merge,
+    assigned: Assigned,
+    planes: Vec<(DepthPlane, DepthPlane)>,
+}
+
+impl Default for Relayer {
+    fn default() -> Self {
+        Self {
+            walk: Walk::START,
+            merge: Merge::default(),
+            assigned: Assigned::default(),
+            planes: Vec::with_capacity(MAX_LAYERS),
+        }
+    }
+}
+
+impl Relayer {
+    /// Layers that suit the lists, at most [`MAX_LAYERS`], each with matter and in the order of their depth, into `out`.
+    /// Returns their error, in the unit of [`Relayer::given`].
+    pub fn fresh(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<BlockLayer>) -> f32 {
+        out.clear();
+        if lists.is_empty() {
+            return 0.0;
+        }
+        let slopes = merge::slopes(lists);
+        let cuts = self.merge.cuts(&mut self.walk, lists, rule, slopes);
+        self.planes.clear();
+        let plane = |z| DepthPlane { z, dx: slopes[0], dy: slopes[1] };
+        for (i, &cut) in cuts.iter().enumerate() {
+            self.planes.push((plane(cut), plane(cuts.get(i + 1).copied().unwrap_or(cut))));
+        }
+        self.assigned.assign(lists, &self.planes, out);
+        self.assigned.fit(slopes, out);
+        self.assigned.error(lists, out)
+    }
+
+    /// Puts the lists' matter between given pairs of front and back planes, in the order of their depth, into `out`: a
+    /// layer for each pair, whether it has matter or not. What lies between two layers goes to the nearer. Returns the
+    /// error: how far matter has moved, times how much of it is seen.
+    pub fn given(
+        &mut self,
+        lists: &BlockLists,
+        planes: &[(DepthPlane, DepthPlane)],
+        out: &mut Vec<BlockLayer>,
+    ) -> f32 {
+        self.assigned.assign(lists, planes, out);
+        self.assigned.error(lists, out)
+    }
+}
+
+/// A number for each list of a block.
+type Column = [f32; BLOCK_LISTS];
+
+/// Runs over the lists; eight passes are one in vector instructions.
+#[inline(always)]
+fn columns(mut f: impl FnMut(usize)) {
+    for i in 0..BLOCK_LISTS {
+        f(i);
+    }
+}
+
+/// Sum over the lists.
+#[inline(always)]
+fn sum<const N: usize>(f: impl Fn(usize) -> [f32; N]) -> [f32; N] {
+    // Additions are not reordered by the compiler, so the lanes are written out.
+    let mut lanes = [[0.0; LANES]; N];
+    for start in (0..BLOCK_LISTS).step_by(LANES) {
+        let terms: [[f32; N]; LANES] = std::array::from_fn(|lane| f(start + lane));
+        for (lane, terms) in terms.iter().enumerate() {
+            for (lanes, term) in lanes.iter_mut().zip(terms) {
+                lanes[lane] += term;
+            }
+        }
+    }
+    lanes.map(|lanes| lanes.iter().sum())
+}
+
+#[inline(always)]
+fn select(condition: bool, yes: f32, no: f32) -> f32 {
+    if condition { yes } else { no }
+}
+
+/// x^(5/4) for x ≥ 0.
+#[inline(always)]
+fn power_5_4(x: f32) -> f32 {
+    x * x.sqrt().sqrt()
+}
+
+const LANES: usize = 8;
+/// Least visibility in errors: what is hidden here is seen from another pose.
+const KAPPA_FLOOR: f32 = 0.3;
+const _: () = assert!(BLOCK_LISTS.is_multiple_of(LANES) && BLOCK * BLOCK == BLOCK_LISTS);
