@@ -10,7 +10,7 @@ use crate::layer::{FrameHeader, LayeredFrame};
 
 /// Collects the chunks of one frame.
 #[derive(Clone, Debug)]
-pub struct Assembly {
+pub(super) struct Assembly {
     first: ChunkHeader,
     bands: Vec<Band>,
     seen: u32,
@@ -25,43 +25,43 @@ struct Band {
 
 impl Assembly {
     /// An assembly without chunks for the frame that `header` belongs to.
-    pub fn new(header: &ChunkHeader) -> Self {
+    pub(super) fn new(header: &ChunkHeader) -> Self {
         let bands = vec![Band::default(); usize::from(header.num_base)];
         Self { first: *header, bands, seen: 0, num_segments: 0 }
     }
 
     /// The frame.
-    pub fn header(&self) -> &FrameHeader {
+    pub(super) fn header(&self) -> &FrameHeader {
         &self.first.frame
     }
 
     /// Chunks the frame has.
-    pub fn num_chunks(&self) -> usize {
+    pub(super) fn num_chunks(&self) -> usize {
         self.first.num_chunks.into()
     }
 
     /// Chunks that are there.
-    pub fn num_inserted(&self) -> usize {
+    pub(super) fn num_inserted(&self) -> usize {
         self.seen.count_ones() as usize
     }
 
     /// Whether the frame can be shown: the base of every band is there.
-    pub fn base_complete(&self) -> bool {
+    pub(super) fn base_complete(&self) -> bool {
         self.bands.iter().all(|b| b.base.is_some())
     }
 
     /// Whether every chunk is there.
-    pub fn complete(&self) -> bool {
+    pub(super) fn complete(&self) -> bool {
         self.num_inserted() == self.num_chunks()
     }
 
     /// Whether the chunk is there.
-    pub fn contains(&self, index: ChunkIndex) -> bool {
+    pub(super) fn contains(&self, index: ChunkIndex) -> bool {
         self.seen.checked_shr(index.0.into()).unwrap_or(0) & 1 == 1
     }
 
     /// Adds a chunk. An error leaves the assembly as it was.
-    pub fn insert(&mut self, chunk: DecodedChunk) -> Result<(), CodecError> {
+    pub(super) fn insert(&mut self, chunk: DecodedChunk) -> Result<(), CodecError> {
         let header = &chunk.header;
         let contradiction =
             |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
@@ -98,7 +98,7 @@ impl Assembly {
     }
 
     /// The frame as far as it is there; lists of missing bands are empty. Always valid. Bands are merged in parallel.
-    pub fn to_frame(&self) -> LayeredFrame {
+    pub(super) fn to_frame(&self) -> LayeredFrame {
         let mut frame = LayeredFrame::empty(self.first.frame);
         frame.depth = vec![0; self.num_segments];
         frame.c_rg = vec![0; self.num_segments];

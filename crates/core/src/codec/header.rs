@@ -14,7 +14,7 @@ use crate::layer::{FrameHeader, MAX_K};
 pub struct ChunkHeader {
     /// The frame.
     pub frame: FrameHeader,
-    /// Bits of a colour channel.
+    /// Bits of a colour channel; 0 in the rate mode.
     pub color_bits: u8,
     /// Place in the order of sending, below `num_chunks`.
     pub index: ChunkIndex,
@@ -32,6 +32,11 @@ impl ChunkHeader {
     /// Whether the frame cannot be shown without this chunk.
     pub fn is_base(&self) -> bool {
         self.index.0 < u16::from(self.num_base)
+    }
+
+    /// Whether the chunk is of the rate mode.
+    pub fn is_rate(&self) -> bool {
+        self.color_bits == 0
     }
 
     /// Rows of lists that the chunk covers.
@@ -108,7 +113,9 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
         });
     }
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
-    scale::of(color_bits)?;
+    if color_bits != 0 {
+        scale::of(color_bits)?;
+    }
     in_range("k", k.into(), 1, MAX_K)?;
     in_range("number of base chunks", num_base.into(), 1, MAX_BANDS.min(num_tiles(height)))?;
     in_range("number of chunks", num_chunks.into(), num_base.into(), 2 * usize::from(num_base))?;

@@ -14,6 +14,7 @@
 
 mod assembly;
 pub mod blocks;
+mod either;
 mod header;
 mod planes;
 mod predict;
@@ -26,10 +27,10 @@ use rayon::prelude::*;
 
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+use blocks::References;
 
-pub use assembly::Assembly;
+pub use either::{Assembly, DecodedChunk, decode_chunk};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
-pub use planes::{DecodedChunk, decode_chunk};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +45,18 @@ impl Default for Settings {
     fn default() -> Self {
         Self { color_bits: 10, zstd_level: 1 }
     }
+}
+
+/// How a frame is coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coding {
+    /// All lists and depths as they are.
+    Exact(Settings),
+    /// Lists in blocks, for few bytes.
+    Rate {
+        /// 0 to [`blocks::MAX_QUALITY`].
+        quality: u8,
+    },
 }
 
 /// One encoded frame.
@@ -131,6 +144,14 @@ pub enum CodecError {
     /// The chunk is there already.
     #[error("chunk {0} came twice")]
     Duplicate(ChunkIndex),
+    /// What the frame is predicted from is not here.
+    #[error("frame {frame} is predicted from frame {reference}, which is not here")]
+    Reference {
+        /// The frame.
+        frame: crate::ids::FrameId,
+        /// The frame that it names.
+        reference: crate::ids::FrameId,
+    },
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {
@@ -208,19 +229,24 @@ pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame,
     Ok(EncodedFrame { header: frame.header, chunks })
 }
 
-/// Decodes all chunks of one frame, in any order.
+/// Decodes all chunks of one frame that is predicted from no other, in any order.
 pub fn decode<B: AsRef<[u8]> + Sync>(chunks: &[B]) -> Result<LayeredFrame, CodecError> {
+    Ok(assemble(chunks, &References::default())?.to_frame())
+}
+
+/// Decodes all chunks of one frame, in any order. What it is predicted from must be among the references.
+pub fn assemble<B: AsRef<[u8]> + Sync>(chunks: &[B], references: &References) -> Result<Assembly, CodecError> {
     let first = chunks.first().ok_or(CodecError::Incomplete { found: 0, expected: 1 })?;
     let mut assembly = Assembly::new(&peek(first.as_ref())?);
     at_most("chunks", chunks.len(), MAX_CHUNKS)?;
-    let decoded: Vec<_> = chunks.par_iter().map(|bytes| decode_chunk(bytes.as_ref())).collect();
+    let decoded: Vec<_> = chunks.par_iter().map(|bytes| decode_chunk(bytes.as_ref(), references)).collect();
     for chunk in decoded {
         assembly.insert(chunk?)?;
     }
     if !assembly.complete() {
         return Err(CodecError::Incomplete { found: chunks.len(), expected: assembly.num_chunks() });
     }
-    Ok(assembly.to_frame())
+    Ok(assembly)
 }
 
 fn at_most(what: &'static str, found: usize, limit: usize) -> Result<(), CodecError> {

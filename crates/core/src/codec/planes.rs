@@ -56,7 +56,7 @@ pub(super) fn encode(lists: &Lists, width: usize, scale: &Scale, level: i32) -> 
 }
 
 /// Decodes one chunk.
-pub fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
+pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     let header = peek(bytes)?;
     let found = bytes.len();
     if found != header.chunk_bytes() || found < HEADER_BYTES + LENGTHS_BYTES {

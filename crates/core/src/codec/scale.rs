@@ -113,7 +113,7 @@ fn tau_from_code(q: u32) -> f64 {
 
 /// e^−x for x in [0, [`TAU_MAX`]] by sums and products alone: libraries differ in the last bit of theirs, and predictions
 /// must not. The series of e^(−x/1024) is squared ten times.
-fn exp_neg(x: f32) -> f64 {
+pub(super) fn exp_neg(x: f32) -> f64 {
     let y = f64::from(x) / 1024.0;
     let mut sum = 1.0;
     for n in (1..=18).rev() {

@@ -1,5 +1,7 @@
 use glam::Vec3;
 
+use super::assembly::Assembly;
+use super::planes::{DecodedChunk, decode_chunk};
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::ids::{FrameId, LookVersion, PoseId};

@@ -1,5 +1,131 @@
-//! The rate mode: lists coded in blocks that share their cuts as depth planes, so that opacity and colour of a layer
-//! are small planes a transform can code.
+//! The rate mode: lists in blocks of 8×8 that share their cuts as depth planes, so that opacity and colour of a layer are
+//! small planes a transform can code.
+//!
+//! A block's layers ([`model`]) are found by the server (`relayer`, `encode`); their planes are coded in steps or taken
+//! from a neighbour or from the frame before, moved (`coding`, `motion`, `reference`). Opacity and colour of a layer
+//! are 8×8 planes on the scales of `scales`, predicted and transformed (`transform`) and said in adaptive bits
+//! (`syntax`, `entropy`). The base of a band is all that; a second chunk takes back what the picture of the decoded
+//! layers lacks at the frame's own pose (`picture`). What decodes is what the encoder itself worked with (closed
+//! loop).
+//!
+//! The one rule that makes every machine decode alike: whatever a decoder computes is integers, tables made of sums,
+//! products, quotients and square roots, or single and double precision operations in the order written. No
+//! function of a mathematics library takes part.
 
+mod band;
+mod chunk;
+mod coding;
+mod encode;
+mod entropy;
 pub mod model;
+mod motion;
+mod picture;
+mod reference;
 pub mod relayer;
+mod scales;
+mod steps;
+mod syntax;
+#[cfg(test)]
+mod tests;
+mod transform;
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::header::{self, ChunkHeader};
+use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS, at_most};
+use crate::ids::ChunkIndex;
+use crate::layer::{FrameHeader, LayeredFrame};
+use chunk::Head;
+use model::MAX_LAYERS;
+use motion::Motion;
+
+pub use chunk::BlocksChunk;
+pub(super) use chunk::{BlocksAssembly, decode};
+pub use reference::{MAX_REFERENCES, Reference, References};
+pub use steps::{MAX_QUALITY, RateControl};
+
+/// A frame of the rate mode, and what a receiver makes of it.
+#[derive(Clone, Debug)]
+pub struct EncodedBlocks {
+    /// The chunks.
+    pub frame: EncodedFrame,
+    /// What the base decodes to.
+    pub base: Arc<Reference>,
+    /// What all chunks decode to.
+    pub complete: Arc<Reference>,
+}
+
+/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]), with a quality from 0 to [`MAX_QUALITY`]; if a
+/// reference is given, which the receiver must have, predicted from it. Bands are encoded in parallel.
+///
+/// Lists may grow or shrink: the header says that they have at most [`MAX_LAYERS`] segments.
+///
+/// Fails only on frames and bands above the limits of this module.
+pub fn encode(
+    frame: &LayeredFrame,
+    quality: u8,
+    reference: Option<&Reference>,
+) -> Result<EncodedBlocks, CodecError> {
+    let camera = frame.header.camera;
+    at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+    let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
+    let (rule, steps) = steps::from_quality(quality, &camera);
+    let head = Head { steps, reference: reference.map(|r| (r.frame(), r.is_complete())) };
+    let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
+    let first = ChunkHeader {
+        frame: frame_header,
+        color_bits: 0,
+        index: ChunkIndex(0),
+        num_chunks: num_bands,
+        num_base: num_bands,
+        band: 0,
+        payload_bytes: 0,
+    };
+    let bands: Vec<_> = (0..num_bands)
+        .into_par_iter()
+        .map(|band| {
+            let place = chunk::place(&ChunkHeader { band, ..first });
+            let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
+            encode::band(frame, place, rule, steps, motion, MAX_CHUNK_SEGMENTS)
+        })
+        .collect::<Result<_, _>>()?;
+
+    let mut parts = Vec::with_capacity(2 * bands.len());
+    let (mut base, mut complete) = (Vec::new(), Vec::new());
+    let mut corrections = Vec::new();
+    for (band, encoded) in (0..).zip(bands) {
+        let encode::EncodedBand { base: bytes, corrections: more, decoded, corrected } = encoded;
+        parts.push((band, bytes));
+        corrections.extend(more.map(|bytes| (band, bytes)));
+        let decoded = Arc::new(decoded);
+        complete.push(corrected.map_or_else(|| decoded.clone(), Arc::new));
+        base.push(decoded);
+    }
+    parts.append(&mut corrections);
+    let num_chunks = parts.len() as u8;
+    let chunks = parts
+        .into_iter()
+        .enumerate()
+        .map(|(index, (band, coded))| {
+            let index = ChunkIndex(index as u16);
+            let payload_bytes = (chunk::HEAD_BYTES + coded.len()) as u32;
+            let header = ChunkHeader { index, num_chunks, band, payload_bytes, ..first };
+            let mut bytes = header.to_bytes().to_vec();
+            bytes.extend_from_slice(&head.to_bytes());
+            bytes.extend_from_slice(&coded);
+            at_most("bytes in a chunk", bytes.len(), MAX_CHUNK_BYTES)?;
+            Ok(Chunk { index, is_base: header.is_base(), bytes })
+        })
+        .collect::<Result<_, CodecError>>()?;
+    let is_complete = num_chunks == num_bands;
+    Ok(EncodedBlocks {
+        frame: EncodedFrame { header: frame_header, chunks },
+        base: Arc::new(Reference::new(frame_header, is_complete, base)),
+        complete: Arc::new(Reference::new(frame_header, true, complete)),
+    })
+}
+
+/// Bands of a frame: their headers and their estimates, which start anew, cost some percent.
+const MOST_BANDS: u8 = 4;

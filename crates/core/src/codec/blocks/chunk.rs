@@ -1,0 +1,285 @@
+//! The payload of a chunk of the rate mode, and the chunks of a frame put together.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::super::header::{ChunkHeader, HEADER_BYTES};
+use super::super::{CodecError, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most};
+use super::band::{Band, Cell, blocks_along};
+use super::coding::{BandCoder, Nothing, Place};
+use super::entropy::Decoder;
+use super::model::{BLOCK, MAX_LAYERS};
+use super::motion::Motion;
+use super::picture::{self, Corrections, roots};
+use super::reference::{Reference, References};
+use super::scales::scales;
+use super::steps::{STEPS_BYTES, Steps};
+use crate::ids::FrameId;
+use crate::layer::{LayeredFrame, pack_halves};
+
+/// What the payload begins with; the same in all chunks of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Head {
+    pub(super) steps: Steps,
+    /// The frame that this one is predicted from, and whether with its corrections.
+    pub(super) reference: Option<(FrameId, bool)>,
+}
+
+impl Head {
+    pub(super) fn to_bytes(self) -> [u8; HEAD_BYTES] {
+        let mut bytes = [0; HEAD_BYTES];
+        let (frame, is_complete) = self.reference.unwrap_or((FrameId(0), false));
+        bytes[0] = u8::from(self.reference.is_some()) | u8::from(is_complete) << 1;
+        bytes[1..5].copy_from_slice(&frame.0.to_le_bytes());
+        bytes[5..].copy_from_slice(&self.steps.to_bytes());
+        bytes
+    }
+
+    fn from_bytes(bytes: [u8; HEAD_BYTES]) -> Result<Self, CodecError> {
+        let damaged = |problem: String| CodecError::Payload { plane: "head", problem };
+        let [flags, a, b, c, d, steps @ ..] = bytes;
+        let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
+        let reference = match (flags, frame) {
+            (0, FrameId(0)) => None,
+            (1 | 3, _) => Some((frame, flags == 3)),
+            _ => return Err(damaged(format!("flags {flags} with reference {frame}"))),
+        };
+        let steps = Steps::from_bytes(steps)
+            .ok_or_else(|| damaged(format!("steps {steps:02x?}, expected positive ones")))?;
+        Ok(Self { steps, reference })
+    }
+}
+
+/// A decoded chunk of the rate mode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlocksChunk {
+    /// The header.
+    pub header: ChunkHeader,
+    head: Head,
+    content: Content,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Content {
+    Base(Arc<Band>),
+    Corrections(Corrections),
+}
+
+impl BlocksChunk {
+    /// Number of segments.
+    pub fn num_segments(&self) -> usize {
+        match &self.content {
+            Content::Base(band) => band.cells.len(),
+            Content::Corrections(_) => 0,
+        }
+    }
+}
+
+/// The blocks of a band of a frame.
+pub(super) fn place(header: &ChunkHeader) -> Place {
+    let rows = header.rows();
+    Place {
+        across: blocks_along(header.frame.camera.intrinsics.width),
+        first_row: rows.start as usize / BLOCK,
+        num_rows: blocks_along(rows.len() as u32),
+        size: [header.frame.camera.intrinsics.width as usize, header.frame.camera.intrinsics.height as usize],
+    }
+}
+
+/// Decodes a chunk whose header says that it is of the rate mode.
+pub(in super::super) fn decode(
+    header: ChunkHeader,
+    bytes: &[u8],
+    references: &References,
+) -> Result<BlocksChunk, CodecError> {
+    let found = bytes.len();
+    let Some((head, coded)) = bytes.get(HEADER_BYTES..).and_then(<[u8]>::split_first_chunk) else {
+        return Err(CodecError::Length { found, expected: HEADER_BYTES + HEAD_BYTES });
+    };
+    if found != header.chunk_bytes() {
+        return Err(CodecError::Length { found, expected: header.chunk_bytes() });
+    }
+    if usize::from(header.frame.k) != MAX_LAYERS {
+        let expected = MAX_LAYERS.to_string();
+        return Err(CodecError::Header { what: "k", found: header.frame.k.to_string(), expected });
+    }
+    let head = Head::from_bytes(*head)?;
+    let place = place(&header);
+    let (decoder, content) = if header.is_base() {
+        let reference = match head.reference {
+            Some((frame, is_complete)) => Some(
+                references.get(frame, is_complete).ok_or(CodecError::Reference { frame: header.frame.frame, reference: frame })?,
+            ),
+            None => None,
+        };
+        let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
+        let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion);
+        let (decoder, band) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
+        (decoder, Content::Base(Arc::new(band)))
+    } else {
+        at_most("lists in a chunk of corrections", header.num_lists(), MAX_CHUNK_SEGMENTS)?;
+        if head.steps.picture == 0.0 {
+            let problem = "corrections with a step of 0".into();
+            return Err(CodecError::Payload { plane: "corrections", problem });
+        }
+        let (decoder, corrections) = picture::code(Decoder::new(coded), &head.steps, place, |_, _| 0)?;
+        (decoder, Content::Corrections(corrections))
+    };
+    if !decoder.is_at_end() {
+        return Err(CodecError::Payload { plane: "blocks", problem: "bytes are left over or missing".into() });
+    }
+    Ok(BlocksChunk { header, head, content })
+}
+
+/// Collects the chunks of a frame of the rate mode.
+#[derive(Clone, Debug)]
+pub(in super::super) struct BlocksAssembly {
+    first: ChunkHeader,
+    head: Option<Head>,
+    bands: Vec<(Option<Arc<Band>>, Option<Corrections>)>,
+    seen: u32,
+}
+
+impl BlocksAssembly {
+    pub(in super::super) fn new(header: &ChunkHeader) -> Self {
+        let bands = vec![(None, None); usize::from(header.num_base)];
+        Self { first: *header, head: None, bands, seen: 0 }
+    }
+
+    pub(in super::super) fn first(&self) -> &ChunkHeader {
+        &self.first
+    }
+
+    pub(in super::super) fn seen(&self) -> u32 {
+        self.seen
+    }
+
+    pub(in super::super) fn base_complete(&self) -> bool {
+        self.bands.iter().all(|(base, _)| base.is_some())
+    }
+
+    /// Adds a chunk. An error leaves the assembly as it was.
+    pub(in super::super) fn insert(&mut self, chunk: BlocksChunk) -> Result<(), CodecError> {
+        let header = &chunk.header;
+        let contradiction =
+            |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
+        if header.frame != self.first.frame {
+            return Err(contradiction("another frame header"));
+        }
+        if (header.color_bits, header.num_chunks, header.num_base)
+            != (self.first.color_bits, self.first.num_chunks, self.first.num_base)
+        {
+            return Err(contradiction("other numbers of chunks or another coding"));
+        }
+        if self.head.is_some_and(|head| head != chunk.head) {
+            return Err(contradiction("other steps or another reference"));
+        }
+        if self.seen >> header.index.0 & 1 == 1 {
+            return Err(CodecError::Duplicate(header.index));
+        }
+        let num_segments: usize = self.bands.iter().flat_map(|(base, _)| base).map(|b| b.cells.len()).sum();
+        at_most("segments in a frame", num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
+        let (base, corrections) = &mut self.bands[usize::from(header.band)];
+        if if header.is_base() { base.is_some() } else { corrections.is_some() } {
+            return Err(contradiction("its band and group are there under another index"));
+        }
+        self.seen |= 1 << header.index.0;
+        self.head = Some(chunk.head);
+        match chunk.content {
+            Content::Base(band) => *base = Some(band),
+            Content::Corrections(found) => *corrections = Some(found),
+        }
+        Ok(())
+    }
+
+    /// The bands with the corrections that are there; missing ones are empty.
+    pub(in super::super) fn to_reference(&self) -> Reference {
+        let bands = self.bands.par_iter().enumerate().map(|(number, (base, corrections))| match (base, corrections) {
+            (Some(base), None) => base.clone(),
+            (Some(base), Some(corrections)) => {
+                let mut band = Band::clone(base);
+                corrections.apply(&mut band);
+                Arc::new(band)
+            }
+            (None, _) => {
+                let place = place(&ChunkHeader { band: number as u8, ..self.first });
+                let mut band = Band::new(place.across);
+                (0..place.across * place.num_rows).for_each(|_| band.push(0, &super::band::Lists::default()));
+                Arc::new(band)
+            }
+        });
+        let is_complete = self.seen.count_ones() == u32::from(self.first.num_chunks);
+        Reference::new(self.first.frame, is_complete, bands.collect())
+    }
+}
+
+impl Reference {
+    /// The frame that a client shows.
+    pub fn to_frame(&self) -> LayeredFrame {
+        let mut frame = LayeredFrame::empty(self.header);
+        let width = self.header.camera.intrinsics.width as usize;
+        let total: usize = self.bands.iter().map(|b| b.cells.len()).sum();
+        frame.depth = vec![0; total];
+        frame.c_rg = vec![0; total];
+        frame.c_b_tau = vec![0; total];
+        let mut ends = &mut frame.offsets[1..];
+        let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
+        let mut work = Vec::with_capacity(self.bands.len());
+        let mut offset = 0;
+        for band in &self.bands {
+            let rows = band.blocks.len() / band.across.max(1) * BLOCK;
+            let lists = (rows * width).min(ends.len());
+            let count = band.cells.len();
+            work.push((
+                band,
+                offset as u32,
+                split_off(&mut ends, lists),
+                planes.each_mut().map(|plane| split_off(plane, count)),
+            ));
+            offset += count;
+        }
+        work.into_par_iter().for_each(|(band, offset, ends, planes)| band.write(width, offset, ends, planes));
+        frame
+    }
+}
+
+impl Band {
+    /// Writes the ends of the band's lists, counted from `offset`, and their segments.
+    fn write(&self, width: usize, offset: u32, ends: &mut [u32], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
+        let mut to = 0;
+        for (y, ends) in ends.chunks_mut(width).enumerate() {
+            for (x, end) in ends.iter_mut().enumerate() {
+                let block = y / BLOCK * self.across + x / BLOCK;
+                for cell in &self.cells[self.list(block, y % BLOCK * BLOCK + x % BLOCK)] {
+                    [depth[to], c_rg[to], c_b_tau[to]] = words(cell);
+                    to += 1;
+                }
+                *end = offset + to as u32;
+            }
+        }
+    }
+}
+
+/// A segment in the packed form of [`LayeredFrame`].
+fn words(cell: &Cell) -> [u32; 3] {
+    let scales = scales();
+    let alpha = scales.alpha[usize::from(cell.u)];
+    let [r, g, b] = roots(cell).map(|root| root * root * alpha);
+    let tau = u32::from(scales.tau_half[usize::from(cell.u)]);
+    [
+        u32::from(cell.front) | u32::from(cell.back) << 16,
+        pack_halves(r, g),
+        pack_halves(b, 0.0) | tau << 16,
+    ]
+}
+
+/// Cuts the first `n` elements off a slice.
+fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
+    let (head, tail) = std::mem::take(slice).split_at_mut(n);
+    *slice = tail;
+    head
+}
+
+/// Bytes of [`Head`].
+pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

@@ -1,0 +1,165 @@
+//! Choosing layers for the lists of a band, and coding them.
+
+use super::super::CodecError;
+use super::band::{Band, Planes};
+use super::coding::{BandCoder, Origin, Place, Plan, Source};
+use super::entropy::Encoder;
+use super::model::{BLOCK, BLOCK_LISTS, BlockLayer};
+use super::motion::Motion;
+use super::picture::{self, Corrections, composite_roots};
+use super::reference::Reference;
+use super::relayer::{BlockLists, Relayer, Rule};
+use super::scales::ycc_from_roots;
+use super::steps::Steps;
+use super::transform::Plane;
+use crate::layer::{LayeredFrame, Over};
+
+/// An encoded band.
+pub(super) struct EncodedBand {
+    pub(super) base: Vec<u8>,
+    /// Nothing if the steps have none or no block needs any.
+    pub(super) corrections: Option<Vec<u8>>,
+    /// What a decoder makes of the base.
+    pub(super) decoded: Band,
+    /// And of both.
+    pub(super) corrected: Option<Band>,
+}
+
+/// Encodes a band of a valid frame.
+pub(super) fn band(
+    frame: &LayeredFrame,
+    place: Place,
+    rule: Rule,
+    steps: Steps,
+    reference: Option<(&Reference, Motion)>,
+    limit: usize,
+) -> Result<EncodedBand, CodecError> {
+    let mut layering = Layering::new(frame, place, rule, steps);
+    let coder = BandCoder::new(Encoder::new(), steps, place, reference);
+    let (coder, decoded) = coder.run(&mut layering, limit)?;
+    let base = coder.finish();
+    if steps.picture == 0.0 || decoded.cells.is_empty() {
+        return Ok(EncodedBand { base, corrections: None, decoded, corrected: None });
+    }
+    let source = |block: usize, planes: &mut [Plane; 3]| miss(frame, place, &decoded, block, planes);
+    let (coder, corrections): (Encoder, Corrections) = picture::code(Encoder::new(), &steps, place, source)?;
+    let mut corrected = decoded.clone();
+    corrections.apply(&mut corrected);
+    Ok(EncodedBand { base, corrections: Some(coder.finish()), decoded, corrected: Some(corrected) })
+}
+
+/// By how much the lists of a block composite to too little, as roots; and which have matter.
+fn miss(frame: &LayeredFrame, place: Place, decoded: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
+    if !decoded.has_matter(block) {
+        return 0;
+    }
+    let intrinsics = frame.header.camera.intrinsics;
+    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+    let mut mask = 0;
+    for i in 0..BLOCK_LISTS {
+        let cells = decoded.list(block, i);
+        let x = block % place.across * BLOCK + i % BLOCK;
+        let y = (block / place.across + place.first_row) * BLOCK + i / BLOCK;
+        if cells.is_empty() || x >= width || y >= height {
+            continue;
+        }
+        mask |= 1 << i;
+        let mut over = Over::default();
+        for segment in frame.list(y * width + x) {
+            let segment = frame.segment(segment);
+            over.add(segment.c, segment.tau);
+        }
+        let found = composite_roots(&decoded.cells[cells]);
+        let wanted = over.c.to_array().map(|c| c.max(0.0).sqrt());
+        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c] - found[c]));
+        for (plane, value) in planes.iter_mut().zip(ycc) {
+            plane[i] = value;
+        }
+    }
+    mask
+}
+
+/// Finds layers for blocks.
+struct Layering<'a> {
+    frame: &'a LayeredFrame,
+    place: Place,
+    rule: Rule,
+    steps: Steps,
+    relayer: Relayer,
+    lists: BlockLists,
+    planes: Vec<Planes>,
+    layers: Vec<BlockLayer>,
+}
+
+impl<'a> Layering<'a> {
+    fn new(frame: &'a LayeredFrame, place: Place, rule: Rule, steps: Steps) -> Self {
+        Self {
+            frame,
+            place,
+            rule,
+            steps,
+            relayer: Relayer::default(),
+            lists: BlockLists::default(),
+            planes: Vec::new(),
+            layers: Vec::new(),
+        }
+    }
+
+    /// The error with the planes of an origin, if it has any; the layers are then in `self.layers`.
+    fn try_origin(&mut self, origin: Origin, offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool) -> Option<f32> {
+        if !offered(origin, &mut self.planes) {
+            return None;
+        }
+        Some(self.relayer.given(&self.lists, &self.planes, &mut self.layers))
+    }
+}
+
+impl Source for Layering<'_> {
+    fn plan(&mut self, x: usize, y: usize, offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, plan: &mut Plan) {
+        plan.layers.clear();
+        self.lists.read(self.frame, x as u32, (y + self.place.first_row) as u32);
+        if self.lists.is_empty() {
+            return;
+        }
+        let per_layer = self.rule.error_per_layer();
+        let kept = self.try_origin(Origin::Kept, offered);
+        if let Some(error) = kept
+            && error <= KEEP_AT_ONCE * per_layer * self.layers.len() as f32
+        {
+            plan.origin = Origin::Kept;
+            std::mem::swap(&mut plan.layers, &mut self.layers);
+            return;
+        }
+        self.relayer.fresh(&self.lists, &self.rule, &mut plan.layers);
+        self.steps.codes(&plan.layers, &mut plan.codes);
+        self.steps.planes(&plan.codes, &mut self.planes);
+        let fresh = self.relayer.given(&self.lists, &self.planes, &mut plan.layers);
+        plan.origin = Origin::Fresh;
+        let num_fresh = plan.layers.len() as f32;
+        let acceptable = |share: f32| SLACK * fresh + share * per_layer * num_fresh;
+        if kept.is_some_and(|error| error < acceptable(KEEP_SHARE)) {
+            self.try_origin(Origin::Kept, offered);
+            plan.origin = Origin::Kept;
+            std::mem::swap(&mut plan.layers, &mut self.layers);
+            return;
+        }
+        let mut least = acceptable(MERGE_SHARE);
+        for origin in [Origin::Left, Origin::Above] {
+            let Some(error) = self.try_origin(origin, offered) else { continue };
+            let error = error + MERGE_SHARE * per_layer * self.layers.len() as f32;
+            if error < least {
+                least = error;
+                plan.origin = origin;
+                std::mem::swap(&mut plan.layers, &mut self.layers);
+            }
+        }
+    }
+}
+
+/// Planes of another block are taken if their error is at most so many times that of fresh ones.
+const SLACK: f32 = 1.15;
+/// And, for each layer, so much of what a layer is worth more.
+const KEEP_SHARE: f32 = 0.5;
+const MERGE_SHARE: f32 = 0.3;
+/// Kept planes with less error than this share for each layer are taken without looking for fresh ones.
+const KEEP_AT_ONCE: f32 = 0.5;

@@ -1,0 +1,186 @@
+//! Where matter of a frame lies in the picture and depth of another: the motion that temporal prediction follows.
+//!
+//! Double precision, sums, products, quotients and square roots alone: the same bits on every machine. The tangent of
+//! the field of view is summed here, since libraries differ in the last bit of theirs.
+
+use crate::camera::Camera;
+use crate::layer::DEPTH_UNITS;
+
+/// From a camera to that of a reference.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Homogeneous reference pixel of (x, y, 1)·depth, and what is added.
+    linear: [[f64; 3]; 3],
+    offset: [f64; 3],
+    near: f64,
+    depth_per_unit: f64,
+    reference_near: f64,
+    reference_units_per_depth: f64,
+}
+
+/// How a point moves from the frame to the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Shift {
+    /// Pixels rightwards.
+    pub(super) x: f32,
+    /// Pixels downwards.
+    pub(super) y: f32,
+    /// Depth units.
+    pub(super) z: f32,
+}
+
+impl Motion {
+    pub(super) fn new(camera: &Camera, reference: &Camera) -> Self {
+        let (from, to) = (Frustum::new(camera), Frustum::new(reference));
+        // Direction of view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h).
+        let direction: [[f64; 3]; 3] = std::array::from_fn(|axis| {
+            [
+                2.0 * from.right[axis] / from.width,
+                -2.0 * from.up[axis] / from.height,
+                from.forward[axis] - from.right[axis] + from.up[axis],
+            ]
+        });
+        let rows = to.pixel_rows();
+        let between: [f64; 3] = std::array::from_fn(|axis| from.eye[axis] - to.eye[axis]);
+        let column = |j: usize| direction.map(|row| row[j]);
+        let range = |c: &Camera| (f64::from(c.far) - f64::from(c.near)) / f64::from(DEPTH_UNITS);
+        Self {
+            linear: rows.map(|row| [0, 1, 2].map(|j| dot(&row, &column(j)))),
+            offset: rows.map(|row| dot(&row, &between)),
+            near: camera.near.into(),
+            depth_per_unit: range(camera),
+            reference_near: reference.near.into(),
+            reference_units_per_depth: 1.0 / range(reference),
+        }
+    }
+
+    /// Motion of the point at pixel (`x`, `y`) and depth `z` in units. `None` if the reference does not see it.
+    pub(super) fn at(&self, x: f32, y: f32, z: f32) -> Option<Shift> {
+        let [x, y, z] = [x, y, z].map(f64::from);
+        let depth = self.near + z * self.depth_per_unit;
+        let at: [f64; 3] = std::array::from_fn(|i| {
+            (self.linear[i][0] * x + self.linear[i][1] * y + self.linear[i][2]) * depth + self.offset[i]
+        });
+        let units = (at[2] - self.reference_near) * self.reference_units_per_depth;
+        let shift = [at[0] / at[2] - x, at[1] / at[2] - y, units - z];
+        let is_sound = at[2] > 0.0 && shift.iter().all(|s| s.abs() < MAX_SHIFT);
+        is_sound.then(|| Shift { x: shift[0] as f32, y: shift[1] as f32, z: shift[2] as f32 })
+    }
+}
+
+/// A camera in double precision; the vectors are as in [`crate::camera::Basis`].
+struct Frustum {
+    eye: [f64; 3],
+    forward: [f64; 3],
+    right: [f64; 3],
+    up: [f64; 3],
+    width: f64,
+    height: f64,
+}
+
+impl Frustum {
+    fn new(camera: &Camera) -> Self {
+        let (width, height) =
+            (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+        let tan_y = tan(f64::from(camera.intrinsics.fov_y) * 0.5);
+        let tan_x = tan_y * width / height;
+        let [x, y, z, w] = camera.pose.world_from_view.to_array().map(f64::from);
+        let rotate = |v: [f64; 3], length: f64| {
+            let t = cross(&[x, y, z], &v).map(|t| 2.0 * t);
+            let u = cross(&[x, y, z], &t);
+            [0, 1, 2].map(|i| (v[i] + w * t[i] + u[i]) * length)
+        };
+        Self {
+            eye: camera.pose.eye.to_array().map(f64::from),
+            forward: rotate([0.0, 0.0, -1.0], 1.0),
+            right: rotate([1.0, 0.0, 0.0], tan_x),
+            up: rotate([0.0, 1.0, 0.0], tan_y),
+            width,
+            height,
+        }
+    }
+
+    /// The rows that give the homogeneous pixel of a vector from the eye.
+    fn pixel_rows(&self) -> [[f64; 3]; 3] {
+        let (x_length, y_length) = (dot(&self.right, &self.right), dot(&self.up, &self.up));
+        let x = [0, 1, 2].map(|i| (self.forward[i] + self.right[i] / x_length) * 0.5 * self.width);
+        let y = [0, 1, 2].map(|i| (self.forward[i] - self.up[i] / y_length) * 0.5 * self.height);
+        [x, y, self.forward]
+    }
+}
+
+fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Tangent of an angle in [0, π/2) by the series of sine and cosine.
+fn tan(x: f64) -> f64 {
+    let (mut sine, mut cosine) = (1.0, 1.0);
+    for n in (1..=14).rev() {
+        let n = f64::from(2 * n);
+        cosine = 1.0 - x * x / ((n - 1.0) * n) * cosine;
+        sine = 1.0 - x * x / (n * (n + 1.0)) * sine;
+    }
+    x * sine / cosine
+}
+
+/// Nothing moves so far and is still of use: beyond the largest picture and the depth range.
+const MAX_SHIFT: f64 = 1e6;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::camera::{Intrinsics, Pose};
+    use crate::layer::depth_to_units;
+    use crate::space::Aabb;
+
+    fn camera(azimuth: f32) -> Camera {
+        let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+        let intrinsics = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+        Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 5.0), intrinsics, &bounds)
+    }
+
+    #[test]
+    fn points_move_as_the_cameras_say() {
+        let (from, to) = (camera(0.3), camera(0.36));
+        let motion = Motion::new(&from, &to);
+        let basis = to.basis();
+        let mut moved: f32 = 0.0;
+        for (x, y, z) in [(12.5, 80.0, 20_000.0), (160.0, 100.0, 40_000.0), (300.0, 10.0, 33_000.0)] {
+            let (ray, per_depth) = from.ray(x, y);
+            let depth = from.near + z * (from.far - from.near) / DEPTH_UNITS;
+            let h = basis.pixel_from_world(ray.at(depth * per_depth) - basis.eye);
+            let shift = motion.at(x, y, z).unwrap();
+            // Single precision over coordinates of some hundred pixels and ten thousands of units.
+            assert!((h.x / h.z - x - shift.x).abs() < 1e-2 && (h.y / h.z - y - shift.y).abs() < 1e-2);
+            assert!((depth_to_units(&to, h.z) - z - shift.z).abs() < 0.1);
+            moved = moved.max(shift.x.abs());
+        }
+        assert!(moved > 1.0);
+        let still = Motion::new(&from, &from).at(100.0, 50.0, 30_000.0).unwrap();
+        // A rotation of single precision is off by some 1e-7, of coordinates up to 320 and of 65535 units.
+        assert!(still.x.abs() < 1e-3 && still.y.abs() < 1e-3 && still.z.abs() < 0.1, "{still:?}");
+    }
+
+    #[test]
+    fn what_the_reference_cannot_see_does_not_move() {
+        let (from, mut to) = (camera(0.0), camera(0.0));
+        to.pose = Pose::orbit(Vec3::ZERO, std::f32::consts::PI, 0.0, -20.0);
+        assert!(Motion::new(&from, &to).at(160.0, 100.0, 30_000.0).is_none());
+        assert!(Motion::new(&from, &from).at(f32::NAN, 0.0, 0.0).is_none());
+    }
+
+    #[test]
+    fn the_tangent_is_the_tangent() {
+        for x in [0.0, 0.001, 0.3, 0.785, 1.2, 1.549] {
+            // The cosine near its zero has lost some digits.
+            assert!((tan(x) - x.tan()).abs() <= 1e-11 * x.tan().max(1.0), "{x}");
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! Frames that later ones are predicted from, and the fetching of a layer's content from one.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::band::{Band, Cell};
+use super::model::{BLOCK, BLOCK_LISTS, DepthPlane};
+use super::motion::Shift;
+use super::scales::{f32_from_fixed, scales};
+use super::transform::Plane;
+use crate::ids::FrameId;
+use crate::layer::FrameHeader;
+
+/// A decoded frame as far as predictions need it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reference {
+    pub(super) header: FrameHeader,
+    pub(super) is_complete: bool,
+    pub(super) bands: Vec<Arc<Band>>,
+    /// Band and row of blocks in it, for each row of blocks.
+    pub(super) rows: Vec<(u8, u32)>,
+}
+
+impl Reference {
+    pub(super) fn new(header: FrameHeader, is_complete: bool, bands: Vec<Arc<Band>>) -> Self {
+        let rows = bands
+            .iter()
+            .enumerate()
+            .flat_map(|(n, band)| {
+                (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
+            })
+            .collect();
+        Self { header, is_complete, bands, rows }
+    }
+
+    /// The frame.
+    pub fn frame(&self) -> FrameId {
+        self.header.frame
+    }
+
+    /// Whether the corrections of the picture are in it.
+    pub fn is_complete(&self) -> bool {
+        self.is_complete
+    }
+
+    /// The band and the number in it of the block at column `x` and row `y` of blocks.
+    pub(super) fn block(&self, x: i32, y: i32) -> Option<(&Band, usize)> {
+        let &(band, row) = self.rows.get(usize::try_from(y).ok()?)?;
+        let band = &*self.bands[usize::from(band)];
+        let x = usize::try_from(x).ok().filter(|&x| x < band.across)?;
+        Some((band, row as usize * band.across + x))
+    }
+
+    /// The cells of the list at column `x` and row `y`.
+    fn list(&self, x: i32, y: i32) -> &[Cell] {
+        const SIDE: i32 = BLOCK as i32;
+        match self.block(x.div_euclid(SIDE), y.div_euclid(SIDE)) {
+            Some((band, block)) => {
+                let i = y.rem_euclid(SIDE) * SIDE + x.rem_euclid(SIDE);
+                &band.cells[band.list(block, i as usize)]
+            }
+            None => &[],
+        }
+    }
+}
+
+/// The last frames that a receiver has decoded, for those that name them.
+#[derive(Clone, Debug, Default)]
+pub struct References {
+    newest_last: VecDeque<Arc<Reference>>,
+}
+
+impl References {
+    /// Adds one; the oldest gives way.
+    pub fn insert(&mut self, reference: Arc<Reference>) {
+        if self.newest_last.len() == MAX_REFERENCES {
+            self.newest_last.pop_front();
+        }
+        self.newest_last.push_back(reference);
+    }
+
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.newest_last.clear();
+    }
+
+    /// The frame with or without its corrections.
+    pub fn get(&self, frame: FrameId, is_complete: bool) -> Option<&Arc<Reference>> {
+        self.newest_last.iter().rev().find(|r| r.frame() == frame && r.is_complete == is_complete)
+    }
+}
+
+/// What a reference has where a layer is.
+#[derive(Clone, Debug)]
+pub(super) struct Fetched {
+    /// u, Y, Co, Cg of each list; of those without matter the mean.
+    pub(super) planes: [Plane; 4],
+    /// The lists where there is matter.
+    pub(super) mask: u64,
+}
+
+/// A list of the reference between two depths.
+#[derive(Clone, Copy, Default)]
+struct Content {
+    u: f32,
+    /// 0 for no matter.
+    alpha: f32,
+    /// Times α.
+    ycc: [f32; 3],
+}
+
+impl Fetched {
+    pub(super) fn new() -> Self {
+        Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0 }
+    }
+
+    /// Fetches what the reference has between two planes of the block at (`x`, `y`) of blocks, moved by `shift`: to a
+    /// quarter of a list, between lists by nearness, colours also by opacity.
+    pub(super) fn fetch(
+        &mut self,
+        reference: &Reference,
+        (x, y): (usize, usize),
+        (front, back): &(DepthPlane, DepthPlane),
+        shift: Shift,
+        least_length: f32,
+    ) {
+        let quarter = |s: f32| (s * 4.0 + 0.5).floor() as i32;
+        let (qx, qy) = (quarter(shift.x), quarter(shift.y));
+        let (fx, fy) = ((qx & 3) as f32 * 0.25, (qy & 3) as f32 * 0.25);
+        let (left, top) = ((x * BLOCK) as i32 + (qx >> 2), (y * BLOCK) as i32 + (qy >> 2));
+        let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
+        let mut content = [[Content::default(); BLOCK + 1]; BLOCK + 1];
+        for (row, content) in content.iter_mut().enumerate().take(rows) {
+            for (column, content) in content.iter_mut().enumerate().take(columns) {
+                let cells = reference.list(left + column as i32, top + row as i32);
+                if !cells.is_empty() {
+                    let (dx, dy) = (column as f32 - fx - MIDDLE, row as f32 - fy - MIDDLE);
+                    let at = |p: &DepthPlane| p.z + p.dx * dx + p.dy * dy + shift.z;
+                    let low = at(front);
+                    *content = between(cells, low, at(back).max(low + least_length));
+                }
+            }
+        }
+        let (gx, gy) = (1.0 - fx, 1.0 - fy);
+        let weights = [gx * gy, fx * gy, gx * fy, fx * fy];
+        self.mask = 0;
+        let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
+        for i in 0..BLOCK_LISTS {
+            let (column, row) = (i % BLOCK, i / BLOCK);
+            let right = column + usize::from(fx > 0.0);
+            let below = row + usize::from(fy > 0.0);
+            let taps =
+                [content[row][column], content[row][right], content[below][column], content[below][right]];
+            let (mut weight, mut u, mut alpha, mut ycc) = (0.0, 0.0, 0.0, [0.0; 3]);
+            for (tap, w) in taps.iter().zip(weights) {
+                if tap.alpha > 0.0 {
+                    weight += w;
+                    u += w * tap.u;
+                    alpha += w * tap.alpha;
+                    for (sum, value) in ycc.iter_mut().zip(tap.ycc) {
+                        *sum += w * value;
+                    }
+                }
+            }
+            if weight > 0.5 {
+                self.mask |= 1 << i;
+                self.planes[0][i] = u / weight;
+                sums[0] += u / weight;
+                count += 1.0;
+                sum_alpha += alpha;
+                for c in 0..3 {
+                    self.planes[c + 1][i] = ycc[c] / alpha;
+                    sums[c + 1] += ycc[c];
+                }
+            }
+        }
+        if self.mask != 0 && self.mask != u64::MAX {
+            let means = [sums[0] / count, sums[1] / sum_alpha, sums[2] / sum_alpha, sums[3] / sum_alpha];
+            for i in (0..BLOCK_LISTS).filter(|&i| self.mask >> i & 1 == 0) {
+                for (plane, mean) in self.planes.iter_mut().zip(means) {
+                    plane[i] = mean;
+                }
+            }
+        }
+    }
+}
+
+/// The parts of a list's cells between two depths, composited: the colour of parts is that of their cells, mixed by
+/// what of them is seen.
+fn between(cells: &[Cell], low: f32, high: f32) -> Content {
+    let scales = scales();
+    let mut sum = Content::default();
+    let mut tau = 0.0;
+    let mut kappa = 1.0;
+    let mut count = 0;
+    for cell in cells {
+        let (front, back) = (f32::from(cell.front), f32::from(cell.back));
+        if back <= low {
+            continue;
+        }
+        if front >= high {
+            break;
+        }
+        let part = (back.min(high) - front.max(low)) / (back - front);
+        let code = if part > WHOLE {
+            cell.u
+        } else {
+            scales.code(scales.u_from_tau(scales.tau[usize::from(cell.u)] * part))
+        };
+        let alpha = scales.alpha[usize::from(code)];
+        let seen = kappa * alpha;
+        for (sum, value) in sum.ycc.iter_mut().zip(cell.ycc) {
+            *sum += seen * f32_from_fixed(value);
+        }
+        sum.u = scales.u(code);
+        sum.alpha += seen;
+        tau += scales.tau[usize::from(code)];
+        kappa *= 1.0 - alpha;
+        count += 1;
+    }
+    if count > 1 {
+        sum.u = scales.u_from_tau(tau);
+    }
+    sum
+}
+
+/// Frames a receiver keeps, each with and without its corrections.
+pub const MAX_REFERENCES: usize = 6;
+/// Part of a cell that is taken for all of it.
+const WHOLE: f32 = 0.999;
+const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;

@@ -1,0 +1,203 @@
+//! The scales that the opacity and the colour of a cell, the part of a list in a layer, are coded on.
+//!
+//! Opacity: u = g(τ) = ½√(1 − e^−τ) + ln(1 + τ)/10, which is fine where little opacity is and still tells apart what
+//! is nearly opaque, since a turned camera sees parts of a cell. A decoded u is one of [`CODES`] codes; everything that
+//! depends on τ is looked up by the code. Colour: the square roots of C/α, turned into a brightness Y and two
+//! differences Co, Cg.
+//!
+//! The tables are made from sums, products, quotients and square roots in double precision, and so are the same on
+//! every machine.
+
+use std::sync::LazyLock;
+
+use glam::Vec3;
+
+use super::super::scale::exp_neg;
+use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
+
+/// Tables by the code of u.
+pub(super) struct Scales {
+    /// Optical depth, a half float; positive from code 1 on.
+    pub(super) tau: Box<[f32]>,
+    /// The bits of the half float.
+    pub(super) tau_half: Box<[u16]>,
+    /// 1 − e^−τ.
+    pub(super) alpha: Box<[f32]>,
+    /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on.
+    u_at: Box<[f32]>,
+    /// Codes to a unit of u, and back.
+    codes_per_u: f32,
+    u_per_code: f32,
+}
+
+/// The only one.
+pub(super) fn scales() -> &'static Scales {
+    static SCALES: LazyLock<Scales> = LazyLock::new(Scales::new);
+    &SCALES
+}
+
+impl Scales {
+    fn new() -> Self {
+        let u_max = u_from_tau(f64::from(TAU_MAX));
+        let u_at: Box<[f32]> = (0..OCTAVES * PER_OCTAVE + 2)
+            .map(|i| {
+                let mantissa = 1.0 + (i % PER_OCTAVE) as f64 / PER_OCTAVE as f64;
+                let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
+                u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
+            })
+            .collect();
+        let tau_half: Box<[u16]> = (0..CODES)
+            .map(|code| {
+                let u = u_max * f64::from(code) / f64::from(CODES - 1);
+                let tau = if code == 0 { 0.0 } else { tau_from_u(u) };
+                // The least codes stand for less than the least half float.
+                let half = pack_halves(tau as f32, 0.0) as u16;
+                if code == 0 { 0 } else { half.max(1) }
+            })
+            .collect();
+        let tau: Box<[f32]> = tau_half.iter().map(|&half| unpack_halves(half.into()).0).collect();
+        Self {
+            alpha: tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect(),
+            tau,
+            tau_half,
+            u_at,
+            codes_per_u: (f64::from(CODES - 1) / u_max) as f32,
+            u_per_code: (u_max / f64::from(CODES - 1)) as f32,
+        }
+    }
+
+    /// u of an optical depth.
+    pub(super) fn u_from_tau(&self, tau: f32) -> f32 {
+        let bits = tau.clamp(LEAST_TAU, TAU_MAX).to_bits();
+        let place = (bits - LEAST_TAU.to_bits()) >> REST_BITS;
+        let part = (bits & ((1 << REST_BITS) - 1)) as f32 * (1.0 / (1 << REST_BITS) as f32);
+        let [low, high] = [0, 1].map(|i| self.u_at[place as usize + i]);
+        low + (high - low) * part
+    }
+
+    /// The code of a cell with matter: at least 1.
+    pub(super) fn code(&self, u: f32) -> u16 {
+        ((u * self.codes_per_u + 0.5) as u16).clamp(1, CODES - 1)
+    }
+
+    /// u of a code.
+    pub(super) fn u(&self, code: u16) -> f32 {
+        f32::from(code) * self.u_per_code
+    }
+}
+
+/// Y, Co, Cg of the colour C/α.
+pub(super) fn ycc_from_color(c: Vec3, alpha: f32) -> [f32; 3] {
+    ycc_from_roots((c / alpha.max(1e-4)).to_array().map(|e| e.clamp(0.0, 2.25).sqrt()))
+}
+
+/// Y, Co, Cg of the roots of red, green and blue.
+pub(super) fn ycc_from_roots([r, g, b]: [f32; 3]) -> [f32; 3] {
+    [(r + 2.0 * g + b) * 0.25, (r - b) * 0.5, (2.0 * g - r - b) * 0.25]
+}
+
+/// Inverse of [`ycc_from_roots`].
+pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
+    let rest = y - cg;
+    [rest + co, y + cg, rest - co]
+}
+
+/// A colour difference or brightness as it is kept.
+pub(super) fn fixed_from_f32(x: f32) -> i16 {
+    let scaled = x * FIXED_ONE;
+    (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
+}
+
+/// Inverse of [`fixed_from_f32`].
+pub(super) fn f32_from_fixed(x: i16) -> f32 {
+    f32::from(x) * (1.0 / FIXED_ONE)
+}
+
+fn u_from_tau(tau: f64) -> f64 {
+    0.5 * (1.0 - exp_neg(tau as f32)).max(0.0).sqrt() + 0.1 * ln(1.0 + tau)
+}
+
+/// By halving the interval, to less than half a half float's last bit.
+fn tau_from_u(u: f64) -> f64 {
+    let (mut low, mut high) = (0.0, f64::from(TAU_MAX));
+    for _ in 0..48 {
+        let middle = 0.5 * (low + high);
+        if u_from_tau(middle) < u {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+/// Natural logarithm of a number from 1 on, by the series of the inverse hyperbolic tangent.
+fn ln(x: f64) -> f64 {
+    let bits = x.to_bits();
+    let octave = (bits >> 52) as i32 - 1023;
+    let mantissa = f64::from_bits(bits & ((1 << 52) - 1) | 1023 << 52);
+    let t = (mantissa - 1.0) / (mantissa + 1.0);
+    let mut sum = 0.0;
+    for n in (0..20).rev() {
+        sum = sum * t * t + 1.0 / f64::from(2 * n + 1);
+    }
+    f64::from(octave) * std::f64::consts::LN_2 + 2.0 * t * sum
+}
+
+/// 2^n by its bits.
+fn power_of_two(n: i32) -> f64 {
+    f64::from_bits(((n + 1023) as u64) << 52)
+}
+
+/// Codes of u.
+pub(super) const CODES: u16 = 4096;
+/// Colours are kept in units of 1/8192.
+const FIXED_ONE: f32 = 8192.0;
+const PER_OCTAVE: usize = 1 << (23 - REST_BITS);
+const REST_BITS: u32 = 17;
+const LEAST_OCTAVE: i32 = -24;
+const OCTAVES: usize = 34;
+/// 2^[`LEAST_OCTAVE`], the least half float.
+const LEAST_TAU: f32 = 5.960_464_5e-8;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_their_own_nearest_and_rise() {
+        let s = scales();
+        assert!(s.tau.is_sorted() && s.tau[0] == 0.0 && s.tau[1] > 0.0 && s.tau[4095] == TAU_MAX);
+        assert!(s.alpha.is_sorted() && s.alpha[0] == 0.0 && s.alpha[4095] == 1.0);
+        for code in 1..CODES {
+            assert_eq!(s.code(s.u(code)), code);
+        }
+        assert_eq!((s.code(-1.0), s.code(f32::NAN), s.code(9.0)), (1, 1, 4095));
+    }
+
+    #[test]
+    fn u_is_what_it_says() {
+        let s = scales();
+        let mut tau = 1e-6f32;
+        while tau < 1000.0 {
+            let exact = 0.5 * (1.0 - (-f64::from(tau)).exp()).sqrt() + 0.1 * f64::from(tau).ln_1p();
+            let found = f64::from(s.u_from_tau(tau));
+            // Straight lines between 64 places an octave: (1/64)²/8 of the curvature, and the rounding of floats.
+            assert!((found - exact).abs() < 2e-5, "{tau} {found} {exact}");
+            let back = s.tau[usize::from(s.code(found as f32))];
+            // Half a code is 1.5e-4 of u; the least slope of u over ln(τ) is near τ = 1/2 and at the ends.
+            let slope = f64::from(s.u_from_tau(tau * 1.01)) - found;
+            assert!(f64::from((back / tau).ln().abs()) < 0.01 * (1.6e-4 / slope) + 2e-3, "{tau} {back}");
+            tau *= 1.07;
+        }
+    }
+
+    #[test]
+    fn colours_come_back() {
+        let c = Vec3::new(0.3, 0.02, 0.7) * 0.4;
+        let kept = ycc_from_color(c, 0.4).map(|v| f32_from_fixed(fixed_from_f32(v)));
+        let back = Vec3::from(roots_from_ycc(kept).map(|s| s * s)) * 0.4;
+        // Half a unit of 1/8192 on each of three roots.
+        assert!((back - c).abs().max_element() < 2e-4, "{back}");
+    }
+}

@@ -1,0 +1,115 @@
+//! Quality: from one number to the steps that a chunk carries, and from bytes back to the number.
+
+use crate::camera::Camera;
+
+use super::relayer::{Rule, units_per_pixel};
+
+/// The steps that values are quantised in, as a decoder needs them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Steps {
+    /// Depth units.
+    pub(super) depth: f32,
+    /// Of u.
+    pub(super) opacity: f32,
+    /// Of Y, where all of it is seen.
+    pub(super) color: f32,
+    /// Of Y in the correction of the picture; 0 for none.
+    pub(super) picture: f32,
+    /// Co and Cg are quantised in so many times the step of Y.
+    pub(super) chroma: f32,
+}
+
+impl Steps {
+    pub(super) fn to_bytes(self) -> [u8; STEPS_BYTES] {
+        let mut bytes = [0; STEPS_BYTES];
+        let words = [self.depth, self.opacity * FINE, self.color * FINE, self.picture * FINE, self.chroma * CHROMA];
+        for (bytes, word) in bytes.as_chunks_mut::<2>().0.iter_mut().zip(words) {
+            *bytes = (word as u16).to_le_bytes();
+        }
+        bytes
+    }
+
+    /// `None` if a step that must be positive is not.
+    pub(super) fn from_bytes(bytes: [u8; STEPS_BYTES]) -> Option<Self> {
+        let mut words = [0; 5];
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<2>().0) {
+            *word = u16::from_le_bytes(*bytes);
+        }
+        let [depth, opacity, color, picture, chroma] = words.map(f32::from);
+        let is_sound = [0, 1, 2, 4].iter().all(|&i| words[i] > 0);
+        is_sound.then(|| Self {
+            depth,
+            opacity: opacity / FINE,
+            color: color / FINE,
+            picture: picture / FINE,
+            chroma: chroma / CHROMA,
+        })
+    }
+}
+
+/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`].
+pub(super) fn from_quality(quality: u8, camera: &Camera) -> (Rule, Steps) {
+    let at = f32::from(quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
+    let row = (at as usize).min(FAMILY.len() - 2);
+    let part = at - row as f32;
+    // Between two rows the steps are in proportion.
+    let [lambda, pixels, opacity, color, picture, chroma]: [f32; 6] =
+        std::array::from_fn(|i| FAMILY[row][i] * (FAMILY[row + 1][i] / FAMILY[row][i]).powf(part));
+    let units_per_pixel = units_per_pixel(camera);
+    let fine = |step: f32| (step * FINE).round().clamp(1.0, 65535.0) / FINE;
+    let steps = Steps {
+        depth: (pixels * units_per_pixel).round().clamp(1.0, 16384.0),
+        opacity: fine(opacity),
+        color: fine(color),
+        picture: fine(picture),
+        chroma: (chroma * CHROMA).round() / CHROMA,
+    };
+    (Rule { lambda, units_per_pixel }, steps)
+}
+
+/// Finds the quality that frames of about so many bytes have.
+#[derive(Clone, Copy, Debug)]
+pub struct RateControl {
+    quality: f32,
+    target_bytes: f32,
+}
+
+impl RateControl {
+    /// Begins in the middle.
+    pub fn new(target_bytes: usize) -> Self {
+        Self { quality: f32::from(MAX_QUALITY) * 0.5, target_bytes: target_bytes.max(1) as f32 }
+    }
+
+    /// The quality for the next frame.
+    pub fn quality(&self) -> u8 {
+        self.quality.round() as u8
+    }
+
+    /// Learns what the last frame took with the quality that was asked for.
+    pub fn observe(&mut self, bytes: usize) {
+        // From one frame to the next a picture changes little, so the bytes a step of quality costs are all there is
+        // to know; half of the correction keeps it from swinging.
+        let excess = (bytes.max(1) as f32 / self.target_bytes).log2();
+        let change = -excess * f32::from(MAX_QUALITY) / OCTAVES_OF_BYTES * 0.5;
+        self.quality = (self.quality + change).clamp(0.0, f32::from(MAX_QUALITY));
+    }
+}
+
+/// Best quality.
+pub const MAX_QUALITY: u8 = 100;
+/// Bytes of [`Steps`].
+pub(super) const STEPS_BYTES: usize = 10;
+const FINE: f32 = 4096.0;
+const CHROMA: f32 = 16.0;
+/// λ of the layering, steps of depth in pixels, of u, of Y, of the correction, and of colour against brightness. From
+/// the coarsest; measured as the best of their neighbours at the same bytes.
+const FAMILY: [[f32; 6]; 6] = [
+    [4.0, 4.0, 0.5, 0.3, 0.08, 3.0],
+    [2.0, 3.0, 0.4, 0.2, 0.05, 3.0],
+    [1.0, 2.0, 0.3, 0.15, 0.04, 3.0],
+    [0.4, 1.0, 0.2, 0.1, 0.02, 2.0],
+    [0.4, 1.0, 0.1, 0.03, 0.02, 2.0],
+    [0.15, 1.0, 0.06, 0.03, 0.01, 2.0],
+];
+/// Doublings of the bytes from the least to the best quality.
+const OCTAVES_OF_BYTES: f32 = 3.7;

@@ -1,0 +1,272 @@
+//! How planes, masks and coefficients are said in bits, and with which estimates.
+
+use super::entropy::{Coder, Model, NumberModels, SignedModels};
+use super::model::{BLOCK, BLOCK_LISTS};
+
+/// The estimates of a band.
+#[derive(Clone, Debug)]
+pub(super) struct Contexts {
+    pub(super) has_planes: [[Model; 3]; 9],
+    pub(super) is_kept: [Model; 9],
+    pub(super) is_merged: [Model; 9],
+    pub(super) is_above: [Model; 3],
+    pub(super) num_layers: [[[Model; 32]; COUNT_CLASSES]; COUNT_CLASSES],
+    pub(super) touches: [Model; 2],
+    pub(super) depth: [[SignedModels; DEPTH_CONTEXTS]; 2],
+    pub(super) slope: [[SignedModels; 4]; 2],
+    pub(super) has_matter: [[Model; 6]; 3],
+    pub(super) is_full: [[Model; 4]; 3],
+    pub(super) is_same: [[Model; 2]; 3],
+    pub(super) occupancy: [[Model; 256]; 3],
+    pub(super) is_inter: [Model; 3],
+    pub(super) has_correction: [Model; 9],
+    is_zero: [[[Model; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
+    class: [[[[Model; 16]; COARSE]; COARSE]; COMPONENTS],
+    rest: [[Model; 32]; CLASSES],
+    size: [[[[Model; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
+    escape: NumberModels,
+}
+
+impl Contexts {
+    pub(super) fn new() -> Box<Self> {
+        let m = Model::START;
+        Box::new(Self {
+            has_planes: [[m; 3]; 9],
+            is_kept: [m; 9],
+            is_merged: [m; 9],
+            is_above: [m; 3],
+            num_layers: [[[m; 32]; COUNT_CLASSES]; COUNT_CLASSES],
+            touches: [m; 2],
+            depth: [[SignedModels::START; DEPTH_CONTEXTS]; 2],
+            slope: [[SignedModels::START; 4]; 2],
+            has_matter: [[m; 6]; 3],
+            is_full: [[m; 4]; 3],
+            is_same: [[m; 2]; 3],
+            occupancy: [[m; 256]; 3],
+            is_inter: [m; 3],
+            has_correction: [m; 9],
+            is_zero: [[[m; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
+            class: [[[[m; 16]; COARSE]; COARSE]; COMPONENTS],
+            rest: [[m; 32]; CLASSES],
+            size: [[[[m; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
+            escape: NumberModels::START,
+        })
+    }
+
+    /// Quantised coefficients in the order of the zigzag: how many up to the last that is not zero, then their sizes and
+    /// signs. `near` are the classes of the layer in front and of the neighbours, [`NO_CLASS`] for none. Returns
+    /// the class.
+    pub(super) fn coefficients(
+        &mut self,
+        coder: &mut impl Coder,
+        component: usize,
+        near: [u8; 2],
+        levels: &mut Levels,
+    ) -> u8 {
+        let class = class_of(levels.length);
+        let [a, b] = near.map(usize::from);
+        if coder.bit(&mut self.is_zero[component][a][b], class == 0) {
+            levels.length = 0;
+            return 0;
+        }
+        let models = &mut self.class[component][coarse(a)][coarse(b)];
+        let class = (coder.tree(models, 4, u32::from(class).wrapping_sub(1)) as usize + 1).min(CLASSES - 1);
+        let first = usize::from(CLASS_FIRST[class]);
+        let count = if class + 1 < CLASSES { usize::from(CLASS_FIRST[class + 1]) } else { BLOCK_LISTS + 1 } - first;
+        let rest = if count > 1 {
+            let bits = (count - 1).ilog2() + 1;
+            let rest = (levels.length as u32).wrapping_sub(first as u32);
+            coder.tree(&mut self.rest[class], bits, rest).min(count as u32 - 1) as usize
+        } else {
+            0
+        };
+        let length = first + rest;
+        levels.length = length;
+        let (mut one, mut two) = (0u32, 0u32);
+        for (k, level) in levels.values[..length].iter_mut().enumerate() {
+            let activity = ((2 * one + two + 1) / 2).min(3) as usize;
+            let models = &mut self.size[component][POSITION[k] as usize][activity];
+            // The last one is not zero.
+            let least = u32::from(k + 1 == length);
+            let size = level.unsigned_abs();
+            let mut coded = least + coder.unary(&mut models[least as usize..], size.saturating_sub(least));
+            if coded == MAX_UNARY as u32 {
+                coded += coder.number(&mut self.escape, size.saturating_sub(MAX_UNARY as u32));
+            }
+            let is_negative = coded > 0 && coder.raw(1, u32::from(*level < 0)) == 1;
+            *level = if is_negative { -(coded as i32) } else { coded as i32 };
+            (one, two) = (coded, one);
+        }
+        class as u8
+    }
+
+    /// Which lists of a layer have matter. `before` is the mask of the layer in front, if any; `expected` that of the
+    /// moved reference.
+    pub(super) fn mask(
+        &mut self,
+        coder: &mut impl Coder,
+        before: Option<u64>,
+        expected: Option<u64>,
+        mask: u64,
+    ) -> u64 {
+        let reference = expected.map_or(0, |e| 1 + usize::from(e == u64::MAX));
+        let shape = before.map_or(0, |b| 1 + usize::from(b == u64::MAX));
+        if coder.bit(&mut self.is_full[reference][shape], mask == u64::MAX) {
+            return u64::MAX;
+        }
+        let previous = before.unwrap_or(u64::MAX);
+        if before.is_some_and(|b| b != u64::MAX)
+            && coder.bit(&mut self.is_same[reference][0], mask == previous)
+        {
+            return previous;
+        }
+        let mut coded = 0u64;
+        for i in 0..BLOCK_LISTS {
+            let (x, y) = (i % BLOCK, i / BLOCK);
+            let neighbor = |is_inside: bool, back: usize| {
+                usize::from(is_inside && coded >> i.wrapping_sub(back) & 1 == 1)
+            };
+            let context = neighbor(x > 0, 1)
+                | neighbor(y > 0, BLOCK) << 1
+                | neighbor(x > 0 && y > 0, BLOCK + 1) << 2
+                | neighbor(y > 0 && x + 1 < BLOCK, BLOCK - 1) << 3
+                | usize::from(previous >> i & 1 == 1) << 4
+                | usize::from(y == 0) << 5
+                | usize::from(x == 0) << 6
+                | usize::from(before.is_none()) << 7;
+            let reference = expected.map_or(0, |e| 1 + (e >> i & 1) as usize);
+            let bit = coder.bit(&mut self.occupancy[reference][context], mask >> i & 1 == 1);
+            coded |= u64::from(bit) << i;
+        }
+        coded
+    }
+}
+
+/// Quantised coefficients.
+#[derive(Clone, Debug)]
+pub(super) struct Levels {
+    /// In the order of the zigzag; those from `length` on mean nothing.
+    pub(super) values: [i32; BLOCK_LISTS],
+    /// Up to the last that is not zero.
+    pub(super) length: usize,
+}
+
+impl Levels {
+    pub(super) const ZERO: Self = Self { values: [0; BLOCK_LISTS], length: 0 };
+}
+
+/// Class of so many coefficients.
+fn class_of(length: usize) -> u8 {
+    CLASS_FIRST.iter().rposition(|&first| usize::from(first) <= length).unwrap_or(0) as u8
+}
+
+fn coarse(class: usize) -> usize {
+    match class {
+        0 => 0,
+        1..=2 => 1,
+        3..=6 => 2,
+        12 => 4,
+        _ => 3,
+    }
+}
+
+/// Of a number of layers.
+pub(super) fn count_class(count: usize) -> usize {
+    match count {
+        0..=2 => count,
+        3..=4 => 3,
+        5..=7 => 4,
+        8..=11 => 5,
+        _ => 6,
+    }
+}
+
+/// The class where there is nothing to have one.
+pub(super) const NO_CLASS: u8 = CLASSES as u8;
+/// Opacity, brightness, colour and the picture's correction (brightness, colour), the first three also after a moved
+/// reference.
+pub(super) const COMPONENTS: usize = 8;
+/// Contexts of a depth: how far two predictions differ, or that there are fewer.
+pub(super) const DEPTH_CONTEXTS: usize = 9;
+const COUNT_CLASSES: usize = 7;
+const CLASSES: usize = 12;
+/// Least number of coefficients of each class.
+const CLASS_FIRST: [u8; CLASSES] = [0, 1, 2, 3, 4, 5, 7, 10, 15, 21, 32, 48];
+const COARSE: usize = 5;
+const POSITIONS: usize = 6;
+/// Sizes from here on are said by a number.
+const MAX_UNARY: usize = 15;
+/// Context of a coefficient's place.
+const POSITION: [u8; BLOCK_LISTS] = {
+    let mut position = [5; BLOCK_LISTS];
+    let mut k = 0;
+    while k <= 20 {
+        position[k] = match k {
+            0 => 0,
+            1..=2 => 1,
+            3..=5 => 2,
+            6..=9 => 3,
+            _ => 4,
+        };
+        k += 1;
+    }
+    position
+};
+
+#[cfg(test)]
+mod tests {
+    use super::super::entropy::{Decoder, Encoder};
+    use super::*;
+
+    #[test]
+    fn coefficients_and_masks_come_back() {
+        let mut encoder = Encoder::new();
+        let mut contexts = Contexts::new();
+        let planes: Vec<Levels> = (0..200usize)
+            .map(|n| {
+                let length = n % 65;
+                let mut values = [0; BLOCK_LISTS];
+                for (k, v) in values[..length].iter_mut().enumerate() {
+                    *v = (((n * 31 + k * 17) % 9) as i32 - 4) * if n % 11 == 0 { 7000 } else { 1 };
+                }
+                if length > 0 {
+                    values[length - 1] = if n % 2 == 0 { -1 } else { 40 };
+                }
+                Levels { values, length }
+            })
+            .collect();
+        let masks: Vec<u64> =
+            (0..50u64).map(|n| if n % 5 == 0 { u64::MAX } else { 0x0f0f_3c3c_7e7e_0001 << (n / 9) }).collect();
+        let near = |n: usize| [(n % 13) as u8, (n / 3 % 13) as u8];
+        for (n, plane) in planes.iter().enumerate() {
+            contexts.coefficients(&mut encoder, n % COMPONENTS, near(n), &mut plane.clone());
+        }
+        let before = |n: usize| n.checked_sub(1).map(|n| masks[n]);
+        let expected = |n: usize| (n % 3 > 0).then(|| masks[(n + 1) % 50]);
+        for (n, &mask) in masks.iter().enumerate() {
+            contexts.mask(&mut encoder, before(n), expected(n), mask);
+        }
+        let bytes = encoder.finish();
+        let mut decoder = Decoder::new(&bytes);
+        let mut contexts = Contexts::new();
+        for (n, plane) in planes.iter().enumerate() {
+            let mut found = Levels::ZERO;
+            let class = contexts.coefficients(&mut decoder, n % COMPONENTS, near(n), &mut found);
+            assert_eq!(found.values[..found.length], plane.values[..plane.length], "{n}");
+            assert_eq!(class, class_of(plane.length));
+        }
+        for (n, &mask) in masks.iter().enumerate() {
+            assert_eq!(contexts.mask(&mut decoder, before(n), expected(n), 0), mask);
+        }
+        assert!(decoder.is_at_end());
+    }
+
+    #[test]
+    fn classes_are_those_of_their_first_lengths() {
+        for (class, &first) in CLASS_FIRST.iter().enumerate() {
+            assert_eq!(usize::from(class_of(first.into())), class);
+            assert!(first == 0 || usize::from(class_of(usize::from(first) - 1)) == class - 1);
+        }
+        assert_eq!(class_of(64), 11);
+    }
+}
