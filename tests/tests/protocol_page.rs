@@ -6,12 +6,23 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 6] = [
+const SOURCES: [&str; 17] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
     "crates/core/src/codec/scale.rs",
     "crates/core/src/codec/predict.rs",
+    "crates/core/src/codec/blocks/band.rs",
+    "crates/core/src/codec/blocks/chunk.rs",
+    "crates/core/src/codec/blocks/coding.rs",
+    "crates/core/src/codec/blocks/entropy.rs",
+    "crates/core/src/codec/blocks/motion.rs",
+    "crates/core/src/codec/blocks/picture.rs",
+    "crates/core/src/codec/blocks/reference.rs",
+    "crates/core/src/codec/blocks/scales.rs",
+    "crates/core/src/codec/blocks/steps.rs",
+    "crates/core/src/codec/blocks/syntax.rs",
+    "crates/core/src/codec/blocks/transform.rs",
     "crates/formats/src/iglf.rs",
 ];
 

@@ -13,6 +13,7 @@ use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE};
+use isinglass_core::codec::{Coding, blocks};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::volume::Volume;
@@ -177,6 +178,38 @@ pub(crate) struct LayeringArgs {
     /// Most segments a pixel
     #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
     pub(crate) k: u8,
+}
+
+/// How frames become bytes.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct CodecArgs {
+    /// Codec: exact, which keeps every list and depth, or blocks, which takes far fewer bytes
+    #[arg(long, value_enum, default_value_t = CodecChoice::Exact)]
+    pub(crate) codec: CodecChoice,
+    /// Quality of --codec blocks, from 0 to 100
+    #[arg(long, value_name = "Q", default_value_t = 60, value_parser = clap::value_parser!(u8).range(0..=100))]
+    pub(crate) quality: u8,
+}
+
+/// A codec.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CodecChoice {
+    /// All lists and depths as they are.
+    Exact,
+    /// Lists in blocks.
+    Blocks,
+}
+
+impl CodecArgs {
+    /// The coding.
+    pub(crate) fn coding(&self) -> Coding {
+        match self.codec {
+            CodecChoice::Exact => Coding::default(),
+            CodecChoice::Blocks => {
+                Coding::Blocks(blocks::Settings { quality: self.quality, is_split: false })
+            }
+        }
+    }
 }
 
 /// How a frame becomes a picture.

@@ -6,7 +6,10 @@ mod common;
 use std::time::Duration;
 
 use common::*;
-use isinglass_core::codec;
+use isinglass_core::codec::{
+    self,
+    blocks::{self, References},
+};
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
@@ -257,3 +260,48 @@ async fn a_full_server_says_so_and_lets_in_the_next_when_one_leaves() {
     drop(first);
     until("a place", || (second.state() == State::Connected).then_some(())).await;
 }
+
+/// Frames in blocks name the ones before: all must arrive for any to be shown, and a broken one heals.
+#[tokio::test(flavor = "multi_thread")]
+async fn predicted_frames_are_shown_and_a_lost_one_is_healed() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let ms = Duration::from_millis;
+    let model = LinkModel { rtt: ms(20), jitter: ms(3), loss: 0.01, reorder: true, ..Default::default() };
+    let client =
+        Client::connect(&link, ClientOptions { conditioner: Some(model), ..Default::default() }).unwrap();
+    let mut session = server.accept().await.unwrap();
+    let settings = blocks::Settings { quality: 50, is_split: false };
+    let size = isinglass_core::camera::Intrinsics { width: 48, height: 32, ..INTRINSICS };
+    let mut sent = References::default();
+    let (mut named, mut shown_predicted, mut withheld) = (0, 0, 0);
+    for n in 1..=30u32 {
+        let id = client.set_pose(pose(n), size);
+        until("the pose", || (*session.poses.borrow_and_update()).filter(|p| p.id == id)).await;
+        let reference = sent.next(session.frames.newest_decoded()).cloned();
+        let made = frame(FrameId(n), id, pose(n), size);
+        let (encoded, decoded) = blocks::encode(&made, &settings, reference.as_deref()).unwrap();
+        named += u32::from(reference.is_some());
+        sent.insert(std::sync::Arc::new(decoded));
+        if n == 8 {
+            // Lost: those that name it, and those that name these, cannot be shown.
+            continue;
+        }
+        session.frames.send(FrameId(n), id, encoded.chunks).await.unwrap();
+        let names_what_was_lost = (9..=8 + HEALED_AFTER).contains(&n);
+        if names_what_was_lost {
+            tokio::time::sleep(ms(60)).await;
+            withheld += u32::from(client.latest_frame().is_none_or(|f| f.frame.header.frame < FrameId(8)));
+            continue;
+        }
+        let received = until_answered(&client, id).await;
+        let expected = sent.newest().unwrap().to_frame();
+        assert_eq!(received.frame, expected, "frame {n} from {:?}", reference.map(|r| r.frame()));
+        shown_predicted += u32::from(n > 1);
+    }
+    assert!(named >= 28, "{named}");
+    assert_eq!((withheld, shown_predicted), (HEALED_AFTER, 28 - HEALED_AFTER));
+}
+
+/// Frames that name a lost one, or each other, before the server goes back to one the viewer has.
+const HEALED_AFTER: u32 = 10;

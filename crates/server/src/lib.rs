@@ -35,7 +35,7 @@ pub struct ServeOptions {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
     /// How frames are encoded.
-    pub codec: codec::Settings,
+    pub codec: codec::Coding,
     /// Viewers at the same time.
     pub max_viewers: u32,
 }

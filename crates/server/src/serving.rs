@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isinglass_core::camera::{Camera, Intrinsics};
-use isinglass_core::codec;
+use isinglass_core::codec::Coding;
+use isinglass_core::codec::blocks::{Reference, References};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
@@ -25,7 +26,7 @@ pub(crate) async fn serve(
     generator: Generator,
     bounds: Aabb,
     look: Look,
-    codec: codec::Settings,
+    codec: Coding,
     mut commands: mpsc::Receiver<Command>,
 ) {
     let mut viewers = JoinSet::new();
@@ -56,16 +57,18 @@ struct Viewer {
     bounds: Aabb,
     look: Arc<Look>,
     version: LookVersion,
-    codec: codec::Settings,
+    codec: Coding,
     frame: FrameId,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
     /// Encoding and handing over of the frame before: runs while the next one is generated.
-    sending: Option<JoinHandle<Result<(), SessionClosed>>>,
+    sending: Option<JoinHandle<Result<Option<Arc<Reference>>, SessionClosed>>>,
+    /// Frames that later ones may be predicted from.
+    sent: References,
 }
 
 impl Viewer {
-    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, codec: codec::Settings) -> Self {
+    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, codec: Coding) -> Self {
         Self {
             session,
             generator,
@@ -76,6 +79,7 @@ impl Viewer {
             frame: FrameId(0),
             answered: None,
             sending: None,
+            sent: References::default(),
         }
     }
 
@@ -143,8 +147,9 @@ impl Viewer {
         };
         if let Some(sending) = self.sending.take() {
             let waiting = Instant::now();
-            if !matches!(sending.await, Ok(Ok(()))) {
-                return false;
+            let Ok(Ok(reference)) = sending.await else { return false };
+            if let Some(reference) = reference {
+                self.sent.insert(reference);
             }
             // Where the network is slower than the renderer, a frame for the newest pose is made sooner than this one
             // has waited. It finds the network free, so no frame is passed over twice in a row.
@@ -157,31 +162,35 @@ impl Viewer {
             }
         }
         let span = tracing::debug_span!("frame", id = self.frame.0);
-        let send =
-            send(self.session.frames.clone(), self.session.control.clone(), generated, *request, self.codec);
+        let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
+        let (frames, control) = (self.session.frames.clone(), self.session.control.clone());
+        let send = send(frames, control, generated, *request, self.codec, reference);
         self.sending = Some(tokio::spawn(send.instrument(span)));
         true
     }
 }
 
-/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base.
+/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base: what later frames
+/// may be predicted from.
 async fn send(
     frames: isinglass_net::server::FrameSender,
     control: isinglass_net::server::ControlSender,
     generated: Generated,
     request: PoseRequest,
-    codec: codec::Settings,
-) -> Result<(), SessionClosed> {
+    codec: Coding,
+    reference: Option<Arc<Reference>>,
+) -> Result<Option<Arc<Reference>>, SessionClosed> {
     let header = generated.frame.header;
     let segments = generated.frame.num_segments() as u64;
     let started = Instant::now();
-    let encoded = tokio::task::spawn_blocking(move || codec::encode(&generated.frame, &codec)).await;
+    let encoded =
+        tokio::task::spawn_blocking(move || codec.encode(&generated.frame, reference.as_deref())).await;
     let encode_micros = started.elapsed().as_micros() as u64;
-    let encoded = match encoded {
+    let (encoded, reference) = match encoded {
         Ok(Ok(encoded)) => encoded,
         Ok(Err(e)) => {
             tracing::warn!("{e}");
-            return control.notice(&format!("the server cannot encode a frame: {e}")).await;
+            return control.notice(&format!("the server cannot encode a frame: {e}")).await.map(|()| None);
         }
         Err(e) => {
             tracing::error!("encoding ended early: {e}");
@@ -197,7 +206,8 @@ async fn send(
         bytes: encoded.num_bytes() as u64,
         segments,
     });
-    frames.send(header.frame, header.pose, encoded.chunks).await
+    frames.send(header.frame, header.pose, encoded.chunks).await?;
+    Ok(reference)
 }
 
 /// The picture size that is rendered for a wish: the same shape, at most [`max_lists`] pixels.

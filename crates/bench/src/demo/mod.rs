@@ -156,7 +156,7 @@ fn serve_and_play(
         look,
         backend: backend.clone(),
         listen: ([127, 0, 0, 1], 0).into(),
-        codec: codec::Settings::default(),
+        codec: codec::Coding::default(),
         max_viewers: 1,
     };
     let (server, link) = runtime.block_on(async {

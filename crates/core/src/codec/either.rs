@@ -130,13 +130,13 @@ impl Assembly {
         self.to_frame_and_reference().0
     }
 
-    /// The frame, and what later frames may be predicted from, which those of the exact mode are not.
+    /// The frame, and what later frames may be predicted from: a frame of the rate mode with all of its chunks.
     pub fn to_frame_and_reference(&self) -> (LayeredFrame, Option<Arc<Reference>>) {
         match &self.0 {
             Kind::Exact(a) => (a.to_frame(), None),
             Kind::Blocks(a) => {
                 let reference = a.to_reference();
-                (reference.to_frame(), Some(Arc::new(reference)))
+                (reference.to_frame(), self.complete().then(|| Arc::new(reference)))
             }
         }
     }

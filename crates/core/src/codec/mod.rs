@@ -23,11 +23,13 @@ mod scale;
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
-use blocks::References;
+use blocks::{Reference, References};
 
 pub use either::{Assembly, DecodedChunk, decode_chunk};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
@@ -53,10 +55,29 @@ pub enum Coding {
     /// All lists and depths as they are.
     Exact(Settings),
     /// Lists in blocks, for few bytes.
-    Rate {
-        /// 0 to [`blocks::MAX_QUALITY`].
-        quality: u8,
-    },
+    Blocks(blocks::Settings),
+}
+
+impl Default for Coding {
+    fn default() -> Self {
+        Self::Exact(Settings::default())
+    }
+}
+
+impl Coding {
+    /// Encodes a frame, which must be valid; one in blocks is predicted from the reference, if there is one, which the
+    /// receiver must have, and can be the reference of later ones.
+    pub fn encode(
+        &self,
+        frame: &LayeredFrame,
+        reference: Option<&Reference>,
+    ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
+        match self {
+            Self::Exact(settings) => Ok((encode(frame, settings)?, None)),
+            Self::Blocks(settings) => blocks::encode(frame, settings, reference)
+                .map(|(encoded, reference)| (encoded, Some(Arc::new(reference)))),
+        }
+    }
 }
 
 /// One encoded frame.
@@ -235,7 +256,10 @@ pub fn decode<B: AsRef<[u8]> + Sync>(chunks: &[B]) -> Result<LayeredFrame, Codec
 }
 
 /// Decodes all chunks of one frame, in any order. What it is predicted from must be among the references.
-pub fn assemble<B: AsRef<[u8]> + Sync>(chunks: &[B], references: &References) -> Result<Assembly, CodecError> {
+pub fn assemble<B: AsRef<[u8]> + Sync>(
+    chunks: &[B],
+    references: &References,
+) -> Result<Assembly, CodecError> {
     let first = chunks.first().ok_or(CodecError::Incomplete { found: 0, expected: 1 })?;
     let mut assembly = Assembly::new(&peek(first.as_ref())?);
     at_most("chunks", chunks.len(), MAX_CHUNKS)?;

@@ -1,11 +1,13 @@
 //! The client's side of a connection: from chunks to the next thing worth decoding, and the ledger of a frame's life.
 //!
 //! At most [`MAX_ASSEMBLING`] frames are in reassembly; a newer one pushes the oldest out. A frame whose base is
-//! complete ends the older ones. What is handed out for decoding never goes back to an older frame.
+//! complete ends the older ones. What is handed out for decoding never goes back to an older frame. A frame that is
+//! predicted from another waits for it.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::codec::MAX_CHUNKS;
+use crate::codec::blocks::MAX_REFERENCES;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
 
 /// Where a chunk belongs, as its own header says.
@@ -21,6 +23,15 @@ pub struct ChunkPlace {
     pub num_chunks: u16,
     /// How many of them, from the first, are the base.
     pub num_base_chunks: u16,
+    /// Whether other frames can be predicted from it, and the frame that it is predicted from itself.
+    pub prediction: Option<Prediction>,
+}
+
+/// How a frame takes part in prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Prediction {
+    /// The frame that must be decoded before.
+    pub reference: Option<FrameId>,
 }
 
 /// Why a chunk cannot be used.
@@ -93,6 +104,10 @@ pub struct Session {
     poses: VecDeque<(PoseId, u64)>,
     assembling: BTreeMap<FrameId, Assembling>,
     newest_base: Option<FrameId>,
+    /// The last frames of this connection that others can be predicted from.
+    references: VecDeque<FrameId>,
+    /// Whether the newest base is of such a frame.
+    is_predicting: bool,
     newest_decoded: Option<FrameTimes>,
     ledger: VecDeque<FrameTimes>,
     decoded_at: VecDeque<u64>,
@@ -112,6 +127,12 @@ struct Assembling {
 }
 
 impl Assembling {
+    /// Whether all is there to decode it now.
+    fn is_ready(&self, references: &VecDeque<FrameId>) -> bool {
+        let named = self.place.prediction.and_then(|p| p.reference);
+        self.has_base() && named.is_none_or(|r| references.contains(&r))
+    }
+
     fn has_base(&self) -> bool {
         let base = (1u32 << self.place.num_base_chunks) - 1;
         self.arrived & base == base
@@ -127,7 +148,9 @@ impl Session {
     pub fn handle_connected(&mut self) {
         self.connection += 1;
         self.assembling.clear();
+        self.references.clear();
         self.newest_base = None;
+        self.is_predicting = false;
     }
 
     /// Number of the connection, from 1.
@@ -211,16 +234,27 @@ impl Session {
                 times.complete.get_or_insert(now_micros);
             }
         }
-        if has_base && self.newest_base.is_none_or(|newest| newest < frame) {
-            if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
-                self.refinements_keep_up = false;
-            }
-            let keep = self.assembling.split_off(&frame);
-            self.dropped_frames += self.assembling.values().filter(|a| !a.is_decoding).count() as u64;
-            self.assembling = keep;
-            self.newest_base = Some(frame);
+        if has_base {
+            self.choose();
         }
         Ok(())
+    }
+
+    /// Ends the frames before the newest one that can be decoded.
+    fn choose(&mut self) {
+        let ready = self.assembling.iter().rev().find(|(_, a)| a.is_ready(&self.references));
+        let Some((&frame, assembling)) = ready else { return };
+        if self.newest_base.is_some_and(|newest| frame <= newest) {
+            return;
+        }
+        self.is_predicting = assembling.place.prediction.is_some();
+        if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
+            self.refinements_keep_up = false;
+        }
+        let keep = self.assembling.split_off(&frame);
+        self.dropped_frames += self.assembling.values().filter(|a| !a.is_decoding).count() as u64;
+        self.assembling = keep;
+        self.newest_base = Some(frame);
     }
 
     /// What to decode next: the newest frame when all of it is there, or its base before.
@@ -266,6 +300,13 @@ impl Session {
         if connection != self.connection {
             return None;
         }
+        if is_complete && self.is_predicting && self.newest_base == Some(frame) {
+            if self.references.len() == MAX_REFERENCES {
+                self.references.pop_front();
+            }
+            self.references.push_back(frame);
+            self.choose();
+        }
         let times = self.times_mut(frame)?;
         if is_complete {
             times.complete_decoded.get_or_insert(now_micros);
@@ -302,9 +343,10 @@ impl Session {
         }
     }
 
-    /// The newest frame whose base is complete, for the next pose datagram.
+    /// The newest frame whose base is complete, for the next pose datagram; where frames are predicted from each other,
+    /// the newest that is decoded.
     pub fn newest_complete(&self) -> Option<FrameId> {
-        self.newest_base
+        if self.is_predicting { self.references.back().copied() } else { self.newest_base }
     }
 
     /// From the pose of the newest decoded frame to now, µs.
@@ -374,6 +416,7 @@ mod tests {
             index: ChunkIndex(index),
             num_chunks: 4,
             num_base_chunks: 2,
+            prediction: None,
         }
     }
 
@@ -490,6 +533,51 @@ mod tests {
             }
         }
         assert!(jobs > 500 && fulls > 50, "{jobs} {fulls}");
+    }
+
+    #[test]
+    fn predicted_frames_wait_for_what_they_name() {
+        let mut s = Session::default();
+        s.handle_connected();
+        let arrive = |s: &mut Session, frame: u32, reference: u32| {
+            let prediction = Some(Prediction { reference: (reference > 0).then_some(FrameId(reference)) });
+            let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+            s.handle_chunk(0, 0, place, vec![]).unwrap();
+        };
+        let decode = |s: &mut Session| {
+            let job = s.poll_decode(0)?;
+            assert!(job.is_first && job.is_last);
+            s.handle_decoded(0, job.connection, job.frame, true);
+            Some(job.frame.0)
+        };
+        // Frame 3 names 2, which is on its way: none but 1 can be shown.
+        arrive(&mut s, 1, 0);
+        arrive(&mut s, 3, 2);
+        assert_eq!((s.newest_complete(), decode(&mut s), decode(&mut s)), (None, Some(1), None));
+        assert_eq!(s.newest_complete(), Some(FrameId(1)));
+        arrive(&mut s, 2, 1);
+        assert_eq!((decode(&mut s), decode(&mut s), decode(&mut s)), (Some(2), Some(3), None));
+        // Frame 4 is lost: 5 and 6 name it or each other, 7 does not.
+        arrive(&mut s, 5, 4);
+        arrive(&mut s, 6, 5);
+        assert_eq!((decode(&mut s), s.newest_complete()), (None, Some(FrameId(3))));
+        arrive(&mut s, 7, 3);
+        assert_eq!((decode(&mut s), s.assembling.len()), (Some(7), 0));
+        // A frame that names none ends all before it, also those that wait.
+        arrive(&mut s, 9, 8);
+        arrive(&mut s, 10, 0);
+        assert_eq!((decode(&mut s), decode(&mut s)), (Some(10), None));
+        // A frame that could not be decoded is no reference.
+        arrive(&mut s, 11, 10);
+        let job = s.poll_decode(0).unwrap();
+        arrive(&mut s, 12, 11);
+        s.handle_broken(job.connection, job.frame);
+        assert_eq!((decode(&mut s), s.newest_complete()), (None, Some(FrameId(10))));
+        arrive(&mut s, 13, 10);
+        assert_eq!(decode(&mut s), Some(13));
+        s.handle_connected();
+        arrive(&mut s, 1, 13);
+        assert_eq!((decode(&mut s), s.newest_complete()), (None, None));
     }
 
     #[test]

@@ -20,6 +20,7 @@ pub struct Session {
     newest_pose: PoseId,
     handed: FrameId,
     complete: FrameId,
+    reported: FrameId,
     poses: Bucket,
     messages: Bucket,
 }
@@ -42,6 +43,7 @@ impl Session {
             newest_pose: PoseId(0),
             handed: FrameId(0),
             complete: FrameId(0),
+            reported: FrameId(0),
             poses: Bucket::new(MAX_POSES_PER_SECOND, now_micros),
             messages: Bucket::new(MAX_MESSAGES_PER_SECOND, now_micros),
         }
@@ -62,6 +64,9 @@ impl Session {
         let request = PoseRequest::decode(bytes)?;
         if let Some(frame) = request.newest_complete {
             self.handle_base_delivered(frame);
+            if request.id >= self.newest_pose {
+                self.reported = frame.min(self.handed);
+            }
         }
         if request.id <= self.newest_pose {
             return Ok(None);
@@ -99,6 +104,12 @@ impl Session {
     /// Whether a chunk is not worth its bytes any more.
     pub fn is_superseded(&self, frame: FrameId, is_base: bool) -> bool {
         if is_base { self.complete > frame } else { self.handed > frame }
+    }
+
+    /// The frame that the client's newest pose named as its newest; 0 for none. Where frames are predicted from each
+    /// other, the client has decoded it.
+    pub fn reported(&self) -> FrameId {
+        self.reported
     }
 
     /// The newest frame whose base the client has; 0 for none.
@@ -175,9 +186,20 @@ mod tests {
         let mut s = Session::new(0);
         s.handle_base_handed(FrameId(5));
         s.handle_datagram(0, &datagram(1, Some(FrameId(u32::MAX)))).unwrap();
-        assert_eq!(s.newest_complete(), FrameId(5));
+        assert_eq!((s.newest_complete(), s.reported()), (FrameId(5), FrameId(5)));
         s.handle_base_handed(FrameId(6));
         assert!(!s.is_superseded(FrameId(6), true));
+    }
+
+    #[test]
+    fn what_the_newest_pose_reports_may_go_back() {
+        let mut s = Session::new(0);
+        s.handle_base_handed(FrameId(9));
+        for (id, named, reported) in [(2, 5, 5), (3, 7, 7), (1, 4, 7), (3, 6, 6), (4, 5, 5)] {
+            s.handle_datagram(0, &datagram(id, Some(FrameId(named)))).unwrap();
+            assert_eq!(s.reported(), FrameId(reported));
+        }
+        assert_eq!(s.newest_complete(), FrameId(7));
     }
 
     #[test]

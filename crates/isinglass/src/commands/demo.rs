@@ -136,7 +136,7 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
         look,
         backend: args.backend.open()?,
         listen: ([127, 0, 0, 1], 0).into(),
-        codec: codec::Settings::default(),
+        codec: codec::Coding::default(),
         max_viewers: 1,
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;

@@ -7,11 +7,12 @@ use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
-use isinglass_core::codec;
 use isinglass_formats::iglf;
 use serde_json::json;
 
-use crate::args::{BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_output};
+use crate::args::{
+    BackendArgs, CodecArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_output,
+};
 use crate::report::print_json;
 
 #[derive(Args)]
@@ -31,6 +32,8 @@ pub(crate) struct LayersArgs {
     #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
+    codec: CodecArgs,
+    #[command(flatten)]
     backend: BackendArgs,
     /// Tell what was done as JSON
     #[arg(long)]
@@ -48,7 +51,9 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
     let start = Instant::now();
     let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
-    let encoded = codec::encode(&frame, &codec::Settings::default())?;
+    let start = Instant::now();
+    let (encoded, _) = args.codec.coding().encode(&frame, None)?;
+    let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded)?;
     if args.json {
         print_json(&json!({
@@ -61,6 +66,7 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
             "generate_ms": generate_ms,
+            "encode_ms": encode_ms,
         }))?;
     }
     Ok(())

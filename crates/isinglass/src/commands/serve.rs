@@ -5,12 +5,11 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_core::codec;
 use isinglass_core::look::Look;
 use isinglass_server::ServeOptions;
 use serde_json::json;
 
-use crate::args::{BackendArgs, LayeringArgs, LookArgs, VolumeArgs, open_volume};
+use crate::args::{BackendArgs, CodecArgs, LayeringArgs, LookArgs, VolumeArgs, open_volume};
 use crate::report::{print, print_json};
 
 #[derive(Args)]
@@ -30,6 +29,8 @@ pub(crate) struct ServeArgs {
     look: LookArgs,
     #[command(flatten)]
     layering: LayeringArgs,
+    #[command(flatten)]
+    codec: CodecArgs,
     #[command(flatten)]
     backend: BackendArgs,
     /// Print the links as JSON
@@ -52,7 +53,7 @@ pub(crate) fn run(args: ServeArgs) -> Result<()> {
         look,
         backend,
         listen: args.listen,
-        codec: codec::Settings::default(),
+        codec: args.codec.coding(),
         max_viewers: args.viewers,
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
-use isinglass_core::session::client::ChunkPlace;
+use isinglass_core::session::client::{ChunkPlace, Prediction};
 use quinn::{Connection, RecvStream};
 
 use super::Shared;
@@ -40,7 +40,7 @@ async fn read(
             let first = first_byte_micros.unwrap_or(now);
             let mut session = shared.session();
             if session.connection() == number {
-                session.handle_chunk(now, first, place(&header), bytes).map_err(|e| e.to_string())?;
+                session.handle_chunk(now, first, place(&header, &bytes), bytes).map_err(|e| e.to_string())?;
                 shared.decode_wanted.notify_one();
             }
             return Ok(());
@@ -67,8 +67,12 @@ async fn read(
     Ok(())
 }
 
-fn place(header: &codec::ChunkHeader) -> ChunkPlace {
+fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
+    // Chunks of their own for corrections may never come, so such a frame is no reference.
+    let is_predicting = header.is_rate() && header.num_chunks == header.num_base;
+    let prediction = is_predicting.then(|| Prediction { reference: codec::blocks::reference_named(bytes) });
     ChunkPlace {
+        prediction,
         frame: header.frame.frame,
         pose: header.frame.pose,
         index: header.index,

@@ -3,6 +3,7 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
+use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, Assembly, CodecError};
 use isinglass_core::session::client::DecodeJob;
 use rayon::prelude::*;
@@ -13,12 +14,18 @@ use super::{ReceivedFrame, Shared, lock};
 pub(super) fn run(shared: &Shared) {
     // The frame of the job before, for the refinements that come in the next one.
     let mut assembly = None;
+    let mut references = References::default();
+    let mut connection = 0;
     while let Some(job) = next_job(shared) {
         let _span = tracing::debug_span!("frame", frame = job.frame.0).entered();
+        if job.connection != connection {
+            connection = job.connection;
+            references.clear();
+        }
         if job.is_first {
             assembly = None;
         }
-        match decode(&mut assembly, &job) {
+        match decode(&mut assembly, &job, &references) {
             Ok(()) => {}
             Err(e) => {
                 shared.note_broken_chunk(format!("frame {} cannot be decoded: {e}", job.frame));
@@ -28,7 +35,10 @@ pub(super) fn run(shared: &Shared) {
             }
         }
         let Some(assembly) = &assembly else { continue };
-        let frame = assembly.to_frame();
+        let (frame, reference) = assembly.to_frame_and_reference();
+        if let Some(reference) = reference {
+            references.insert(reference);
+        }
         let now = shared.clock.now_micros();
         let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
         let Some(times) = times else { continue };
@@ -57,10 +67,15 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
 }
 
 /// Adds the job's chunks to the frame, or begins it.
-fn decode(assembly: &mut Option<Assembly>, job: &DecodeJob) -> Result<(), CodecError> {
-    let chunks: Vec<_> = job.chunks.par_iter().map(|c| codec::decode_chunk(c)).collect::<Result<_, _>>()?;
+fn decode(
+    assembly: &mut Option<Assembly>,
+    job: &DecodeJob,
+    references: &References,
+) -> Result<(), CodecError> {
+    let chunks: Vec<_> =
+        job.chunks.par_iter().map(|c| codec::decode_chunk(c, references)).collect::<Result<_, _>>()?;
     for chunk in chunks {
-        assembly.get_or_insert_with(|| Assembly::new(&chunk.header)).insert(chunk)?;
+        assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
     }
     Ok(())
 }

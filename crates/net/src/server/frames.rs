@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use isinglass_core::codec::Chunk;
+use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::session::server::priority;
 use quinn::{Connection, SendStream, WriteError};
@@ -39,6 +39,11 @@ impl FrameSender {
         self.send_inner(frame, chunks).instrument(span).await
     }
 
+    /// The newest frame that the viewer has decoded, where frames are predicted from each other; 0 for none.
+    pub fn newest_decoded(&self) -> FrameId {
+        self.link.state().reported()
+    }
+
     /// The newest frame whose base the viewer has; 0 for none.
     pub fn newest_complete(&self) -> FrameId {
         self.link.state().newest_complete()
@@ -54,6 +59,8 @@ impl FrameSender {
         // From here on refinements of older frames are superseded, which frees the window for this base.
         link.state().handle_base_handed(frame);
         link.progress.send_replace(());
+        // Later frames may be predicted from this one, so it must arrive.
+        let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| h.is_rate()));
         let (base, refinements): (Vec<_>, Vec<_>) = chunks.into_iter().partition(|c| c.is_base);
         let mut streams = Vec::with_capacity(base.len());
         for chunk in base {
@@ -63,7 +70,7 @@ impl FrameSender {
         }
         tracing::trace!("base taken");
         let watched = link.clone();
-        tokio::spawn(async move { deliver_base(&watched, frame, streams).await }.in_current_span());
+        tokio::spawn(async move { deliver_base(&watched, frame, streams, is_kept).await }.in_current_span());
         if !refinements.is_empty() {
             let link = link.clone();
             tokio::spawn(async move { send_refinements(&link, frame, refinements).await }.in_current_span());
@@ -72,8 +79,8 @@ impl FrameSender {
     }
 }
 
-/// Waits until the base is acknowledged, or gives it up when a newer one is.
-async fn deliver_base(link: &Link, frame: FrameId, mut streams: Vec<ChunkStream>) {
+/// Waits until the base is acknowledged, or gives it up when a newer one is, unless it is kept.
+async fn deliver_base(link: &Link, frame: FrameId, mut streams: Vec<ChunkStream>, is_kept: bool) {
     tokio::select! {
         biased;
         is_delivered = all_delivered(&streams) => {
@@ -83,7 +90,7 @@ async fn deliver_base(link: &Link, frame: FrameId, mut streams: Vec<ChunkStream>
                 link.progress.send_replace(());
             }
         }
-        () = superseded(link, frame, true) => streams.iter_mut().for_each(ChunkStream::give_up),
+        () = superseded(link, frame, true), if !is_kept => streams.iter_mut().for_each(ChunkStream::give_up),
     }
 }
 

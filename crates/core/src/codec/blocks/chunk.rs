@@ -22,16 +22,17 @@ use crate::layer::{LayeredFrame, pack_halves};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Head {
     pub(super) steps: Steps,
-    /// The frame that this one is predicted from, and whether with its corrections.
-    pub(super) reference: Option<(FrameId, bool)>,
+    /// The frame that this one is predicted from.
+    pub(super) reference: Option<FrameId>,
+    /// Whether the corrections of the picture are chunks of their own; otherwise each follows its base.
+    pub(super) is_split: bool,
 }
 
 impl Head {
     pub(super) fn to_bytes(self) -> [u8; HEAD_BYTES] {
         let mut bytes = [0; HEAD_BYTES];
-        let (frame, is_complete) = self.reference.unwrap_or((FrameId(0), false));
-        bytes[0] = u8::from(self.reference.is_some()) | u8::from(is_complete) << 1;
-        bytes[1..5].copy_from_slice(&frame.0.to_le_bytes());
+        bytes[0] = u8::from(self.reference.is_some()) | u8::from(self.is_split) << 1;
+        bytes[1..5].copy_from_slice(&self.reference.unwrap_or(FrameId(0)).0.to_le_bytes());
         bytes[5..].copy_from_slice(&self.steps.to_bytes());
         bytes
     }
@@ -41,14 +42,25 @@ impl Head {
         let [flags, a, b, c, d, steps @ ..] = bytes;
         let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
         let reference = match (flags, frame) {
-            (0, FrameId(0)) => None,
-            (1 | 3, _) => Some((frame, flags == 3)),
+            (0 | 2, FrameId(0)) => None,
+            (1 | 3, _) => Some(frame),
             _ => return Err(damaged(format!("flags {flags} with reference {frame}"))),
         };
         let steps = Steps::from_bytes(steps)
             .ok_or_else(|| damaged(format!("steps {steps:02x?}, expected positive ones")))?;
-        Ok(Self { steps, reference })
+        Ok(Self { steps, reference, is_split: flags & 2 != 0 })
     }
+
+    /// Whether a band has corrections.
+    pub(super) fn has_corrections(&self, band: &Band) -> bool {
+        self.steps.picture > 0.0 && !band.cells.is_empty()
+    }
+}
+
+/// The frame that a chunk of the rate mode says it is predicted from, if the bytes are such a chunk.
+pub fn reference_named(bytes: &[u8]) -> Option<FrameId> {
+    let head = bytes.get(HEADER_BYTES..)?.first_chunk()?;
+    Head::from_bytes(*head).ok()?.reference
 }
 
 /// A decoded chunk of the rate mode.
@@ -62,6 +74,7 @@ pub struct BlocksChunk {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Content {
+    /// With corrections, if they are not split.
     Base(Arc<Band>),
     Corrections(Corrections),
 }
@@ -105,29 +118,37 @@ pub(in super::super) fn decode(
         return Err(CodecError::Header { what: "k", found: header.frame.k.to_string(), expected });
     }
     let head = Head::from_bytes(*head)?;
+    if !head.is_split && header.num_chunks != header.num_base {
+        let problem = "chunks of corrections, but they are said to follow the bases".into();
+        return Err(CodecError::Payload { plane: "head", problem });
+    }
     let place = place(&header);
     let (decoder, content) = if header.is_base() {
         let reference = match head.reference {
-            Some((frame, is_complete)) => Some(
-                references.get(frame, is_complete).ok_or(CodecError::Reference { frame: header.frame.frame, reference: frame })?,
-            ),
+            Some(name) => {
+                let missing = CodecError::Reference { frame: header.frame.frame, reference: name };
+                Some(references.get(name).ok_or(missing)?)
+            }
             None => None,
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
         let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion);
-        let (decoder, band) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
+        let (mut decoder, mut band) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
+        if !head.is_split && head.has_corrections(&band) {
+            let corrections;
+            (decoder, corrections) = picture::code(decoder, &head.steps, place, |_, _| 0)?;
+            corrections.apply(&mut band);
+        }
         (decoder, Content::Base(Arc::new(band)))
     } else {
-        at_most("lists in a chunk of corrections", header.num_lists(), MAX_CHUNK_SEGMENTS)?;
-        if head.steps.picture == 0.0 {
-            let problem = "corrections with a step of 0".into();
-            return Err(CodecError::Payload { plane: "corrections", problem });
-        }
         let (decoder, corrections) = picture::code(Decoder::new(coded), &head.steps, place, |_, _| 0)?;
         (decoder, Content::Corrections(corrections))
     };
     if !decoder.is_at_end() {
-        return Err(CodecError::Payload { plane: "blocks", problem: "bytes are left over or missing".into() });
+        return Err(CodecError::Payload {
+            plane: "blocks",
+            problem: "bytes are left over or missing".into(),
+        });
     }
     Ok(BlocksChunk { header, head, content })
 }
@@ -195,22 +216,24 @@ impl BlocksAssembly {
 
     /// The bands with the corrections that are there; missing ones are empty.
     pub(in super::super) fn to_reference(&self) -> Reference {
-        let bands = self.bands.par_iter().enumerate().map(|(number, (base, corrections))| match (base, corrections) {
-            (Some(base), None) => base.clone(),
-            (Some(base), Some(corrections)) => {
-                let mut band = Band::clone(base);
-                corrections.apply(&mut band);
-                Arc::new(band)
-            }
-            (None, _) => {
-                let place = place(&ChunkHeader { band: number as u8, ..self.first });
-                let mut band = Band::new(place.across);
-                (0..place.across * place.num_rows).for_each(|_| band.push(0, &super::band::Lists::default()));
-                Arc::new(band)
+        let bands = self.bands.par_iter().enumerate().map(|(number, (base, corrections))| {
+            match (base, corrections) {
+                (Some(base), None) => base.clone(),
+                (Some(base), Some(corrections)) => {
+                    let mut band = Band::clone(base);
+                    corrections.apply(&mut band);
+                    Arc::new(band)
+                }
+                (None, _) => {
+                    let place = place(&ChunkHeader { band: number as u8, ..self.first });
+                    let mut band = Band::new(place.across);
+                    (0..place.across * place.num_rows)
+                        .for_each(|_| band.push(0, &super::band::Lists::default()));
+                    Arc::new(band)
+                }
             }
         });
-        let is_complete = self.seen.count_ones() == u32::from(self.first.num_chunks);
-        Reference::new(self.first.frame, is_complete, bands.collect())
+        Reference::new(self.first.frame, bands.collect())
     }
 }
 
@@ -267,11 +290,7 @@ fn words(cell: &Cell) -> [u32; 3] {
     let alpha = scales.alpha[usize::from(cell.u)];
     let [r, g, b] = roots(cell).map(|root| root * root * alpha);
     let tau = u32::from(scales.tau_half[usize::from(cell.u)]);
-    [
-        u32::from(cell.front) | u32::from(cell.back) << 16,
-        pack_halves(r, g),
-        pack_halves(b, 0.0) | tau << 16,
-    ]
+    [u32::from(cell.front) | u32::from(cell.back) << 16, pack_halves(r, g), pack_halves(b, 0.0) | tau << 16]
 }
 
 /// Cuts the first `n` elements off a slice.

@@ -1,6 +1,8 @@
 //! The layers of a band in bits: written once, for both directions. What is decoded is computed here too, so that the
 //! encoder works with it.
 
+use std::ops::Range;
+
 use super::super::CodecError;
 use super::band::{Band, Lists, Planes};
 use super::entropy::Coder;
@@ -47,7 +49,13 @@ pub(super) struct Plan {
 /// Gives what is to be coded.
 pub(super) trait Source {
     /// Plans the block at (`x`, `y`) of the band. `offered` writes the planes of an origin, if it has any.
-    fn plan(&mut self, x: usize, y: usize, offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, plan: &mut Plan);
+    fn plan(
+        &mut self,
+        x: usize,
+        y: usize,
+        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
+        plan: &mut Plan,
+    );
 }
 
 /// The source of a decoder.
@@ -72,8 +80,8 @@ pub(super) struct Place {
 impl Place {
     /// The lists of a block that are inside of the frame.
     fn inside(&self, x: usize, y: usize) -> u64 {
-        let [columns, rows] =
-            [(x, 0), (y + self.first_row, 1)].map(|(at, axis)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
+        let [columns, rows] = [(x, 0), (y + self.first_row, 1)]
+            .map(|(at, axis)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
         let row = (1u64 << columns) - 1;
         (0..rows).fold(0, |mask, y| mask | row << (y * BLOCK))
     }
@@ -94,6 +102,16 @@ pub(super) struct BandCoder<'a, C> {
     lists: Lists,
     fetched: Fetched,
     offered: Vec<Planes>,
+}
+
+/// The block that a layer is in.
+struct Around {
+    x: usize,
+    y: usize,
+    origin: Origin,
+    first_layer: usize,
+    /// Layers of the block on the left and of the one above.
+    neighbors: [Range<usize>; 2],
 }
 
 /// What later blocks and layers want to know of a layer.
@@ -156,7 +174,9 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         let continued = |block: Option<usize>, dx: f32, dy: f32, out: &mut Vec<Planes>| {
             let Some(block) = block else { return };
             let move_by = |p: &DepthPlane| bounded(p.z + BLOCK as f32 * (dx * p.dx + dy * p.dy), p.dx, p.dy);
-            out.extend(self.band.planes[self.band.layers(block)].iter().map(|(f, b)| (move_by(f), move_by(b))));
+            out.extend(
+                self.band.planes[self.band.layers(block)].iter().map(|(f, b)| (move_by(f), move_by(b))),
+            );
         };
         match origin {
             Origin::Fresh => {}
@@ -200,7 +220,8 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         let (num_left, num_above) = (layers_of(left), layers_of(above));
         let state = |block: Option<usize>, count: usize| block.map_or(0, |_| 1 + usize::from(count > 0));
         let around = state(left, num_left) * 3 + state(above, num_above);
-        let before = self.reference.as_ref().and_then(|(r, _)| r.block(x as i32, (y + self.place.first_row) as i32));
+        let before =
+            self.reference.as_ref().and_then(|(r, _)| r.block(x as i32, (y + self.place.first_row) as i32));
         let before = before.map_or(0, |(band, block)| 1 + usize::from(!band.layers(block).is_empty()));
 
         let first_plane = self.band.planes.len();
@@ -218,10 +239,11 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             }
             self.offered = planes;
             let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
+            let around = Around { x, y, origin, first_layer: first_plane, neighbors };
             let mut mask_before = None;
             for layer in first_plane..self.band.planes.len() {
                 let wanted = plan.layers.get(layer - first_plane);
-                let coded = self.layer(layer, first_plane, (x, y), origin, &neighbors, wanted, &mut mask_before);
+                let coded = self.layer(layer, &around, wanted, &mut mask_before);
                 self.layers.push(coded);
             }
         }
@@ -234,7 +256,9 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         let (left, above) = (self.left(x), self.above(y));
         let origin_of = |block: Option<usize>| block.map(|b| self.origins[b]);
         let around = |is: &dyn Fn(Origin) -> bool| {
-            [left, above].iter().fold(0, |sum, b| 3 * sum + origin_of(*b).map_or(0, |o| 1 + usize::from(is(o))))
+            [left, above]
+                .iter()
+                .fold(0, |sum, b| 3 * sum + origin_of(*b).map_or(0, |o| 1 + usize::from(is(o))))
         };
         let is_kept = around(&|o| o == Origin::Kept);
         let is_merged = around(&|o| matches!(o, Origin::Left | Origin::Above));
@@ -265,7 +289,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     }
 
     /// Codes the planes of a block.
-    fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [std::ops::Range<usize>; 2]) {
+    fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
         let classes = neighbors.clone().map(|n| count_class(n.len()));
         let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
         let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);
@@ -279,7 +303,8 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             let front = match last_back {
                 Some(back) if touches => back,
                 _ => {
-                    let behind = last_back.map_or(f32::NEG_INFINITY, |b| (b.z as f32 - 0.5) * self.steps.depth);
+                    let behind =
+                        last_back.map_or(f32::NEG_INFINITY, |b| (b.z as f32 - 0.5) * self.steps.depth);
                     self.plane(wanted_front, behind, 0, PlaneCode::default(), &neighbors)
                 }
             };
@@ -297,7 +322,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         behind: f32,
         side: usize,
         otherwise: PlaneCode,
-        neighbors: &[std::ops::Range<usize>; 2],
+        neighbors: &[Range<usize>; 2],
     ) -> PlaneCode {
         let next = neighbors.clone().map(|layers| {
             let planes = self.band.planes[layers].iter().map(|(f, b)| if side == 0 { *f } else { *b });
@@ -307,8 +332,10 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             [Some(a), Some(b)] => {
                 let apart = ((a.z - b.z).abs() / self.steps.depth) as u32;
                 let nearer = if a.z < b.z { a } else { b };
-                let mean = DepthPlane { z: 0.5 * (a.z + b.z), dx: 0.5 * (a.dx + b.dx), dy: 0.5 * (a.dy + b.dy) };
-                let context = (apart.saturating_add(1).ilog2() as usize + usize::from(apart > 0)).min(DEPTH_CONTEXTS - 3);
+                let mean =
+                    DepthPlane { z: 0.5 * (a.z + b.z), dx: 0.5 * (a.dx + b.dx), dy: 0.5 * (a.dy + b.dy) };
+                let context = (apart.saturating_add(1).ilog2() as usize + usize::from(apart > 0))
+                    .min(DEPTH_CONTEXTS - 3);
                 (self.steps.code(&if apart < 4 { mean } else { nearer }), context)
             }
             [Some(a), None] | [None, Some(a)] => (self.steps.code(&a), DEPTH_CONTEXTS - 2),
@@ -329,13 +356,11 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     fn layer(
         &mut self,
         layer: usize,
-        first_layer: usize,
-        (x, y): (usize, usize),
-        origin: Origin,
-        neighbors: &[std::ops::Range<usize>; 2],
+        around: &Around,
         wanted: Option<&BlockLayer>,
         mask_before: &mut Option<u64>,
     ) -> Coded {
+        let &Around { x, y, origin, first_layer, ref neighbors } = around;
         let planes = self.band.planes[layer];
         let in_front = layer.checked_sub(1).filter(|&l| l >= first_layer).map(|l| self.layers[l]);
         let expected = self.fetch((x, y), &planes);
@@ -402,7 +427,8 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             }
             if c == 1 {
                 // How much of a colour is seen is known from what is decoded.
-                let seen = |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * scales.alpha[usize::from(codes[i])];
+                let seen =
+                    |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * scales.alpha[usize::from(codes[i])];
                 let seen = lists().map(seen).sum::<f32>() / num_lists;
                 step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
             } else if c == 2 {
@@ -410,8 +436,17 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             }
             let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
             let source = sources.as_ref().map(|s| &s[c]);
-            let (class, mean) =
-                residual(&mut self.coder, &mut self.contexts, component, classes[c], step, mask, source, &expected, &mut values[c]);
+            let (class, mean) = residual(
+                &mut self.coder,
+                &mut self.contexts,
+                component,
+                classes[c],
+                step,
+                mask,
+                source,
+                &expected,
+                &mut values[c],
+            );
             coded.classes[c] = class;
             coded.means[c] += mean;
             if c == 0 {
@@ -421,7 +456,11 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             }
         }
         for i in lists() {
-            let ycc = [values[1][i].clamp(0.0, MAX_BRIGHTNESS), values[2][i].clamp(-1.0, 1.0), values[3][i].clamp(-1.0, 1.0)];
+            let ycc = [
+                values[1][i].clamp(0.0, MAX_BRIGHTNESS),
+                values[2][i].clamp(-1.0, 1.0),
+                values[3][i].clamp(-1.0, 1.0),
+            ];
             let alpha = scales.alpha[usize::from(codes[i])];
             self.lists.push(i, &planes, codes[i], ycc.map(fixed_from_f32), alpha);
         }
@@ -439,12 +478,13 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     }
 
     /// The layer that has most depth in common with a pair of planes.
-    fn overlapping(&self, layers: std::ops::Range<usize>, planes: &Planes) -> Option<Coded> {
+    fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<Coded> {
         let common = |l: usize| {
             let (front, back) = self.band.planes[l];
             back.z.min(planes.1.z) - front.z.max(planes.0.z)
         };
-        let best = layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
+        let best =
+            layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, l)| self.layers[l])
     }
 

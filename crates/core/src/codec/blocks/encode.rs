@@ -1,12 +1,13 @@
 //! Choosing layers for the lists of a band, and coding them.
 
-use super::super::CodecError;
+use super::super::{CodecError, MAX_CHUNK_SEGMENTS};
 use super::band::{Band, Planes};
+use super::chunk::Head;
 use super::coding::{BandCoder, Origin, Place, Plan, Source};
 use super::entropy::Encoder;
 use super::model::{BLOCK, BLOCK_LISTS, BlockLayer};
 use super::motion::Motion;
-use super::picture::{self, Corrections, composite_roots};
+use super::picture::{self, composite_roots};
 use super::reference::Reference;
 use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
@@ -17,12 +18,10 @@ use crate::layer::{LayeredFrame, Over};
 /// An encoded band.
 pub(super) struct EncodedBand {
     pub(super) base: Vec<u8>,
-    /// Nothing if the steps have none or no block needs any.
+    /// If they are apart.
     pub(super) corrections: Option<Vec<u8>>,
-    /// What a decoder makes of the base.
+    /// What a decoder makes of both.
     pub(super) decoded: Band,
-    /// And of both.
-    pub(super) corrected: Option<Band>,
 }
 
 /// Encodes a band of a valid frame.
@@ -30,22 +29,26 @@ pub(super) fn band(
     frame: &LayeredFrame,
     place: Place,
     rule: Rule,
-    steps: Steps,
+    head: &Head,
     reference: Option<(&Reference, Motion)>,
-    limit: usize,
 ) -> Result<EncodedBand, CodecError> {
+    let steps = head.steps;
     let mut layering = Layering::new(frame, place, rule, steps);
     let coder = BandCoder::new(Encoder::new(), steps, place, reference);
-    let (coder, decoded) = coder.run(&mut layering, limit)?;
-    let base = coder.finish();
-    if steps.picture == 0.0 || decoded.cells.is_empty() {
-        return Ok(EncodedBand { base, corrections: None, decoded, corrected: None });
+    let (coder, mut decoded) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
+    if !head.has_corrections(&decoded) {
+        return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded });
     }
     let source = |block: usize, planes: &mut [Plane; 3]| miss(frame, place, &decoded, block, planes);
-    let (coder, corrections): (Encoder, Corrections) = picture::code(Encoder::new(), &steps, place, source)?;
-    let mut corrected = decoded.clone();
-    corrections.apply(&mut corrected);
-    Ok(EncodedBand { base, corrections: Some(coder.finish()), decoded, corrected: Some(corrected) })
+    let (base, coder) = if head.is_split { (Some(coder.finish()), Encoder::new()) } else { (None, coder) };
+    let (coder, corrections) = picture::code(coder, &steps, place, source)?;
+    let last = coder.finish();
+    corrections.apply(&mut decoded);
+    let (base, corrections) = match base {
+        Some(base) => (base, Some(last)),
+        None => (last, None),
+    };
+    Ok(EncodedBand { base, corrections, decoded })
 }
 
 /// By how much the lists of a block composite to too little, as roots; and which have matter.
@@ -106,7 +109,11 @@ impl<'a> Layering<'a> {
     }
 
     /// The error with the planes of an origin, if it has any; the layers are then in `self.layers`.
-    fn try_origin(&mut self, origin: Origin, offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool) -> Option<f32> {
+    fn try_origin(
+        &mut self,
+        origin: Origin,
+        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
+    ) -> Option<f32> {
         if !offered(origin, &mut self.planes) {
             return None;
         }
@@ -115,7 +122,13 @@ impl<'a> Layering<'a> {
 }
 
 impl Source for Layering<'_> {
-    fn plan(&mut self, x: usize, y: usize, offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, plan: &mut Plan) {
+    fn plan(
+        &mut self,
+        x: usize,
+        y: usize,
+        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
+        plan: &mut Plan,
+    ) {
         plan.layers.clear();
         self.lists.read(self.frame, x as u32, (y + self.place.first_row) as u32);
         if self.lists.is_empty() {

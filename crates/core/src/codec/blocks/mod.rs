@@ -4,9 +4,8 @@
 //! A block's layers ([`model`]) are found by the server (`relayer`, `encode`); their planes are coded in steps or taken
 //! from a neighbour or from the frame before, moved (`coding`, `motion`, `reference`). Opacity and colour of a layer
 //! are 8×8 planes on the scales of `scales`, predicted and transformed (`transform`) and said in adaptive bits
-//! (`syntax`, `entropy`). The base of a band is all that; a second chunk takes back what the picture of the decoded
-//! layers lacks at the frame's own pose (`picture`). What decodes is what the encoder itself worked with (closed
-//! loop).
+//! (`syntax`, `entropy`). One more plane a block takes back what the picture of the decoded layers is off at the
+//! frame's own pose (`picture`). What decodes is what the encoder itself worked with (closed loop).
 //!
 //! The one rule that makes every machine decode alike: whatever a decoder computes is integers, tables made of sums,
 //! products, quotients and square roots, or single and double precision operations in the order written. No
@@ -34,45 +33,44 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::header::{self, ChunkHeader};
-use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS, at_most};
+use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, at_most};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
 use chunk::Head;
 use model::MAX_LAYERS;
 use motion::Motion;
 
-pub use chunk::BlocksChunk;
 pub(super) use chunk::{BlocksAssembly, decode};
+pub use chunk::{BlocksChunk, reference_named};
 pub use reference::{MAX_REFERENCES, Reference, References};
 pub use steps::{MAX_QUALITY, RateControl};
 
-/// A frame of the rate mode, and what a receiver makes of it.
-#[derive(Clone, Debug)]
-pub struct EncodedBlocks {
-    /// The chunks.
-    pub frame: EncodedFrame,
-    /// What the base decodes to.
-    pub base: Arc<Reference>,
-    /// What all chunks decode to.
-    pub complete: Arc<Reference>,
+/// How to encode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// 0 to [`MAX_QUALITY`].
+    pub quality: u8,
+    /// Whether the corrections of the picture are chunks of their own, so that a frame can be shown before they are
+    /// there. Costs the headers, and a frame can be a reference only with all of its chunks.
+    pub is_split: bool,
 }
 
-/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]), with a quality from 0 to [`MAX_QUALITY`]; if a
-/// reference is given, which the receiver must have, predicted from it. Bands are encoded in parallel.
+/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]); if a reference is given, which the receiver must
+/// have, predicted from it. Bands are encoded in parallel. Returns what a receiver will have as a reference, too.
 ///
 /// Lists may grow or shrink: the header says that they have at most [`MAX_LAYERS`] segments.
 ///
 /// Fails only on frames and bands above the limits of this module.
 pub fn encode(
     frame: &LayeredFrame,
-    quality: u8,
+    settings: &Settings,
     reference: Option<&Reference>,
-) -> Result<EncodedBlocks, CodecError> {
+) -> Result<(EncodedFrame, Reference), CodecError> {
     let camera = frame.header.camera;
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
-    let (rule, steps) = steps::from_quality(quality, &camera);
-    let head = Head { steps, reference: reference.map(|r| (r.frame(), r.is_complete())) };
+    let (rule, steps) = steps::from_quality(settings.quality, &camera);
+    let head = Head { steps, reference: reference.map(Reference::frame), is_split: settings.is_split };
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
     let first = ChunkHeader {
         frame: frame_header,
@@ -88,20 +86,17 @@ pub fn encode(
         .map(|band| {
             let place = chunk::place(&ChunkHeader { band, ..first });
             let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
-            encode::band(frame, place, rule, steps, motion, MAX_CHUNK_SEGMENTS)
+            encode::band(frame, place, rule, &head, motion)
         })
         .collect::<Result<_, _>>()?;
 
     let mut parts = Vec::with_capacity(2 * bands.len());
-    let (mut base, mut complete) = (Vec::new(), Vec::new());
     let mut corrections = Vec::new();
+    let mut decoded = Vec::with_capacity(bands.len());
     for (band, encoded) in (0..).zip(bands) {
-        let encode::EncodedBand { base: bytes, corrections: more, decoded, corrected } = encoded;
-        parts.push((band, bytes));
-        corrections.extend(more.map(|bytes| (band, bytes)));
-        let decoded = Arc::new(decoded);
-        complete.push(corrected.map_or_else(|| decoded.clone(), Arc::new));
-        base.push(decoded);
+        parts.push((band, encoded.base));
+        corrections.extend(encoded.corrections.map(|bytes| (band, bytes)));
+        decoded.push(Arc::new(encoded.decoded));
     }
     parts.append(&mut corrections);
     let num_chunks = parts.len() as u8;
@@ -119,12 +114,7 @@ pub fn encode(
             Ok(Chunk { index, is_base: header.is_base(), bytes })
         })
         .collect::<Result<_, CodecError>>()?;
-    let is_complete = num_chunks == num_bands;
-    Ok(EncodedBlocks {
-        frame: EncodedFrame { header: frame_header, chunks },
-        base: Arc::new(Reference::new(frame_header, is_complete, base)),
-        complete: Arc::new(Reference::new(frame_header, true, complete)),
-    })
+    Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, decoded)))
 }
 
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.

@@ -80,8 +80,7 @@ struct Frustum {
 
 impl Frustum {
     fn new(camera: &Camera) -> Self {
-        let (width, height) =
-            (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+        let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
         let tan_y = tan(f64::from(camera.intrinsics.fov_y) * 0.5);
         let tan_x = tan_y * width / height;
         let [x, y, z, w] = camera.pose.world_from_view.to_array().map(f64::from);

@@ -1,7 +1,7 @@
 //! The correction of the picture at the frame's own pose: what the decoded layers composite to is off by the sum of
 //! many small errors, and one more plane a block takes most of it back.
 
-use super::super::CodecError;
+use super::super::{CodecError, MAX_CHUNK_SEGMENTS, at_most};
 use super::band::{Band, Cell};
 use super::coding::{Place, residual};
 use super::entropy::Coder;
@@ -55,7 +55,15 @@ pub(super) fn code<C: Coder>(
                 let component = if c == 0 { 3 } else { 7 };
                 let expected = [0.0; BLOCK_LISTS];
                 let (class, _) = residual(
-                    &mut coder, &mut contexts, component, near, step, mask, Some(&wanted[c]), &expected, &mut values,
+                    &mut coder,
+                    &mut contexts,
+                    component,
+                    near,
+                    step,
+                    mask,
+                    Some(&wanted[c]),
+                    &expected,
+                    &mut values,
                 );
                 own[c] = class;
                 class_before = class;
@@ -67,6 +75,7 @@ pub(super) fn code<C: Coder>(
             out.places.push(NONE);
         }
         classes.push(own);
+        at_most("corrected blocks in a chunk", out.planes.len(), MAX_CHUNK_SEGMENTS / BLOCK_LISTS)?;
         if coder.is_overrun() {
             return Err(CodecError::Payload { plane: "corrections", problem: "ends too early".into() });
         }
@@ -103,7 +112,7 @@ impl Corrections {
                 continue;
             }
             for i in 0..BLOCK_LISTS {
-                let difference = [0, 1, 2].map(|c| planes[c][i]);
+                let difference = planes.map(|plane| plane[i]);
                 let cells = band.list(block, i);
                 if difference == [0; 3] || cells.is_empty() {
                     continue;

@@ -15,14 +15,13 @@ use crate::layer::FrameHeader;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
     pub(super) header: FrameHeader,
-    pub(super) is_complete: bool,
     pub(super) bands: Vec<Arc<Band>>,
     /// Band and row of blocks in it, for each row of blocks.
     pub(super) rows: Vec<(u8, u32)>,
 }
 
 impl Reference {
-    pub(super) fn new(header: FrameHeader, is_complete: bool, bands: Vec<Arc<Band>>) -> Self {
+    pub(super) fn new(header: FrameHeader, bands: Vec<Arc<Band>>) -> Self {
         let rows = bands
             .iter()
             .enumerate()
@@ -30,17 +29,12 @@ impl Reference {
                 (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
             })
             .collect();
-        Self { header, is_complete, bands, rows }
+        Self { header, bands, rows }
     }
 
     /// The frame.
     pub fn frame(&self) -> FrameId {
         self.header.frame
-    }
-
-    /// Whether the corrections of the picture are in it.
-    pub fn is_complete(&self) -> bool {
-        self.is_complete
     }
 
     /// The band and the number in it of the block at column `x` and row `y` of blocks.
@@ -84,9 +78,21 @@ impl References {
         self.newest_last.clear();
     }
 
-    /// The frame with or without its corrections.
-    pub fn get(&self, frame: FrameId, is_complete: bool) -> Option<&Arc<Reference>> {
-        self.newest_last.iter().rev().find(|r| r.frame() == frame && r.is_complete == is_complete)
+    /// The frame, if it is there.
+    pub fn get(&self, frame: FrameId) -> Option<&Arc<Reference>> {
+        self.newest_last.iter().rev().find(|r| r.frame() == frame)
+    }
+
+    /// What to predict the next frame from, if the last that the receiver is known to have decoded is `decoded`: the
+    /// newest, which will arrive; but where many are on their way, or one may be lost, the one it is known to have.
+    pub fn next(&self, decoded: FrameId) -> Option<&Arc<Reference>> {
+        let ahead = self.newest_last.iter().rev().take_while(|r| r.frame() != decoded).count();
+        if ahead <= MAX_AHEAD { self.newest() } else { self.get(decoded) }
+    }
+
+    /// The newest.
+    pub fn newest(&self) -> Option<&Arc<Reference>> {
+        self.newest_last.back()
     }
 }
 
@@ -224,8 +230,11 @@ fn between(cells: &[Cell], low: f32, high: f32) -> Content {
     sum
 }
 
-/// Frames a receiver keeps, each with and without its corrections.
-pub const MAX_REFERENCES: usize = 6;
+/// Frames that are kept: a frame names none that is older.
+pub const MAX_REFERENCES: usize = 12;
+/// Frames that may be named although the receiver is not known to have them: at 30 a second a third of one, and so the
+/// longest that a lost one is missed.
+const MAX_AHEAD: usize = 10;
 /// Part of a cell that is taken for all of it.
 const WHOLE: f32 = 0.999;
 const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;

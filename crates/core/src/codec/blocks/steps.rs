@@ -22,7 +22,8 @@ pub(super) struct Steps {
 impl Steps {
     pub(super) fn to_bytes(self) -> [u8; STEPS_BYTES] {
         let mut bytes = [0; STEPS_BYTES];
-        let words = [self.depth, self.opacity * FINE, self.color * FINE, self.picture * FINE, self.chroma * CHROMA];
+        let words =
+            [self.depth, self.opacity * FINE, self.color * FINE, self.picture * FINE, self.chroma * CHROMA];
         for (bytes, word) in bytes.as_chunks_mut::<2>().0.iter_mut().zip(words) {
             *bytes = (word as u16).to_le_bytes();
         }

@@ -72,7 +72,8 @@ impl Contexts {
         let models = &mut self.class[component][coarse(a)][coarse(b)];
         let class = (coder.tree(models, 4, u32::from(class).wrapping_sub(1)) as usize + 1).min(CLASSES - 1);
         let first = usize::from(CLASS_FIRST[class]);
-        let count = if class + 1 < CLASSES { usize::from(CLASS_FIRST[class + 1]) } else { BLOCK_LISTS + 1 } - first;
+        let count =
+            if class + 1 < CLASSES { usize::from(CLASS_FIRST[class + 1]) } else { BLOCK_LISTS + 1 } - first;
         let rest = if count > 1 {
             let bits = (count - 1).ilog2() + 1;
             let rest = (levels.length as u32).wrapping_sub(first as u32);
@@ -84,7 +85,7 @@ impl Contexts {
         levels.length = length;
         let (mut one, mut two) = (0u32, 0u32);
         for (k, level) in levels.values[..length].iter_mut().enumerate() {
-            let activity = ((2 * one + two + 1) / 2).min(3) as usize;
+            let activity = (2 * one + two).div_ceil(2).min(3) as usize;
             let models = &mut self.size[component][POSITION[k] as usize][activity];
             // The last one is not zero.
             let least = u32::from(k + 1 == length);
@@ -235,14 +236,15 @@ mod tests {
                 Levels { values, length }
             })
             .collect();
-        let masks: Vec<u64> =
-            (0..50u64).map(|n| if n % 5 == 0 { u64::MAX } else { 0x0f0f_3c3c_7e7e_0001 << (n / 9) }).collect();
+        let masks: Vec<u64> = (0..50u64)
+            .map(|n| if n % 5 == 0 { u64::MAX } else { 0x0f0f_3c3c_7e7e_0001 << (n / 9) })
+            .collect();
         let near = |n: usize| [(n % 13) as u8, (n / 3 % 13) as u8];
         for (n, plane) in planes.iter().enumerate() {
             contexts.coefficients(&mut encoder, n % COMPONENTS, near(n), &mut plane.clone());
         }
         let before = |n: usize| n.checked_sub(1).map(|n| masks[n]);
-        let expected = |n: usize| (n % 3 > 0).then(|| masks[(n + 1) % 50]);
+        let expected = |n: usize| (!n.is_multiple_of(3)).then(|| masks[(n + 1) % 50]);
         for (n, &mask) in masks.iter().enumerate() {
             contexts.mask(&mut encoder, before(n), expected(n), mask);
         }

@@ -2,10 +2,12 @@ use glam::Vec3;
 
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
-use crate::codec::{assemble, decode, decode_chunk};
+use crate::codec::{Assembly, DecodedChunk, HEADER_BYTES, assemble, decode, decode_chunk, peek};
 use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::image_error;
 use crate::kernels::layering::{Layering, generate};
 use crate::kernels::march::{MarchSettings, Scene};
+use crate::kernels::raycast::{CastOptions, Raycaster};
 use crate::space::Aabb;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::procedural::Builtin;
@@ -25,17 +27,44 @@ fn scene(builtin: Builtin) -> Scene {
     Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default())
 }
 
-fn header(frame: u32, width: u32, height: u32, degrees: f32) -> FrameHeader {
-    let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+/// Frame `frame` of `width`×`height` lists, `degrees` along an orbit.
+fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> LayeredFrame {
     let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
-    let pose =
-        Pose::orbit(Vec3::ZERO, 0.5 + degrees.to_radians(), 0.3, bounds.radius() * intrinsics.fit_distance());
-    let camera = Camera::new(pose, intrinsics, &bounds);
-    FrameHeader { frame: FrameId(frame), pose: PoseId(8), look: LookVersion(9), camera, k: 12 }
+    let header = FrameHeader {
+        frame: FrameId(frame),
+        pose: PoseId(8),
+        look: LookVersion(9),
+        camera: camera(intrinsics, degrees),
+        k: 12,
+    };
+    generate(scene, header, Layering::VisibilityMerge)
+}
+
+fn camera(intrinsics: Intrinsics, degrees: f32) -> Camera {
+    let distance = bounds().radius() * intrinsics.fit_distance();
+    Camera::new(Pose::orbit(Vec3::ZERO, 0.5 + degrees.to_radians(), 0.3, distance), intrinsics, &bounds())
+}
+
+fn bounds() -> Aabb {
+    Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) }
 }
 
 fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {
     encoded.chunks.iter().map(|c| &c.bytes[..]).collect()
+}
+
+fn whole(quality: u8) -> Settings {
+    Settings { quality, is_split: false }
+}
+
+/// DSSIM and PSNR against `reference`, cast `degrees` away from the frames' pose.
+fn error(frame: &LayeredFrame, reference: &LayeredFrame, degrees: f32) -> (f64, f64) {
+    let intrinsics = frame.header.camera.intrinsics;
+    let view = camera(intrinsics, degrees);
+    let picture = |f| Raycaster::new(f, &bounds()).picture(&view, &CastOptions::default()).to_srgb8([0.0; 3]);
+    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+    let e = image_error::compare(&picture(frame), &picture(reference), width, height, [0; 3]).unwrap();
+    (e.dssim, e.psnr_db)
 }
 
 const ALL: [Builtin; 3] = [Builtin::Cubus, Builtin::Cloud, Builtin::Shells];
@@ -44,34 +73,235 @@ const ALL: [Builtin; 3] = [Builtin::Cubus, Builtin::Cloud, Builtin::Shells];
 fn what_decodes_is_what_the_encoder_worked_with() {
     for builtin in ALL {
         let scene = scene(builtin);
-        let make = |id, degrees| generate(&scene, header(id, 148, 93, degrees), Layering::VisibilityMerge);
-        for quality in [0, 55, 100] {
+        for (quality, is_split) in [(0, true), (55, false), (100, true)] {
             let mut references = References::default();
-            let mut last: Option<EncodedBlocks> = None;
+            // The size is no multiple of a block.
             for id in 1..4 {
-                let frame = make(id, id as f32);
-                let reference = last.as_ref().map(|l| if id == 2 { &*l.complete } else { &*l.base });
-                let encoded = encode(&frame, quality, reference).unwrap();
-                let assembly = assemble(&bytes(&encoded.frame), &references).unwrap();
-                let (found, reference) = assembly.to_frame_and_reference();
+                let frame = made(&scene, id, 140, 93, id as f32);
+                let settings = Settings { quality, is_split };
+                let reference = references.newest().cloned();
+                let (encoded, reference) = encode(&frame, &settings, reference.as_deref()).unwrap();
+                let assembly = assemble(&bytes(&encoded), &references).unwrap();
+                let (found, decoded) = assembly.to_frame_and_reference();
                 found.validate().unwrap();
-                assert_eq!(reference.unwrap(), encoded.complete);
-                assert_eq!(found, encoded.complete.to_frame());
-                let base = encoded.frame.chunks.iter().filter(|c| c.is_base);
-                let mut assembly = crate::codec::Assembly::new(&crate::codec::peek(&encoded.frame.chunks[0].bytes).unwrap());
-                base.for_each(|c| assembly.insert(decode_chunk(&c.bytes, &references).unwrap()).unwrap());
-                assert!(assembly.base_complete() && !assembly.complete());
-                let (found, reference) = assembly.to_frame_and_reference();
-                found.validate().unwrap();
-                assert_eq!(reference.unwrap(), encoded.base);
-                println!("{builtin:?} {quality} {id}: {} bytes, {} segments of {}", encoded.frame.num_bytes(), found.num_segments(), frame.num_segments());
-                references.insert(encoded.base.clone());
-                references.insert(encoded.complete.clone());
-                if id > 1 {
-                    assert!(matches!(decode(&bytes(&encoded.frame)), Err(CodecError::Reference { .. })));
+                assert_eq!(*decoded.unwrap(), reference);
+                assert_eq!(found, reference.to_frame());
+                assert_eq!(found.header, encoded.header);
+                assert_eq!(encoded.chunks.iter().all(|c| c.is_base), !is_split);
+                let alone = decode(&bytes(&encoded));
+                match id {
+                    1 => assert_eq!(alone.unwrap(), found),
+                    _ => assert!(matches!(alone, Err(CodecError::Reference { .. }))),
                 }
-                last = Some(encoded);
+                references.insert(Arc::new(reference));
             }
         }
     }
+}
+
+#[test]
+fn the_picture_survives_at_its_pose_and_beside_it() {
+    // Measured .0011 and .0052 of DSSIM for 9.5 kB, .0007 and .0026 for 3.2 kB, .0014 and .0131 for 7.5 kB: a quarter more
+    // is allowed. Thin shells in so small a picture lose most beside the pose.
+    for (builtin, most_bytes, bounds) in [
+        (Builtin::Cubus, 11_000, [0.0015, 0.0065]),
+        (Builtin::Cloud, 4_000, [0.0009, 0.0033]),
+        (Builtin::Shells, 9_000, [0.0018, 0.0165]),
+    ] {
+        let scene = scene(builtin);
+        let frame = made(&scene, 1, 160, 160, 0.0);
+        let (fine, _) = encode(&frame, &whole(60), None).unwrap();
+        let (coarse, _) = encode(&frame, &whole(0), None).unwrap();
+        let shown = |e: &EncodedFrame| decode(&bytes(e)).unwrap();
+        for (degrees, bound) in [0.0, 5.0].into_iter().zip(bounds) {
+            let (dssim, psnr) = error(&shown(&fine), &frame, degrees);
+            let (worse, _) = error(&shown(&coarse), &frame, degrees);
+            assert!(dssim < bound && psnr > 36.0, "{builtin:?} {degrees}: {dssim} {psnr}");
+            assert!(worse > dssim);
+        }
+        assert!(fine.num_bytes() < most_bytes && coarse.num_bytes() < fine.num_bytes());
+    }
+}
+
+#[test]
+fn corrections_take_back_most_of_what_the_picture_is_off() {
+    let scene = scene(Builtin::Shells);
+    let frame = made(&scene, 1, 160, 160, 0.0);
+    let (encoded, _) = encode(&frame, &Settings { quality: 50, is_split: true }, None).unwrap();
+    let mut assembly = Assembly::new(&peek(&encoded.chunks[0].bytes).unwrap());
+    let none = References::default();
+    for chunk in encoded.chunks.iter().filter(|c| c.is_base) {
+        assembly.insert(decode_chunk(&chunk.bytes, &none).unwrap()).unwrap();
+    }
+    assert!(assembly.base_complete() && !assembly.complete());
+    let (base, reference) = assembly.to_frame_and_reference();
+    base.validate().unwrap();
+    assert!(reference.is_none(), "only all of a frame is a reference");
+    let off = |f: &LayeredFrame| {
+        let (a, b) = (f.flatten(), frame.flatten());
+        let squares = a
+            .pixels
+            .iter()
+            .zip(&b.pixels)
+            .flat_map(|(a, b)| (0..3).map(|c| (a[c].sqrt() - b[c].sqrt()).powi(2)));
+        squares.sum::<f32>()
+    };
+    let complete = decode(&bytes(&encoded)).unwrap();
+    assert!(off(&complete) < 0.4 * off(&base), "{} {}", off(&complete), off(&base));
+}
+
+#[test]
+fn prediction_from_the_frame_before_saves_bytes_and_costs_no_quality() {
+    for builtin in ALL {
+        let scene = scene(builtin);
+        let frames: Vec<_> = (1..=5).map(|id| made(&scene, id, 160, 160, id as f32)).collect();
+        let mut last: Option<Reference> = None;
+        let (mut intra, mut inter) = (0, 0);
+        for frame in &frames {
+            let (alone, alone_decoded) = encode(frame, &whole(60), None).unwrap();
+            let (encoded, decoded) = encode(frame, &whole(60), last.as_ref()).unwrap();
+            if last.is_some() {
+                intra += alone.num_bytes();
+                inter += encoded.num_bytes();
+            }
+            let angle = frame.header.frame.0 as f32;
+            let (with, without) = (
+                error(&decoded.to_frame(), frame, angle).0,
+                error(&alone_decoded.to_frame(), frame, angle).0,
+            );
+            // Quantisation falls differently; it does not add up over the frames.
+            assert!(with < 1.25 * without + 2e-4, "{builtin:?}: {with} {without}");
+            last = Some(decoded);
+        }
+        assert!(inter * 10 < intra * 7, "{builtin:?}: {inter} of {intra} bytes");
+        // At rest nearly nothing is left to say.
+        let still = LayeredFrame {
+            header: FrameHeader { frame: FrameId(6), ..frames[4].header },
+            ..frames[4].clone()
+        };
+        let (at_rest, _) = encode(&still, &whole(60), last.as_ref()).unwrap();
+        println!("{builtin:?}: {inter} of {intra}, at rest: {} of {}", at_rest.num_bytes(), intra / 4);
+        assert!(at_rest.num_bytes() * 2 < intra / 4, "{builtin:?}: {} bytes at rest", at_rest.num_bytes());
+    }
+}
+
+#[test]
+fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
+    let scene = scene(Builtin::Cloud);
+    let frames: Vec<_> = (1..=4).map(|id| made(&scene, id, 64, 64, id as f32)).collect();
+    let (first, one) = encode(&frames[0], &whole(50), None).unwrap();
+    let (_, two) = encode(&frames[1], &whole(50), Some(&one)).unwrap();
+    let (third, _) = encode(&frames[2], &whole(50), Some(&two)).unwrap();
+    let (fourth, four) = encode(&frames[3], &whole(50), Some(&one)).unwrap();
+    let mut references = References::default();
+    let assembly = assemble(&bytes(&first), &references).unwrap();
+    references.insert(assembly.to_frame_and_reference().1.unwrap());
+    // Frame 2 is lost: frame 3 names it, frame 4 does not.
+    let missing = CodecError::Reference { frame: FrameId(3), reference: FrameId(2) };
+    assert_eq!(assemble(&bytes(&third), &references).unwrap_err(), missing);
+    let found = assemble(&bytes(&fourth), &references).unwrap();
+    assert_eq!(*found.to_frame_and_reference().1.unwrap(), four);
+    for id in 10..10 + MAX_REFERENCES as u32 {
+        let header = FrameHeader { frame: FrameId(id), ..frames[0].header };
+        references.insert(Arc::new(Reference::new(header, vec![])));
+    }
+    assert!(references.get(FrameId(1)).is_none() && references.get(FrameId(10)).is_some());
+    // A frame without blocks is no use, but no harm either.
+    let (encoded, decoded) = encode(&frames[3], &whole(50), references.newest().map(|r| &**r)).unwrap();
+    assert_eq!(assemble(&bytes(&encoded), &references).unwrap().to_frame(), decoded.to_frame());
+}
+
+#[test]
+fn damaged_bytes_never_do_more_than_fail() {
+    let scene = scene(Builtin::Shells);
+    let (_, reference) = encode(&made(&scene, 1, 72, 70, 0.0), &whole(60), None).unwrap();
+    let settings = Settings { quality: 60, is_split: true };
+    let (encoded, _) = encode(&made(&scene, 2, 72, 70, 1.0), &settings, Some(&reference)).unwrap();
+    let mut references = References::default();
+    references.insert(Arc::new(reference));
+    let mut seed = 11u64;
+    let mut random = move |n: usize| {
+        seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (seed >> 33) as usize % n
+    };
+    let (mut good, mut bad) = (0, 0);
+    for round in 0..1200 {
+        let chunk = &encoded.chunks[round % encoded.chunks.len()];
+        let mut damaged = chunk.bytes.clone();
+        match round % 4 {
+            0 => damaged[HEADER_BYTES..].iter_mut().for_each(|b| *b = random(256) as u8),
+            1 => {
+                let length = HEADER_BYTES + random(damaged.len() - HEADER_BYTES);
+                damaged.truncate(length);
+                let payload = (length - HEADER_BYTES) as u32;
+                damaged[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&payload.to_le_bytes());
+            }
+            _ => {
+                for _ in 0..1 + random(3) {
+                    let at = random(damaged.len());
+                    damaged[at] ^= 1 << random(8);
+                }
+            }
+        }
+        if round % 4 == 0 {
+            // Past the head, so that the bits themselves are tried.
+            damaged[HEADER_BYTES..HEADER_BYTES + chunk::HEAD_BYTES]
+                .copy_from_slice(&chunk.bytes[HEADER_BYTES..HEADER_BYTES + chunk::HEAD_BYTES]);
+        }
+        match decode_chunk(&damaged, &references) {
+            Ok(decoded) => {
+                good += 1;
+                let mut assembly = Assembly::new(decoded.header());
+                if assembly.insert(decoded).is_ok() {
+                    assembly.to_frame().validate().unwrap();
+                }
+            }
+            Err(_) => bad += 1,
+        }
+    }
+    // A flipped bit of a range coder goes unnoticed when as many bytes are read as before.
+    assert!(bad > 700, "{good} {bad}");
+}
+
+#[test]
+fn chunks_that_contradict_each_other_are_refused() {
+    let scene = scene(Builtin::Cubus);
+    let frame = made(&scene, 1, 70, 140, 0.0);
+    let split = |quality| {
+        let (encoded, _) = encode(&frame, &Settings { quality, is_split: true }, None).unwrap();
+        let none = References::default();
+        encoded.chunks.iter().map(|c| decode_chunk(&c.bytes, &none).unwrap()).collect::<Vec<_>>()
+    };
+    let (ours, theirs) = (split(50), split(90));
+    let mut assembly = Assembly::new(ours[0].header());
+    assembly.insert(ours[0].clone()).unwrap();
+    assert_eq!(assembly.insert(ours[0].clone()), Err(CodecError::Duplicate(ChunkIndex(0))));
+    assert!(matches!(assembly.insert(theirs[1].clone()), Err(CodecError::Contradiction { .. })));
+    let exact = crate::codec::encode(&frame, &crate::codec::Settings::default()).unwrap();
+    let exact = decode_chunk(&exact.chunks[1].bytes, &References::default()).unwrap();
+    assert!(matches!(exact, DecodedChunk::Exact(_)));
+    assert!(matches!(assembly.insert(exact), Err(CodecError::Contradiction { .. })));
+    ours.into_iter().skip(1).for_each(|c| assembly.insert(c).unwrap());
+    assert!(assembly.complete());
+}
+
+#[test]
+fn a_wanted_number_of_bytes_is_found() {
+    let scene = scene(Builtin::Shells);
+    let mut rate = RateControl::new(4000);
+    let mut last = 0;
+    for id in 1..12 {
+        let frame = made(&scene, id, 128, 128, id as f32);
+        last = encode(&frame, &whole(rate.quality()), None).unwrap().0.num_bytes();
+        rate.observe(last);
+    }
+    assert!((3600..4400).contains(&last), "{last}");
+}
+
+#[test]
+fn an_empty_frame_is_nothing_but_headers() {
+    let frame = made(&scene(Builtin::Cubus), 1, 64, 64, 0.0);
+    let (encoded, _) = encode(&LayeredFrame::empty(frame.header), &whole(50), None).unwrap();
+    assert!(encoded.num_bytes() < encoded.chunks.len() * 110, "{}", encoded.num_bytes());
+    assert_eq!(decode(&bytes(&encoded)).unwrap().num_segments(), 0);
 }
