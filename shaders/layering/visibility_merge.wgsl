@@ -305,8 +305,8 @@ fn generate_list(ray: Ray, lattice: Lattice) {
         return;
     }
     join(K, budget.threshold, false);
-    // Groups of one piece or two have the borders that joining gave them.
-    if (list.len > 2u * groups.len) {
+    // Groups of three pieces or fewer have the borders that joining gave them.
+    if (list.len > 3u * groups.len) {
         settle();
     }
     // A group begins behind all groups in front of it, so its place in the list is free.

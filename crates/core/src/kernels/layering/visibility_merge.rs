@@ -354,8 +354,8 @@ impl Pieces {
             return list;
         }
         let mut groups = self.join(most, threshold, |_, _| ());
-        // Groups of one piece or two have the borders that joining gave them.
-        if self.len > 2 * groups.len {
+        // Groups of three pieces or fewer have the borders that joining gave them.
+        if self.len > 3 * groups.len {
             self.settle(&mut groups);
         }
         for g in 0..groups.len {
@@ -367,7 +367,8 @@ impl Pieces {
 
 /// The first and the last of the pieces that have a part between two borders.
 fn pieces_between(from: f32, to: f32) -> (usize, usize) {
-    (from as usize, to.ceil() as usize - 1)
+    let behind = to as usize;
+    (from as usize, if behind as f32 == to { behind - 1 } else { behind })
 }
 
 /// Every so many pixels along each axis one is marched beforehand for the threshold: a 64th of the rays of a large
