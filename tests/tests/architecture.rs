@@ -19,7 +19,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
 ];
 
 /// Crates of the outside world, and who may name them.
-const WORLDS: [(&str, &[&str]); 9] = [
+const WORLDS: [(&str, &[&str]); 11] = [
     ("wgpu", &["isinglass-gpu", "isinglass-client", "isinglass-tests"]),
     ("quinn", &["isinglass-net"]),
     ("rustls", &["isinglass-net"]),
@@ -29,10 +29,12 @@ const WORLDS: [(&str, &[&str]); 9] = [
     ("flate2", &["isinglass-formats"]),
     ("toml", &["isinglass-formats"]),
     ("clap", &["isinglass"]),
+    ("openjpeg-sys", &["isinglass-bench"]),
+    ("rav1e", &["isinglass-bench"]),
 ];
 
-/// Dependencies of each of our crates, development ones of `isinglass-tests` included.
-fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+/// What cargo says of each of our crates.
+fn packages() -> Vec<Value> {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -40,9 +42,16 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         .expect("cargo runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let metadata: Value = serde_json::from_slice(&output.stdout).expect("cargo writes JSON");
-    let name = |v: &Value| v["name"].as_str().expect("a name").to_owned();
-    let packages = metadata["packages"].as_array().expect("packages");
-    packages
+    metadata["packages"].as_array().expect("packages").clone()
+}
+
+fn name(v: &Value) -> String {
+    v["name"].as_str().expect("a name").to_owned()
+}
+
+/// Dependencies of each of our crates, development ones of `isinglass-tests` included.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    packages()
         .iter()
         .map(|p| {
             let dependencies = p["dependencies"].as_array().expect("dependencies").iter();
@@ -89,4 +98,32 @@ fn a_wrong_arrow_is_found() {
     core.insert("isinglass-net".into());
     core.insert("wgpu".into());
     assert_eq!(violations(&dependencies), ["isinglass-core -> isinglass-net", "isinglass-core names wgpu"]);
+}
+
+/// The codecs of others that a build without features carries.
+fn carried(packages: &[Value]) -> Vec<String> {
+    const RIVALS: [&str; 4] = ["image-webp", "lz4_flex", "openjpeg-sys", "rav1e"];
+    let mut found = Vec::new();
+    for package in packages {
+        let defaults = package["features"].get("default").and_then(Value::as_array);
+        found.extend(defaults.into_iter().flatten().map(|feature| format!("{}: {feature}", name(package))));
+        for dependency in package["dependencies"].as_array().expect("dependencies") {
+            if RIVALS.contains(&&name(dependency)[..]) && dependency["optional"] != true {
+                found.push(name(dependency));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn the_product_carries_no_codec_of_others() {
+    let mut packages = packages();
+    assert_eq!(carried(&packages), Vec::<String>::new());
+    let bench = packages.iter_mut().find(|p| name(p) == "isinglass-bench").expect("bench is a member");
+    bench["features"]["default"] = serde_json::json!(["rivals"]);
+    for dependency in bench["dependencies"].as_array_mut().expect("dependencies") {
+        dependency["optional"] = Value::Bool(false);
+    }
+    assert_eq!(carried(&packages).len(), 5);
 }

@@ -54,6 +54,22 @@ pub enum BenchError {
         /// What is wrong.
         cause: String,
     },
+    /// The codec of somebody else did not do it.
+    #[error("{codec}: {cause}")]
+    Rival {
+        /// Its name.
+        codec: &'static str,
+        /// What is wrong.
+        cause: String,
+    },
+    /// A codec that there is not.
+    #[error("unknown codec {found:?}, expected one of {expected}")]
+    UnknownCodec {
+        /// What was asked for.
+        found: String,
+        /// What there is.
+        expected: String,
+    },
     /// The demonstration could not be played.
     #[error("demo: {0}")]
     Demo(String),

@@ -7,6 +7,7 @@
 //! or not at all, and draws progress on standard error only.
 
 pub mod choices;
+pub mod codec;
 pub mod demo;
 mod error;
 pub mod latency;

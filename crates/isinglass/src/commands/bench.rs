@@ -1,4 +1,4 @@
-//! `bench`: tables of quality, speed and latency.
+//! `bench`: tables of quality, speed, codecs and latency.
 
 use std::future::{Future, poll_fn};
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use isinglass_bench::latency::LatencyMethod;
 use isinglass_bench::output::{exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
 use isinglass_bench::view::Orbit;
-use isinglass_bench::{latency, quality, scenes, speed};
+use isinglass_bench::{codec as codecs, latency, quality, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
@@ -43,6 +43,8 @@ enum Table {
     Speed(SpeedArgs),
     /// What is shown under latency: the headless demo over a table of round-trip times
     Latency(LatencyArgs),
+    /// What codecs make of layered frames: bytes, times, and what is left of the picture
+    Codec(CodecArgs),
 }
 
 /// What all tables have in common.
@@ -189,12 +191,49 @@ struct LatencyArgs {
     backend: BackendArgs,
 }
 
+#[derive(Args)]
+struct CodecArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Codecs, between commas: blocks, exact, raw-zstd, png-published, and in a build with --features rivals raw-lz4,
+    /// jpeg2000-published, jpeg2000-planes, avif-planes, webp-published [default: all]
+    #[arg(long, value_name = "CODEC", value_delimiter = ',')]
+    codec: Vec<String>,
+    /// The codec that others are compared with by BD-rate [default: jpeg2000-published, if it is measured]
+    #[arg(long, value_name = "CODEC")]
+    anchor: Option<String>,
+    /// Most segments a pixel, or for rules with a budget their mean, between commas
+    #[arg(long, value_name = "K", value_parser = parse_k, value_delimiter = ',', default_values_t = [DEFAULT_K])]
+    k: Vec<u8>,
+    /// Turns of azimuth, degrees, between commas; 0 is the generating camera
+    #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10", allow_hyphen_values = true)]
+    angles: Vec<f32>,
+    /// Also draw the curves as SVG, whole or not at all
+    #[arg(long, value_name = "FILE", value_parser = parse_output)]
+    plot: Option<PathBuf>,
+    /// Also code a camera that orbits at so many degrees a second, 30 frames a second
+    #[arg(long, value_name = "DEG", value_parser = parse_speed)]
+    turn: Option<f32>,
+    /// Frames of the orbit
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "turn")]
+    frames: u32,
+    /// The orbit rests in its middle, for a fifth of the frames
+    #[arg(long, requires = "turn")]
+    stop: bool,
+    /// Frames of the orbit that are compared with the truth, at most
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "turn")]
+    compared: u32,
+    #[command(flatten)]
+    backend: BackendArgs,
+}
+
 pub(crate) fn run(args: BenchArgs) -> Result<()> {
     exit_on_interrupt()?;
     match args.table {
         Table::Quality(args) => run_quality(args),
         Table::Speed(args) => run_speed(args),
         Table::Latency(args) => run_latency(args),
+        Table::Codec(args) => run_codec(args),
     }
 }
 
@@ -303,6 +342,32 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
         },
     })?;
     common.publish(&report, &latency::table(&report))
+}
+
+fn run_codec(args: CodecArgs) -> Result<()> {
+    let common = args.common;
+    let report = codecs::run(&codecs::CodecOptions {
+        scenes: common.select()?,
+        transfer: common.look.tf.clone(),
+        codecs: args.codec,
+        anchor: args.anchor,
+        ks: args.k,
+        angles_degrees: args.angles,
+        orbit: common.orbit,
+        intrinsics: common.intrinsics(),
+        shaded: common.look.is_shaded(),
+        backend: args.backend.backend,
+        sequence: args.turn.map(|degrees_per_second| codecs::SequenceOptions {
+            degrees_per_second,
+            frames: args.frames,
+            stops: args.stop,
+            compared: args.compared,
+        }),
+    })?;
+    if let Some(path) = &args.plot {
+        write_whole(path, codecs::svg(&report)?.as_bytes())?;
+    }
+    common.publish(&report, &codecs::table(&report))
 }
 
 /// Degrees, finite.

@@ -1,0 +1,161 @@
+//! What is measured: the product's codec, raw segments behind a general compressor, and image codecs on planes.
+
+use isinglass_core::codec::{self, Coding, Settings, blocks};
+use isinglass_core::kernels::layering::Layering;
+
+use super::layout::{Layout, Part};
+use super::raster::{ImageCodec, Png};
+use super::raw::Compressor;
+use crate::error::BenchError;
+
+/// A codec with all of its settings.
+pub(crate) struct Contender {
+    /// The name on the command line and in tables.
+    pub(crate) name: &'static str,
+    /// How it codes.
+    pub(crate) way: Way,
+}
+
+/// How a frame is coded.
+pub(crate) enum Way {
+    /// By the product, with each of these settings.
+    Product(Vec<(String, Coding)>),
+    /// As it lies in memory.
+    Raw(Compressor),
+    /// As planes, the settings of each part apart.
+    Planes(Layout, Box<dyn ImageCodec + Send + Sync>),
+}
+
+impl Contender {
+    /// The rule of the frames it is given.
+    pub(crate) fn layering(&self) -> Layering {
+        match self.way {
+            Way::Planes(..) => Layout::LAYERING,
+            Way::Product(_) | Way::Raw(_) => Layering::default(),
+        }
+    }
+}
+
+/// Every codec of this build.
+pub(crate) fn all() -> Vec<Contender> {
+    let mut all = product();
+    all.push(Contender { name: Compressor::Zstd.name(), way: Way::Raw(Compressor::Zstd) });
+    all.push(Contender { name: "png-published", way: Way::Planes(Layout::Published, Box::new(Png)) });
+    #[cfg(feature = "rivals")]
+    all.extend(others());
+    all
+}
+
+/// The modes of the product's codec, each with its settings.
+fn product() -> Vec<Contender> {
+    let mode = |name, settings: Vec<(String, Coding)>| Contender { name, way: Way::Product(settings) };
+    let levels = [codec::MIN_ZSTD_LEVEL, 3, codec::MAX_ZSTD_LEVEL];
+    let exact = [8, 10].into_iter().flat_map(|color_bits| {
+        levels.map(|zstd_level| {
+            let coding = Coding::Exact(Settings { color_bits, zstd_level });
+            (format!("{color_bits} bits, level {zstd_level}"), coding)
+        })
+    });
+    let blocks = (0..=blocks::MAX_QUALITY).step_by(QUALITY_STEP).map(|quality| {
+        (format!("quality {quality}"), Coding::Blocks(blocks::Settings { quality, is_split: false }))
+    });
+    vec![mode("blocks", blocks.collect()), mode("exact", exact.collect())]
+}
+
+#[cfg(feature = "rivals")]
+fn others() -> Vec<Contender> {
+    use super::av1::Av1;
+    use super::jpeg2000::Jpeg2000;
+    use super::webp::WebP;
+
+    let planes = |name, layout, codec| Contender { name, way: Way::Planes(layout, codec) };
+    vec![
+        Contender { name: Compressor::Lz4.name(), way: Way::Raw(Compressor::Lz4) },
+        planes(PUBLISHED, Layout::Published, Box::new(Jpeg2000)),
+        planes("jpeg2000-planes", Layout::Weighted, Box::new(Jpeg2000)),
+        planes(AVIF, Layout::Weighted, Box::new(Av1 { speed: AVIF_SPEED })),
+        planes("webp-published", Layout::Published, Box::new(WebP)),
+    ]
+}
+
+/// Those of the build that are called `names`, in their order; all if there are no names.
+pub(crate) fn select(names: &[String]) -> Result<Vec<Contender>, BenchError> {
+    let mut all = all();
+    if names.is_empty() {
+        return Ok(all);
+    }
+    let mut selected = Vec::with_capacity(names.len());
+    for name in names {
+        match all.iter().position(|c| c.name == name) {
+            Some(i) => selected.push(all.remove(i)),
+            None if selected.iter().any(|c: &Contender| c.name == name) => {}
+            None => {
+                let rivals = if cfg!(feature = "rivals") {
+                    ""
+                } else {
+                    "; others are there when it is built with --features rivals"
+                };
+                let expected = format!("{}{rivals}", super::codec_names().join(", "));
+                return Err(BenchError::UnknownCodec { found: name.clone(), expected });
+            }
+        }
+    }
+    Ok(selected)
+}
+
+/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec): sizes
+/// change where a finer level at the smaller size would cost as much.
+pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32, usize)> {
+    let top = num_levels - 1;
+    if layout == Layout::Published || part != Part::Depth || top == 0 {
+        return (0..num_levels).map(|level| (1, level)).collect();
+    }
+    let below = |n: usize| top.saturating_sub(n);
+    let mut rungs =
+        vec![(4, below(4)), (4, below(3)), (4, below(2)), (2, below(2)), (2, below(1)), (2, top), (1, top)];
+    rungs.dedup();
+    rungs
+}
+
+/// Between the qualities that are measured.
+const QUALITY_STEP: usize = 10;
+/// JPEG 2000 as Lochmann 2016 has it: what others are measured by.
+pub(crate) const PUBLISHED: &str = "jpeg2000-published";
+/// Of 10; without assembly it takes seconds a frame.
+#[cfg(feature = "rivals")]
+pub(super) const AVIF_SPEED: u8 = 9;
+/// AV1 on weighted planes; in a sequence also with prediction.
+#[cfg(feature = "rivals")]
+pub(super) const AVIF: &str = "avif-planes";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codecs_are_chosen_by_name_and_unknown_ones_refused_with_all() {
+        let select = |names: &[&str]| {
+            select(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>())
+                .map(|all| all.iter().map(|c| c.name).collect::<Vec<_>>())
+        };
+        assert_eq!(select(&["raw-zstd", "exact", "raw-zstd"]).unwrap(), ["raw-zstd", "exact"]);
+        assert_eq!(select(&[]).unwrap(), crate::codec::codec_names());
+        let error = select(&["x264"]).unwrap_err().to_string();
+        assert!(error.contains("x264") && error.contains("png-published"), "{error}");
+        assert_eq!(error.contains("rivals"), !cfg!(feature = "rivals"));
+    }
+
+    #[test]
+    fn ladders_rise() {
+        for num in [1, 2, 7, 8] {
+            for (layout, part) in
+                [Layout::Published, Layout::Weighted].into_iter().flat_map(|l| Part::ALL.map(|p| (l, p)))
+            {
+                let rungs = ladder(layout, part, num);
+                assert!(rungs.windows(2).all(|w| w[0].0 >= w[1].0 && w[0] != w[1]), "{rungs:?}");
+                assert!(rungs.iter().all(|(_, level)| *level < num));
+                assert_eq!(rungs.last(), Some(&(1, num - 1)));
+            }
+        }
+    }
+}

@@ -1,0 +1,455 @@
+//! Rate and distortion of codecs on the same layered frames.
+//!
+//! Distortion is what the viewer sees: the coded frame is ray-cast from turned cameras and compared with the full volume
+//! rendering from there, so the loss of the layers counts as well as that of their coding. Each codec is given frames of
+//! the rule it needs, its own transforms and a search of its settings ([`search`](self), [`layout`](self)); points that
+//! others of the same codec beat do not count. Curves are compared by [`bd`].
+//!
+//! Coding runs on one thread, and times are those that it computed. The codecs of others are there in builds with the
+//! feature `rivals` only: the product carries none of them.
+
+#[cfg(feature = "rivals")]
+mod av1;
+pub mod bd;
+mod clock;
+mod contenders;
+#[cfg(feature = "rivals")]
+mod jpeg2000;
+mod layout;
+mod measure;
+mod plot;
+mod raster;
+mod raw;
+mod search;
+mod sequence;
+mod table;
+#[cfg(test)]
+mod tests;
+#[cfg(feature = "rivals")]
+mod webp;
+
+use std::collections::BTreeMap;
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::LayeredFrame;
+use isinglass_formats::OpenOptions;
+use isinglass_gpu::{Backend, BackendChoice};
+use rayon::ThreadPool;
+use serde::Serialize;
+
+use self::bd::{RatePoint, bd_rate, front};
+use self::contenders::{Contender, PUBLISHED};
+use self::measure::{Judge, Measured};
+use crate::error::BenchError;
+use crate::progress::Progress;
+use crate::quality::{black_srgb8, header, march_settings};
+use crate::scenes::{SceneSource, open_scene};
+use crate::view::Orbit;
+
+pub use self::measure::Distortion;
+pub use self::plot::svg;
+pub use self::sequence::{SequenceOptions, SequenceRow};
+pub use self::table::table;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct CodecOptions {
+    /// The scenes, see [`crate::scenes::select`].
+    pub scenes: Vec<SceneSource>,
+    /// Preset or file for all scenes; none: the one that suits each.
+    pub transfer: Option<String>,
+    /// Names out of [`codec_names`]; none: all.
+    pub codecs: Vec<String>,
+    /// The codec that others are compared with; none: JPEG 2000 as published where it is measured.
+    pub anchor: Option<String>,
+    /// List lengths.
+    pub ks: Vec<u8>,
+    /// Turns of azimuth, degrees; 0 is the generating camera itself.
+    pub angles_degrees: Vec<f32>,
+    /// The generating camera.
+    pub orbit: Orbit,
+    /// Size and field of view of pictures and frames.
+    pub intrinsics: Intrinsics,
+    /// Whether gradients shade.
+    pub shaded: bool,
+    /// Where the kernels run.
+    pub backend: BackendChoice,
+    /// Also code a moving camera; none: only stills.
+    pub sequence: Option<SequenceOptions>,
+}
+
+/// The whole result.
+#[derive(Clone, Debug, Serialize)]
+pub struct CodecReport {
+    /// What holds for all points.
+    pub conditions: Conditions,
+    /// Frames that no codec has touched.
+    pub uncoded: Vec<Uncoded>,
+    /// Every setting that was measured.
+    pub points: Vec<Point>,
+    /// Codecs against the anchor, scene by scene.
+    pub bd_rates: Vec<BdRow>,
+    /// Means of [`CodecReport::bd_rates`] over scenes.
+    pub bd_means: Vec<BdMean>,
+    /// What a moving camera costs.
+    pub sequences: Vec<SequenceRow>,
+}
+
+/// What holds for all points of a report.
+#[derive(Clone, Debug, Serialize)]
+pub struct Conditions {
+    /// Version of this program.
+    pub version: &'static str,
+    /// Columns and rows of pictures and frames.
+    pub size: [u32; 2],
+    /// Vertical field of view, degrees.
+    pub fov_deg: f32,
+    /// Azimuth and elevation of the generating camera, degrees.
+    pub orbit_deg: [f32; 2],
+    /// Turns, degrees.
+    pub angles_deg: Vec<f32>,
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Whether gradients shade.
+    pub shading: bool,
+    /// Threads that code.
+    pub threads: usize,
+    /// Clock of the processor by which cycles are counted, megahertz; none where the system does not tell.
+    pub clock_mhz: Option<f64>,
+    /// The codec that others are compared with.
+    pub anchor: Option<String>,
+}
+
+/// A frame that no codec has touched.
+#[derive(Clone, Debug, Serialize)]
+pub struct Uncoded {
+    /// Name of the scene.
+    pub scene: String,
+    /// K of the rule.
+    pub k: u8,
+    /// The rule.
+    pub layering: &'static str,
+    /// Segments of the frame.
+    pub segments: usize,
+    /// From every turn.
+    pub distortion: Vec<Distortion>,
+}
+
+/// A frame coded with one setting.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    /// Name of the scene.
+    pub scene: String,
+    /// K of the rule.
+    pub k: u8,
+    /// The codec.
+    pub codec: &'static str,
+    /// The rule of its frame.
+    pub layering: &'static str,
+    /// Its settings.
+    pub settings: String,
+    /// Bytes of the coded frame.
+    pub bytes: usize,
+    /// Bytes of colour, opacity and depth, where they are coded apart.
+    pub bytes_color_opacity_depth: Option<[usize; 3]>,
+    /// Bits for each pixel of the frame.
+    pub bits_per_pixel: f64,
+    /// With 30 such frames a second, megabits.
+    pub mbit_s_at_30_hz: f64,
+    /// Time to encode, on one thread.
+    pub encode_ms: f64,
+    /// Time to decode; none where the encoder tells what a decoder gets.
+    pub decode_ms: Option<f64>,
+    /// Cycles to encode a pixel at the clock of the conditions.
+    pub encode_cycles_per_pixel: Option<f64>,
+    /// Cycles to decode a pixel.
+    pub decode_cycles_per_pixel: Option<f64>,
+    /// From every turn.
+    pub distortion: Vec<Distortion>,
+    /// Turns at which no other setting of the codec beats this one in bytes and DSSIM both, degrees.
+    pub on_front_deg: Vec<f32>,
+}
+
+/// A codec against the anchor.
+#[derive(Clone, Debug, Serialize)]
+pub struct BdRow {
+    /// Name of the scene.
+    pub scene: String,
+    /// K of both; none: each at whatever K is best for it at each rate.
+    pub k: Option<u8>,
+    /// The codec.
+    pub codec: &'static str,
+    /// Turn, degrees.
+    pub angle_deg: f32,
+    /// Mean difference of bytes at the same DSSIM, percent.
+    pub bd_rate_percent: Option<f64>,
+    /// Over which qualities, decibels of DSSIM.
+    pub range_db: Option<[f64; 2]>,
+    /// Why there is no mean difference.
+    pub refused: Option<String>,
+}
+
+/// Mean over scenes.
+#[derive(Clone, Debug, Serialize)]
+pub struct BdMean {
+    /// See [`BdRow::k`].
+    pub k: Option<u8>,
+    /// The codec.
+    pub codec: &'static str,
+    /// Turn, degrees.
+    pub angle_deg: f32,
+    /// Mean of the scenes that have one, percent.
+    pub bd_rate_percent: Option<f64>,
+    /// Scenes with a mean difference.
+    pub scenes: usize,
+    /// Scenes without: curves that share no quality, or are none.
+    pub refused: usize,
+}
+
+/// The names of the codecs of this build.
+pub fn codec_names() -> Vec<&'static str> {
+    contenders::all().into_iter().map(|c| c.name).collect()
+}
+
+/// Measures. Takes minutes a scene.
+pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
+    let contenders = contenders::select(&options.codecs)?;
+    let anchor = anchor(options, &contenders)?;
+    let backend = Backend::open(options.backend)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .map_err(|e| BenchError::Rival { codec: "threads", cause: e.to_string() })?;
+    let steps = 1 + options.ks.len() * (1 + contenders.len());
+    let mut progress = Progress::new("codec", (options.scenes.len() * steps) as u64);
+    let mut run = Run {
+        options,
+        backend: &backend,
+        contenders: &contenders,
+        pool: &pool,
+        clock_mhz: clock::clock_mhz(),
+        uncoded: Vec::new(),
+        points: Vec::new(),
+        sequences: Vec::new(),
+    };
+    for source in &options.scenes {
+        run.measure_scene(source, &mut progress)?;
+    }
+    progress.finish();
+    let Run { uncoded, mut points, sequences, clock_mhz, .. } = run;
+    mark_fronts(&mut points, &options.angles_degrees);
+    let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
+    let bd_means = means(&bd_rates);
+    let conditions = Conditions {
+        version: env!("CARGO_PKG_VERSION"),
+        size: [options.intrinsics.width, options.intrinsics.height],
+        fov_deg: options.intrinsics.fov_y.to_degrees(),
+        orbit_deg: [options.orbit.azimuth_degrees, options.orbit.elevation_degrees],
+        angles_deg: options.angles_degrees.clone(),
+        backend: backend.description(),
+        shading: options.shaded,
+        threads: 1,
+        clock_mhz,
+        anchor: anchor.map(str::to_owned),
+    };
+    Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences })
+}
+
+/// The anchor's name, which must be measured.
+fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Result<Option<&'static str>, BenchError> {
+    let wanted = options.anchor.as_deref().unwrap_or(PUBLISHED);
+    let found = contenders.iter().map(|c| c.name).find(|name| *name == wanted);
+    if found.is_none() && options.anchor.is_some() {
+        let names: Vec<&str> = contenders.iter().map(|c| c.name).collect();
+        return Err(BenchError::UnknownCodec { found: wanted.to_owned(), expected: names.join(", ") });
+    }
+    Ok(found)
+}
+
+/// What is there so far.
+struct Run<'a> {
+    options: &'a CodecOptions,
+    backend: &'a Backend,
+    contenders: &'a [Contender],
+    pool: &'a ThreadPool,
+    clock_mhz: Option<f64>,
+    uncoded: Vec<Uncoded>,
+    points: Vec<Point>,
+    sequences: Vec<SequenceRow>,
+}
+
+impl Run<'_> {
+    fn measure_scene(&mut self, source: &SceneSource, progress: &mut Progress) -> Result<(), BenchError> {
+        let options = self.options;
+        progress.begin(&format!("{}: opening", source.name));
+        let opened = open_scene(
+            &source.source,
+            options.transfer.as_deref(),
+            march_settings(options.shaded),
+            &OpenOptions::default(),
+        )?;
+        let bounds = opened.scene.volume.bounds();
+        let mut renderer = self.backend.renderer(opened.scene)?;
+        let mut truths = Vec::with_capacity(options.angles_degrees.len());
+        for &angle in &options.angles_degrees {
+            let camera = options.orbit.turned(angle).camera(options.intrinsics, &bounds);
+            truths.push((angle, camera, black_srgb8(&renderer.render(&camera)?)));
+        }
+        let judge = Judge { backend: self.backend, bounds, truths, pool: self.pool };
+        progress.advance(1, &format!("{}: truth rendered", source.name));
+        for &k in &options.ks {
+            let camera = options.orbit.camera(options.intrinsics, &bounds);
+            let mut frames: Vec<(Layering, LayeredFrame)> = Vec::new();
+            for contender in self.contenders {
+                let layering = contender.layering();
+                if frames.iter().all(|(of, _)| *of != layering) {
+                    let frame = renderer.generate(header(camera, k), layering)?;
+                    self.uncoded.push(Uncoded {
+                        scene: source.name.clone(),
+                        k,
+                        layering: layering.name(),
+                        segments: frame.num_segments(),
+                        distortion: judge.distortion(frame.clone())?,
+                    });
+                    frames.push((layering, frame));
+                }
+            }
+            progress.advance(1, &format!("{}: frames made", source.name));
+            for contender in self.contenders {
+                progress.begin(&format!("{}: K = {k}, {}", source.name, contender.name));
+                let layering = contender.layering();
+                for (_, frame) in frames.iter().filter(|(of, _)| *of == layering) {
+                    let measured = judge.measure(contender, frame)?;
+                    let points = measured.into_iter().map(|m| self.point(source, k, contender, m));
+                    let points: Vec<Point> = points.collect();
+                    self.points.extend(points);
+                }
+                progress.advance(1, &format!("{}: K = {k}, {} done", source.name, contender.name));
+            }
+            if let Some(sequence) = &options.sequence {
+                let rows = sequence::measure(
+                    &sequence::Scene { source, judge: &judge, options, sequence, k },
+                    &mut renderer,
+                    self.contenders,
+                    progress,
+                )?;
+                self.sequences.extend(rows);
+            }
+        }
+        Ok(())
+    }
+
+    fn point(&self, source: &SceneSource, k: u8, contender: &Contender, measured: Measured) -> Point {
+        let pixels = self.options.intrinsics.num_pixels() as f64;
+        // Milliseconds times megahertz are thousands of cycles.
+        let cycles = |ms: f64| self.clock_mhz.map(|mhz| ms * mhz * 1e3 / pixels);
+        let bits = measured.bytes as f64 * 8.0;
+        Point {
+            scene: source.name.clone(),
+            k,
+            codec: contender.name,
+            layering: contender.layering().name(),
+            settings: measured.settings,
+            bytes: measured.bytes,
+            bytes_color_opacity_depth: measured.parts,
+            bits_per_pixel: bits / pixels,
+            mbit_s_at_30_hz: bits * FRAME_RATE_HZ * 1e-6,
+            encode_ms: measured.encode_ms,
+            decode_ms: measured.decode_ms,
+            encode_cycles_per_pixel: cycles(measured.encode_ms),
+            decode_cycles_per_pixel: measured.decode_ms.and_then(cycles),
+            distortion: measured.distortion,
+            on_front_deg: Vec::new(),
+        }
+    }
+}
+
+impl Point {
+    /// Rate and distortion at the turn number `turn`.
+    fn rate_point(&self, turn: usize) -> RatePoint {
+        RatePoint { bytes: self.bytes as f64, dssim: self.distortion[turn].dssim }
+    }
+}
+
+/// Finds the fronts of every codec at each K.
+fn mark_fronts(points: &mut [Point], angles: &[f32]) {
+    let mut curves: BTreeMap<(String, u8, &str), Vec<usize>> = BTreeMap::new();
+    for (i, p) in points.iter().enumerate() {
+        curves.entry((p.scene.clone(), p.k, p.codec)).or_default().push(i);
+    }
+    for indices in curves.values() {
+        for (turn, &angle) in angles.iter().enumerate() {
+            let rates: Vec<RatePoint> = indices.iter().map(|&i| points[i].rate_point(turn)).collect();
+            for on_front in front(&rates) {
+                points[indices[on_front]].on_front_deg.push(angle);
+            }
+        }
+    }
+}
+
+/// Every codec against the anchor: at each K, and with each at its best K.
+fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow> {
+    let mut codecs: Vec<&'static str> = Vec::new();
+    for p in points {
+        if !codecs.contains(&p.codec) && p.codec != anchor {
+            codecs.push(p.codec);
+        }
+    }
+    let best_k = (options.ks.len() > 1).then_some(None);
+    let mut rows = Vec::new();
+    for source in &options.scenes {
+        for k in options.ks.iter().copied().map(Some).chain(best_k) {
+            let curve = |codec: &str, turn: usize| -> Vec<RatePoint> {
+                points
+                    .iter()
+                    .filter(|p| p.scene == source.name && p.codec == codec && k.is_none_or(|k| p.k == k))
+                    .map(|p| p.rate_point(turn))
+                    .collect()
+            };
+            for &codec in &codecs {
+                for (turn, &angle_deg) in options.angles_degrees.iter().enumerate() {
+                    let result = bd_rate(&curve(anchor, turn), &curve(codec, turn));
+                    rows.push(BdRow {
+                        scene: source.name.clone(),
+                        k,
+                        codec,
+                        angle_deg,
+                        bd_rate_percent: result.as_ref().ok().map(|bd| bd.percent),
+                        range_db: result.as_ref().ok().map(|bd| bd.range_db),
+                        refused: result.err().map(|e| e.to_string()),
+                    });
+                }
+            }
+        }
+    }
+    rows
+}
+
+fn means(rows: &[BdRow]) -> Vec<BdMean> {
+    let mut means: Vec<BdMean> = Vec::new();
+    for row in rows {
+        let is_same = |m: &&BdMean| (m.k, m.codec, m.angle_deg) == (row.k, row.codec, row.angle_deg);
+        if means.iter().any(|m| is_same(&m)) {
+            continue;
+        }
+        let of = BdMean {
+            k: row.k,
+            codec: row.codec,
+            angle_deg: row.angle_deg,
+            bd_rate_percent: None,
+            scenes: 0,
+            refused: 0,
+        };
+        let same = rows.iter().filter(|r| (r.k, r.codec, r.angle_deg) == (of.k, of.codec, of.angle_deg));
+        let found: Vec<f64> = same.clone().filter_map(|r| r.bd_rate_percent).collect();
+        let refused = same.count() - found.len();
+        let sum: f64 = found.iter().sum();
+        let mean = (!found.is_empty()).then(|| sum / found.len() as f64);
+        means.push(BdMean { bd_rate_percent: mean, scenes: found.len(), refused, ..of });
+    }
+    means
+}
+
+/// Frames a second that rates are given for.
+const FRAME_RATE_HZ: f64 = 30.0;

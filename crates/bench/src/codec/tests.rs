@@ -1,0 +1,143 @@
+use std::sync::Arc;
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::layer::LayeredFrame;
+use isinglass_formats::{OpenOptions, load_transfer, open};
+use isinglass_gpu::BackendChoice;
+
+use super::*;
+
+fn intrinsics() -> Intrinsics {
+    Intrinsics { width: 48, height: 40, fov_y: 0.7 }
+}
+
+/// A small frame of shells.
+pub(super) fn frame(layering: Layering, k: u8) -> LayeredFrame {
+    let volume = open("builtin:shells@32", &OpenOptions::default()).unwrap();
+    let bounds = volume.bounds();
+    let scene = Scene::new(Arc::new(volume), &load_transfer("shells").unwrap(), MarchSettings::default());
+    generate(&scene, header(Orbit::default().camera(intrinsics(), &bounds), k), layering)
+}
+
+fn options(codecs: &[&str]) -> CodecOptions {
+    CodecOptions {
+        scenes: vec![SceneSource { name: "shells".into(), source: "builtin:shells@32".into() }],
+        transfer: None,
+        codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
+        anchor: Some(codecs[0].to_owned()),
+        ks: vec![2, 4],
+        angles_degrees: vec![0.0, 10.0],
+        orbit: Orbit::default(),
+        intrinsics: intrinsics(),
+        shaded: true,
+        backend: BackendChoice::Cpu,
+        sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
+    }
+}
+
+#[test]
+fn what_loses_nothing_leaves_the_picture_of_the_frame_and_what_loses_does_not() {
+    let report = run(&options(&["exact", "raw-zstd", "png-published"])).unwrap();
+    for k in [2, 4] {
+        let of =
+            |codec: &str| report.points.iter().filter(|p| p.codec == codec && p.k == k).collect::<Vec<_>>();
+        let uncoded = report.uncoded.iter().find(|u| u.k == k && u.layering == "visibility-merge").unwrap();
+        assert_eq!(of("raw-zstd")[0].distortion, uncoded.distortion);
+        assert_eq!(of("raw-zstd").len(), 1);
+        assert!(of("exact").iter().any(|p| p.distortion != uncoded.distortion));
+        // Ten bits are half of a step of the picture: nearly, not quite the frame.
+        let nearest = |turn: usize| {
+            let of = of("exact").into_iter().map(|p| p.distortion[turn].dssim);
+            (of.fold(f64::INFINITY, f64::min) - uncoded.distortion[turn].dssim).abs()
+        };
+        assert!(nearest(0) < 1e-3 && nearest(1) < 1e-3, "{} {}", nearest(0), nearest(1));
+        let png = of("png-published")[0];
+        assert_eq!(png.bytes, png.bytes_color_opacity_depth.unwrap().iter().sum::<usize>());
+    }
+    let p = &report.points[0];
+    assert!((p.bits_per_pixel - p.bytes as f64 * 8.0 / 1920.0).abs() < 1e-9);
+    assert!((p.mbit_s_at_30_hz - p.bytes as f64 * 240e-6).abs() < 1e-9);
+    assert!(
+        report.points.iter().any(|p| p.on_front_deg.is_empty()),
+        "a setting that is beaten is not on a front"
+    );
+    assert_eq!(report.bd_rates.len(), 2 * 3 * 2);
+    assert_eq!(report.bd_means.len(), 2 * 3 * 2);
+    // One point is no curve.
+    assert!(report.bd_rates.iter().all(|r| r.refused.is_some() == r.bd_rate_percent.is_none()));
+    assert!(report.sequences.iter().all(|s| s.bytes.len() == 5 && s.saving_percent.abs() < 20.0));
+
+    let text = table(&report);
+    assert!(text.contains("raw-zstd") && text.contains("mean") && text.contains("sequence"), "{text}");
+    let plot = svg(&report).unwrap();
+    assert!(plot.starts_with("<svg") && plot.contains("png-published, K = 4"));
+    assert!(!plot.contains("NaN"));
+}
+
+#[test]
+fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves() {
+    let report = run(&CodecOptions { ks: vec![4], ..options(&["blocks", "raw-zstd"]) }).unwrap();
+    let points: Vec<&Point> = report.points.iter().filter(|p| p.codec == "blocks").collect();
+    let (first, last) = (points[0], points[points.len() - 1]);
+    assert!(first.bytes < last.bytes && first.distortion[0].dssim > last.distortion[0].dssim);
+    let inter = report.sequences.iter().find(|s| s.settings.contains("inter")).unwrap();
+    let resting = inter.bytes_resting.unwrap();
+    assert!(resting < 0.5 * inter.bytes_intra, "{resting} of {}", inter.bytes_intra);
+    let alone =
+        report.sequences.iter().find(|s| s.codec == "blocks" && !s.settings.contains("inter")).unwrap();
+    assert!(
+        alone.bytes_resting.unwrap() > 0.5 * alone.bytes_intra,
+        "nothing is saved by frames that are alone"
+    );
+}
+
+#[test]
+fn an_anchor_that_is_not_measured_is_refused() {
+    let options = CodecOptions { anchor: Some("webp".into()), ..options(&["exact", "raw-zstd"]) };
+    let error = run(&options).unwrap_err().to_string();
+    assert!(error.contains("webp") && error.contains("raw-zstd"), "{error}");
+}
+
+#[test]
+fn means_are_over_the_scenes_that_have_one() {
+    let row = |scene: &str, percent: Option<f64>| BdRow {
+        scene: scene.into(),
+        k: Some(4),
+        codec: "exact",
+        angle_deg: 0.0,
+        bd_rate_percent: percent,
+        range_db: None,
+        refused: percent.is_none().then(|| "finer everywhere".into()),
+    };
+    let means = means(&[row("a", Some(-50.0)), row("b", None), row("c", Some(-70.0))]);
+    assert_eq!(means.len(), 1);
+    assert_eq!((means[0].bd_rate_percent, means[0].scenes, means[0].refused), (Some(-60.0), 2, 1));
+}
+
+/// The curve of a codec that loses comes near the frame that no codec has touched as it spends more.
+#[cfg(feature = "rivals")]
+#[test]
+fn rivals_approach_the_uncoded_frame_as_they_spend() {
+    let names = ["jpeg2000-published", "jpeg2000-planes", "avif-planes"];
+    let report = run(&CodecOptions { ks: vec![4], sequence: None, ..options(&names) }).unwrap();
+    let uncoded = report.uncoded.iter().find(|u| u.layering == "equal-transmittance").unwrap();
+    for name in names {
+        for turn in 0..2 {
+            let mut curve: Vec<&Point> = report
+                .points
+                .iter()
+                .filter(|p| p.codec == name && p.on_front_deg.contains(&[0.0, 10.0][turn]))
+                .collect();
+            curve.sort_by_key(|p| p.bytes);
+            let excess = |p: &Point| p.distortion[turn].dssim - uncoded.distortion[turn].dssim;
+            let (first, last) = (excess(curve[0]), excess(curve[curve.len() - 1]));
+            assert!(curve.len() >= 4 && first > 0.0, "{name}: {} points, {first}", curve.len());
+            // What 8 bits of C, or 10 of W, and the smoothing of depths leave on a picture of 48×40.
+            assert!(last < 0.25 * first && last < 4e-3, "{name} at turn {turn}: {first} {last}");
+        }
+    }
+    let bd = report.bd_rates.iter().find(|r| r.codec == "jpeg2000-planes" && r.angle_deg == 0.0).unwrap();
+    assert!(bd.bd_rate_percent.unwrap() < 0.0, "weighted planes help JPEG 2000: {bd:?}");
+}
