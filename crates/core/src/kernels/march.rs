@@ -349,7 +349,7 @@ fn behind(first: f32, backs: &Lanes) -> Lanes {
 }
 
 /// Whether this processor has the instructions of functions called `_avx2`.
-pub(super) fn has_avx2() -> bool {
+pub(crate) fn has_avx2() -> bool {
     #[cfg(target_arch = "x86_64")]
     return std::arch::is_x86_feature_detected!("avx2");
     #[cfg(not(target_arch = "x86_64"))]

@@ -112,6 +112,20 @@ impl Sum {
 /// y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
 #[inline(always)]
 pub(crate) fn opacity(tau: f32) -> f32 {
+    let (scale, p) = scale_and_rest(tau);
+    (1.0 - scale) - scale * p
+}
+
+/// Transmittance e^−τ, to single precision relative to itself; constant from 2^−126 on.
+#[inline(always)]
+pub(crate) fn transmittance(tau: f32) -> f32 {
+    let (scale, p) = scale_and_rest(tau);
+    scale + scale * p
+}
+
+/// 2^−n and p(f) of [`opacity`].
+#[inline(always)]
+fn scale_and_rest(tau: f32) -> (f32, f32) {
     let y = lesser(tau * std::f32::consts::LOG2_E, 126.0);
     let shifted = y + ROUNDER;
     let f = (shifted - ROUNDER) - y;
@@ -120,8 +134,7 @@ pub(crate) fn opacity(tau: f32) -> f32 {
         * (LN_2_POWERS[0]
             + f * (LN_2_POWERS[1]
                 + f * (LN_2_POWERS[2] + f * (LN_2_POWERS[3] + f * (LN_2_POWERS[4] + f * LN_2_POWERS[5])))));
-    let scale = f32::from_bits(ONE_BITS.wrapping_sub(shifted.to_bits() << 23));
-    (1.0 - scale) - scale * p
+    (f32::from_bits(ONE_BITS.wrapping_sub(shifted.to_bits() << 23)), p)
 }
 
 /// Pieces that are worked on at a time: more than there usually are in a tile's columns.

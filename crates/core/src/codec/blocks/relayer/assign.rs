@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::lists::{BlockLists, Piece};
 use super::merge::move_of_union;
-use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, power_5_4, select, sum};
+use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, greater, power_5_4, select, sum};
 use crate::codec::blocks::model::{BLOCK, BlockLayer, DepthPlane};
 use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
@@ -13,6 +13,7 @@ use crate::layer::TAU_MAX;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assigned {
     cells: Vec<Cells>,
+    joints: Joints,
     /// Error by joining pieces.
     joined: f32,
 }
@@ -23,10 +24,60 @@ struct Cells {
     front: Column,
     back: Column,
     alpha: Column,
+    /// Where the layer ends.
+    end: Column,
 }
 
-const NO_CELLS: Cells =
-    Cells { front: [0.0; BLOCK_LISTS], back: [0.0; BLOCK_LISTS], alpha: [0.0; BLOCK_LISTS] };
+/// Pieces that are joined with what a list has in their layer, to be weighed all at once.
+#[derive(Clone, Debug)]
+struct Joints {
+    num: usize,
+    /// As in [`move_of_union`].
+    ends: [Column; 4],
+    tau: Column,
+    alphas: [Column; 2],
+    first: [Column; 3],
+    both: [Column; 3],
+    /// How much of it is seen.
+    weight: Column,
+}
+
+const ZERO: Column = [0.0; BLOCK_LISTS];
+const NO_CELLS: Cells = Cells { front: ZERO, back: ZERO, alpha: ZERO, end: [f32::INFINITY; BLOCK_LISTS] };
+
+impl Default for Joints {
+    fn default() -> Self {
+        Self {
+            num: 0,
+            ends: [ZERO; 4],
+            tau: ZERO,
+            alphas: [ZERO; 2],
+            first: [ZERO; 3],
+            both: [ZERO; 3],
+            weight: ZERO,
+        }
+    }
+}
+
+impl Joints {
+    /// How far matter is moved by these, and forgets them.
+    #[inline(always)]
+    fn weigh(&mut self) -> f32 {
+        let num = std::mem::take(&mut self.num);
+        self.weight[num..].fill(0.0);
+        let mut moved = ZERO;
+        for (i, moved) in moved.iter_mut().enumerate() {
+            let ends = [self.ends[0][i], self.ends[1][i], self.ends[2][i], self.ends[3][i]];
+            let alphas = [self.alphas[0][i], self.alphas[1][i]];
+            let first = [self.first[0][i], self.first[1][i], self.first[2][i]];
+            let both = [self.both[0][i], self.both[1][i], self.both[2][i]];
+            let weight = self.weight[i];
+            let weighted = weight * move_of_union(ends, self.tau[i], alphas, first, both);
+            *moved = select(weight > 0.0, weighted, 0.0);
+        }
+        sum(|i| [moved[i]])[0]
+    }
+}
 
 impl Assigned {
     /// Puts every segment into the layers; a layer ends half way between its back plane and the front plane of the next.
@@ -41,17 +92,18 @@ impl Assigned {
         out.extend(planes.iter().map(|&(front, back)| BlockLayer { front, back, ..BlockLayer::default() }));
         self.cells.clear();
         self.cells.resize(planes.len(), NO_CELLS);
+        for (cells, pair) in self.cells.iter_mut().zip(planes.windows(2)) {
+            for (i, end) in cells.end.iter_mut().enumerate() {
+                *end = 0.5 * (pair[0].1.at(i) + pair[1].0.at(i));
+            }
+        }
         self.joined = 0.0;
         if planes.is_empty() {
             return;
         }
         for i in 0..BLOCK_LISTS {
-            let end_of = |layer: usize| match planes.get(layer + 1) {
-                Some((next_front, _)) => 0.5 * (planes[layer].1.at(i) + next_front.at(i)),
-                None => f32::INFINITY,
-            };
             let mut layer = 0;
-            let mut end = end_of(0);
+            let mut end = self.cells[0].end[i];
             for piece in lists.list(i) {
                 let short = SNAP * (piece.back - piece.front);
                 let mut from = piece.front;
@@ -59,21 +111,76 @@ impl Assigned {
                     // An end of a segment that is short beside it stays with the rest.
                     while end < from || end - piece.front < short {
                         layer += 1;
-                        end = end_of(layer);
+                        end = self.cells[layer].end[i];
                     }
                     let to = if piece.back - end < short { piece.back } else { end };
                     if to > from {
-                        self.joined +=
-                            put(&mut self.cells[layer], &mut out[layer], lists, i, piece, from..to);
+                        self.put(layer, &mut out[layer], i, piece, from..to, lists.slope[i]);
                     }
                     if to >= piece.back {
                         break;
                     }
                     from = to;
                     layer += 1;
-                    end = end_of(layer);
+                    end = self.cells[layer].end[i];
                 }
             }
+        }
+        self.joined += self.joints.weigh();
+    }
+
+    /// Puts a part of a segment behind what list `i` has in the layer.
+    #[inline(always)]
+    fn put(
+        &mut self,
+        number: usize,
+        layer: &mut BlockLayer,
+        i: usize,
+        piece: &Piece,
+        part: std::ops::Range<f32>,
+        slope: f32,
+    ) {
+        let cells = &mut self.cells[number];
+        let mut c = Vec3::from_array(piece.c);
+        let (mut tau, mut alpha) = (piece.tau, piece.alpha);
+        let share = (part.end - part.start) / (piece.back - piece.front);
+        if share < WHOLE {
+            tau *= share;
+            alpha = opacity(tau);
+            c *= alpha / piece.alpha;
+        }
+        if layer.mask >> i & 1 == 0 {
+            layer.mask |= 1 << i;
+            (layer.tau[i], layer.c[i]) = (tau, c);
+            (cells.front[i], cells.back[i], cells.alpha[i]) = (part.start, part.end, alpha);
+            return;
+        }
+        let alpha_first = cells.alpha[i];
+        let alpha_both = alpha_first + (1.0 - alpha_first) * alpha;
+        let first = layer.c[i];
+        let both = first + c * (1.0 - alpha_first);
+        layer.tau[i] = (layer.tau[i] + tau).min(TAU_MAX);
+        layer.c[i] = both;
+
+        let joints = &mut self.joints;
+        let at = joints.num % BLOCK_LISTS;
+        joints.ends[0][at] = cells.front[i];
+        joints.ends[1][at] = cells.back[i];
+        joints.ends[2][at] = part.start;
+        joints.ends[3][at] = part.end;
+        joints.tau[at] = layer.tau[i];
+        joints.alphas[0][at] = alpha_first;
+        joints.alphas[1][at] = alpha_both;
+        for n in 0..3 {
+            joints.first[n][at] = first[n];
+            joints.both[n][at] = both[n];
+        }
+        joints.weight[at] = greater(piece.before.kappa, KAPPA_FLOOR) * slope;
+        joints.num = at + 1;
+        cells.back[i] = part.end;
+        cells.alpha[i] = alpha_both;
+        if at + 1 == BLOCK_LISTS {
+            self.joined += joints.weigh();
         }
     }
 
@@ -121,41 +228,6 @@ impl Assigned {
         }
         error
     }
-}
-
-/// Puts a part of a segment behind what the list has in the layer; returns the error.
-#[inline(always)]
-fn put(
-    cells: &mut Cells,
-    layer: &mut BlockLayer,
-    lists: &BlockLists,
-    i: usize,
-    piece: &Piece,
-    part: std::ops::Range<f32>,
-) -> f32 {
-    let mut c = Vec3::from_array(piece.c);
-    let (mut tau, mut alpha) = (piece.tau, piece.alpha);
-    let share = (part.end - part.start) / (piece.back - piece.front);
-    if share < WHOLE {
-        tau *= share;
-        alpha = opacity(tau);
-        c *= alpha / piece.alpha;
-    }
-    if layer.mask >> i & 1 == 0 {
-        layer.mask |= 1 << i;
-        (layer.tau[i], layer.c[i]) = (tau, c);
-        (cells.front[i], cells.back[i], cells.alpha[i]) = (part.start, part.end, alpha);
-        return 0.0;
-    }
-    let ends = [cells.front[i], cells.back[i], part.start, part.end];
-    let first = layer.c[i];
-    layer.c[i] += c * (1.0 - cells.alpha[i]);
-    layer.tau[i] = (layer.tau[i] + tau).min(TAU_MAX);
-    let color = [0, 1, 2].map(|n| (first[n], layer.c[i][n]));
-    let moved = move_of_union(ends, layer.tau[i], cells.alpha[i], color);
-    cells.back[i] = part.end;
-    cells.alpha[i] = opacity(layer.tau[i]);
-    moved * piece.before[3].max(KAPPA_FLOOR) * lists.slope[i]
 }
 
 /// How much the ends of each list are worth to a plane.

@@ -1,14 +1,14 @@
 //! The lists of a block as curves: what a ray along a list has collected up to a depth.
 
-use super::super::model::{BLOCK, BLOCK_LISTS};
 use super::{Column, columns, select};
-use crate::kernels::raycast::opacity;
-use crate::layer::{LayeredFrame, MAX_K, Over};
+use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
+use crate::kernels::raycast::{opacity, transmittance};
+use crate::layer::{LayeredFrame, Segment};
 
 /// The segments of a block's lists, front to back; reused from block to block.
 #[derive(Clone, Debug)]
 pub struct BlockLists {
-    /// The pieces of list `i` are `starts[i]..starts[i + 1]`.
+    /// The pieces of list `i` are `starts[i]..starts[i + 1]`, of which the last is what is behind all matter.
     starts: [u32; BLOCK_LISTS + 1],
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
@@ -16,22 +16,43 @@ pub struct BlockLists {
 }
 
 /// A segment and what is in front of it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Piece {
     pub(super) front: f32,
     pub(super) back: f32,
     pub(super) tau: f32,
     pub(super) alpha: f32,
+    /// Optical depth of a depth unit.
+    rate: f32,
+    /// Premultiplied colour.
     pub(super) c: [f32; 3],
-    /// Optical depth in front of it.
-    pub(super) tau_before: f32,
-    /// Colour and transmittance in front of it.
-    pub(super) before: [f32; 4],
+    /// Source colour C/α.
+    e: [f32; 3],
+    pub(super) before: Before,
+}
+
+/// What a ray has collected before a piece.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Before {
+    tau: f32,
+    pub(super) kappa: f32,
+    c: [f32; 3],
+}
+
+impl Default for Before {
+    fn default() -> Self {
+        Self { tau: 0.0, kappa: 1.0, c: [0.0; 3] }
+    }
 }
 
 impl Default for BlockLists {
     fn default() -> Self {
-        Self { starts: [0; BLOCK_LISTS + 1], pieces: vec![], slope: [1.0; BLOCK_LISTS] }
+        let behind = Piece { front: f32::INFINITY, back: f32::INFINITY, ..Piece::default() };
+        Self {
+            starts: std::array::from_fn(|i| i as u32),
+            pieces: vec![behind; BLOCK_LISTS],
+            slope: [1.0; BLOCK_LISTS],
+        }
     }
 }
 
@@ -44,56 +65,60 @@ impl BlockLists {
         self.pieces.clear();
         for i in 0..BLOCK_LISTS {
             let (x, y) = (x as usize * BLOCK + i % BLOCK, y as usize * BLOCK + i / BLOCK);
-            let mut over = Over::default();
-            let mut tau_before = 0.0;
+            let mut before = Before::default();
             if x < width && y < height {
                 for index in frame.list(y * width + x) {
-                    let segment = frame.segment(index);
-                    let tau = segment.tau.max(TAU_MIN);
-                    let alpha = opacity(tau);
-                    self.pieces.push(Piece {
-                        front: f32::from(segment.front),
-                        back: f32::from(segment.back),
-                        tau,
-                        alpha,
-                        c: segment.c.to_array(),
-                        tau_before,
-                        before: [over.c.x, over.c.y, over.c.z, over.transmittance],
-                    });
-                    over.c += segment.c * over.transmittance;
-                    over.transmittance *= 1.0 - alpha;
-                    tau_before += tau;
+                    before = self.push(&frame.segment(index), before);
                 }
             }
+            self.pieces.push(Piece { front: f32::INFINITY, back: f32::INFINITY, before, ..Piece::default() });
             self.starts[i + 1] = self.pieces.len() as u32;
+            let [r, g, b] = before.c;
             // The picture shows about the root of the colour, so an error in a dark list counts for more.
-            self.slope[i] = (0.5 / over.c.max_element().max(0.01).sqrt()).sqrt();
+            self.slope[i] = (0.5 / r.max(g).max(b).max(0.01).sqrt()).sqrt();
+        }
+    }
+
+    /// Appends a segment; returns what is collected before the next.
+    fn push(&mut self, segment: &Segment, before: Before) -> Before {
+        let tau = segment.tau.max(TAU_MIN);
+        let alpha = opacity(tau);
+        let (front, back) = (f32::from(segment.front), f32::from(segment.back));
+        let (rate, per_alpha) = (tau / (back - front), 1.0 / alpha);
+        let c = segment.c.to_array();
+        self.pieces.push(Piece { front, back, tau, alpha, rate, c, e: c.map(|c| c * per_alpha), before });
+        Before {
+            tau: before.tau + tau,
+            kappa: before.kappa * transmittance(tau),
+            c: [0, 1, 2].map(|n| before.c[n] + before.kappa * c[n]),
         }
     }
 
     /// Whether no list has a segment.
     pub fn is_empty(&self) -> bool {
-        self.pieces.is_empty()
+        self.pieces.len() == BLOCK_LISTS
     }
 
     /// The segments of list `i`.
+    #[inline(always)]
     pub(super) fn list(&self, i: usize) -> &[Piece] {
-        &self.pieces[self.starts[i] as usize..self.starts[i + 1] as usize]
+        &self.pieces[self.starts[i] as usize..self.starts[i + 1] as usize - 1]
     }
 }
 
-/// What all lists have collected up to a depth of each.
+/// What all lists have collected up to a cut through the block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Collected {
     /// Optical depth.
     pub(super) tau: Column,
-    /// Transmittance.
+    /// Transmittance, and one over it.
     pub(super) kappa: Column,
+    pub(super) per_kappa: Column,
     /// Colour, seen from the front.
     pub(super) c: [Column; 3],
-    /// Where matter begins, at this depth or behind it; infinite behind all matter.
+    /// Where matter begins, at this cut or behind it; infinite behind all matter.
     pub(super) next: Column,
-    /// Where matter ends, at this depth or before it; −infinite in front of all matter.
+    /// Where matter ends, at this cut or before it; −infinite in front of all matter.
     pub(super) last: Column,
 }
 
@@ -101,92 +126,82 @@ impl Collected {
     pub(super) const NOTHING: Self = Self {
         tau: [0.0; BLOCK_LISTS],
         kappa: [1.0; BLOCK_LISTS],
+        per_kappa: [1.0; BLOCK_LISTS],
         c: [[0.0; BLOCK_LISTS]; 3],
         next: [f32::INFINITY; BLOCK_LISTS],
         last: [f32::NEG_INFINITY; BLOCK_LISTS],
     };
 }
 
-/// Walks through all lists at once, front to back.
+/// Walks through all lists at once, front to back. Depths are those of the lists less `shear`.
 #[derive(Clone, Debug)]
 pub(super) struct Walk {
-    /// Index in its list of the piece that the walk is in or in front of.
-    index: [u8; BLOCK_LISTS],
+    pub(super) shear: Column,
+    /// Index of the piece that the walk is in or in front of.
+    index: [u32; BLOCK_LISTS],
+    /// The columns of these pieces.
     front: Column,
     back: Column,
-    /// Optical depth of a depth unit of the piece.
     rate: Column,
-    /// Source colour of the piece.
     e: [Column; 3],
-    tau_before: Column,
-    before: [Column; 4],
-    /// Where the piece before ends.
+    tau: Column,
+    kappa: Column,
+    c: [Column; 3],
+    /// Where the pieces before end.
     last: Column,
 }
 
-impl Walk {
-    pub(super) const START: Self = Self {
-        index: [0; BLOCK_LISTS],
-        front: [f32::INFINITY; BLOCK_LISTS],
-        back: [f32::INFINITY; BLOCK_LISTS],
-        rate: [0.0; BLOCK_LISTS],
-        e: [[0.0; BLOCK_LISTS]; 3],
-        tau_before: [0.0; BLOCK_LISTS],
-        before: [[0.0; BLOCK_LISTS]; 4],
-        last: [f32::NEG_INFINITY; BLOCK_LISTS],
-    };
+impl Default for Walk {
+    fn default() -> Self {
+        let zero = [0.0; BLOCK_LISTS];
+        Self {
+            shear: zero,
+            index: [0; BLOCK_LISTS],
+            front: zero,
+            back: zero,
+            rate: zero,
+            e: [zero; 3],
+            tau: zero,
+            kappa: zero,
+            c: [zero; 3],
+            last: zero,
+        }
+    }
+}
 
+impl Walk {
     /// To the front of the lists.
     #[inline(always)]
-    pub(super) fn restart(&mut self, lists: &BlockLists) {
+    pub(super) fn start(&mut self, lists: &BlockLists) {
         for i in 0..BLOCK_LISTS {
-            self.index[i] = 0;
+            self.index[i] = lists.starts[i];
             self.last[i] = f32::NEG_INFINITY;
             self.enter(lists, i);
         }
     }
 
-    /// The piece `index[i]` of list `i`, or what is behind the last one.
+    /// The piece `index[i]`.
     #[inline(always)]
     fn enter(&mut self, lists: &BlockLists, i: usize) {
-        let list = lists.list(i);
-        if let Some(piece) = list.get(usize::from(self.index[i])) {
-            self.front[i] = piece.front;
-            self.back[i] = piece.back;
-            self.rate[i] = piece.tau / (piece.back - piece.front);
-            let e_from_c = 1.0 / piece.alpha;
-            for (e, c) in self.e.iter_mut().zip(piece.c) {
-                e[i] = c * e_from_c;
-            }
-            self.tau_before[i] = piece.tau_before;
-            for (before, from) in self.before.iter_mut().zip(piece.before) {
-                before[i] = from;
-            }
-            return;
-        }
-        self.front[i] = f32::INFINITY;
-        self.back[i] = f32::INFINITY;
-        self.rate[i] = 0.0;
-        self.tau_before[i] = 0.0;
-        for (before, nothing) in self.before.iter_mut().zip([0.0, 0.0, 0.0, 1.0]) {
-            before[i] = nothing;
-        }
-        if let Some(piece) = list.last() {
-            self.tau_before[i] = piece.tau_before + piece.tau;
-            for (before, (from, c)) in self.before.iter_mut().zip(piece.before.into_iter().zip(piece.c)) {
-                before[i] = from + c * piece.before[3];
-            }
-            self.before[3][i] = piece.before[3] * (1.0 - piece.alpha);
+        let piece = &lists.pieces[self.index[i] as usize];
+        self.front[i] = piece.front - self.shear[i];
+        self.back[i] = piece.back - self.shear[i];
+        self.rate[i] = piece.rate;
+        self.tau[i] = piece.before.tau;
+        self.kappa[i] = piece.before.kappa;
+        for channel in 0..3 {
+            self.e[channel][i] = piece.e[channel];
+            self.c[channel][i] = piece.before.c[channel];
         }
     }
 
     /// Goes on to `depth`, which must not lie before the depth of the call before.
     #[inline(always)]
-    pub(super) fn go_to(&mut self, lists: &BlockLists, depth: &Column, out: &mut Collected) {
+    pub(super) fn go_to(&mut self, lists: &BlockLists, depth: f32, out: &mut Collected) {
         loop {
             let mut is_behind = 0u64;
-            for (i, depth) in depth.iter().enumerate() {
-                is_behind |= u64::from(self.back[i] <= *depth) << i;
+            for (i, back) in self.back.iter().enumerate() {
+                is_behind |= u64::from(*back <= depth) << i;
             }
             if is_behind == 0 {
                 break;
@@ -201,21 +216,24 @@ impl Walk {
         }
         columns(|i| {
             let front = self.front[i];
-            let at = select(depth[i] > front, depth[i], front);
+            let is_inside = depth > front;
             // Nothing is left of infinity less infinity.
-            let x = select(at > front, (at - front) * self.rate[i], 0.0);
-            let alpha = opacity(x);
-            let before = self.before[3][i];
-            out.tau[i] = self.tau_before[i] + x;
-            out.kappa[i] = before * (1.0 - alpha);
+            let x = select(is_inside, (depth - front) * self.rate[i], 0.0);
+            let kappa = transmittance(x);
+            let alpha = 1.0 - kappa;
+            out.tau[i] = self.tau[i] + x;
+            out.kappa[i] = self.kappa[i] * kappa;
+            out.per_kappa[i] = 1.0 / select(out.kappa[i] > KAPPA_MIN, out.kappa[i], KAPPA_MIN);
             for channel in 0..3 {
-                out.c[channel][i] = self.before[channel][i] + before * self.e[channel][i] * alpha;
+                out.c[channel][i] = self.c[channel][i] + self.kappa[i] * self.e[channel][i] * alpha;
             }
-            out.next[i] = at;
-            out.last[i] = select(at > front, at, self.last[i]);
+            out.next[i] = select(is_inside, depth, front);
+            out.last[i] = select(is_inside, depth, self.last[i]);
         });
     }
 }
-const _: () = assert!(MAX_K <= u8::MAX as usize, "a walk counts pieces in a byte");
+
 /// Least optical depth of a segment: the source colour C/α of a thinner one would not be a number to rely on.
 const TAU_MIN: f32 = 1e-4;
+/// Least transmittance to divide by.
+const KAPPA_MIN: f32 = 1e-35;

@@ -226,3 +226,27 @@ fn short_ends_stay_with_the_rest() {
     lists.read(&frame(rough), 1, 0);
     assert!(lists.is_empty());
 }
+
+#[test]
+fn avx2_and_portable_layers_are_the_same() {
+    if !has_avx2() {
+        return;
+    }
+    let lists = lists(&frame(rough));
+    let (mut relayer, mut layers, mut portable) = (Relayer::default(), vec![], vec![]);
+    let error = relayer.fresh(&lists, &RULE, &mut layers);
+    relayer.has_avx2 = false;
+    // Nothing is fused or reordered, so the bits are the same.
+    assert_eq!(relayer.fresh(&lists, &RULE, &mut portable), error);
+    assert_eq!(layers, portable);
+}
+
+#[test]
+fn fourth_roots_are_near() {
+    for i in 0..200 {
+        let x = 1e-3 * 1.1f32.powi(i);
+        let ratio = fourth_root(x) / x.sqrt().sqrt();
+        assert!((0.96..1.04).contains(&ratio), "{x} {ratio}");
+    }
+    assert_eq!(power_5_4(0.0), 0.0);
+}
