@@ -68,12 +68,23 @@ impl Band {
         self.blocks[block].ends != NO_ENDS
     }
 
+    /// Appends a block that is one of another band.
+    pub(super) fn copy(&mut self, other: &Band, block: usize) {
+        let first_plane = self.planes.len();
+        self.planes.extend_from_slice(&other.planes[other.layers(block)]);
+        self.push_cells(first_plane, |i| &other.cells[other.list(block, i)]);
+    }
+
     /// Appends a block, whose planes are those from `first_plane` on.
     pub(super) fn push(&mut self, first_plane: usize, lists: &Lists) {
+        self.push_cells(first_plane, |i| lists.list(i));
+    }
+
+    fn push_cells<'a>(&mut self, first_plane: usize, list: impl Fn(usize) -> &'a [Cell]) {
         let first_cell = self.cells.len();
         let mut ends = [0; BLOCK_LISTS];
         for (i, end) in ends.iter_mut().enumerate() {
-            self.cells.extend_from_slice(lists.list(i));
+            self.cells.extend_from_slice(list(i));
             *end = (self.cells.len() - first_cell) as u16;
         }
         let has_matter = self.cells.len() > first_cell;

@@ -133,7 +133,7 @@ pub(in super::super) fn decode(
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
         let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion);
-        let (mut decoder, mut band) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
+        let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
         if !head.is_split && head.has_corrections(&band) {
             let corrections;
             (decoder, corrections) = picture::code(decoder, &head.steps, place, |_, _| 0)?;
@@ -233,7 +233,7 @@ impl BlocksAssembly {
                 }
             }
         });
-        Reference::new(self.first.frame, bands.collect())
+        Reference::new(self.first.frame, self.head.map(|h| h.steps), bands.collect())
     }
 }
 

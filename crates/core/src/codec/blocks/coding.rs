@@ -26,6 +26,8 @@ pub(super) enum Origin {
     Above,
     /// Those of the reference, moved.
     Kept,
+    /// All of the block is that of the reference, whose camera is the same.
+    Copied,
 }
 
 /// A depth plane in steps.
@@ -144,7 +146,11 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     }
 
     /// Codes all blocks; `limit` is the greatest number of cells.
-    pub(super) fn run(mut self, source: &mut impl Source, limit: usize) -> Result<(C, Band), CodecError> {
+    pub(super) fn run(
+        mut self,
+        source: &mut impl Source,
+        limit: usize,
+    ) -> Result<(C, Band, Vec<Origin>), CodecError> {
         let mut plan = Plan::default();
         for y in 0..self.place.num_rows {
             for x in 0..self.place.across {
@@ -156,7 +162,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
                 }
             }
         }
-        Ok((self.coder, self.band))
+        Ok((self.coder, self.band, self.origins))
     }
 
     /// Number of the block to the left of or above one, if there is one.
@@ -179,7 +185,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             );
         };
         match origin {
-            Origin::Fresh => {}
+            Origin::Fresh | Origin::Copied => {}
             Origin::Left => continued(self.left(x), 1.0, 0.0, out),
             Origin::Above => continued(self.above(y), 0.0, 1.0, out),
             Origin::Kept => self.kept(x, y, out),
@@ -214,6 +220,9 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     fn block(&mut self, x: usize, y: usize, source: &mut impl Source, plan: &mut Plan) {
         if C::ENCODES {
             source.plan(x, y, &|origin, out| self.offer(origin, x, y, out), plan);
+        }
+        if self.copied(x, y, plan) {
+            return;
         }
         let (left, above) = (self.left(x), self.above(y));
         let layers_of = |block: Option<usize>| block.map_or(0, |b| self.band.layers(b).len());
@@ -251,17 +260,35 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         self.origins.push(origin);
     }
 
+    /// Copies the block if that is said.
+    fn copied(&mut self, x: usize, y: usize, plan: &Plan) -> bool {
+        let Some((reference, motion)) = self.reference else { return false };
+        let block = reference.block(x as i32, (y + self.place.first_row) as i32);
+        let Some((band, block)) = block.filter(|(band, block)| motion.is_still && band.has_matter(*block))
+        else {
+            return false;
+        };
+        let context = self.around(x, y, |o| o == Origin::Copied);
+        if !self.coder.bit(&mut self.contexts.is_copied[context], plan.origin == Origin::Copied) {
+            return false;
+        }
+        self.band.copy(band, block);
+        self.layers.resize(self.band.planes.len(), Coded { means: [0.0; 4], classes: [0; 4] });
+        self.origins.push(Origin::Copied);
+        true
+    }
+
+    /// Context of the origins of the blocks on the left and above.
+    fn around(&self, x: usize, y: usize, is: impl Fn(Origin) -> bool) -> usize {
+        let state = |block: Option<usize>| block.map_or(0, |b| 1 + usize::from(is(self.origins[b])));
+        state(self.left(x)) * 3 + state(self.above(y))
+    }
+
     /// Where the planes come from, and these unless they are fresh.
     fn origin(&mut self, x: usize, y: usize, wanted: Origin, planes: &mut Vec<Planes>) -> Origin {
         let (left, above) = (self.left(x), self.above(y));
-        let origin_of = |block: Option<usize>| block.map(|b| self.origins[b]);
-        let around = |is: &dyn Fn(Origin) -> bool| {
-            [left, above]
-                .iter()
-                .fold(0, |sum, b| 3 * sum + origin_of(*b).map_or(0, |o| 1 + usize::from(is(o))))
-        };
-        let is_kept = around(&|o| o == Origin::Kept);
-        let is_merged = around(&|o| matches!(o, Origin::Left | Origin::Above));
+        let is_kept = self.around(x, y, |o| o == Origin::Kept);
+        let is_merged = self.around(x, y, |o| matches!(o, Origin::Left | Origin::Above));
         if self.offer(Origin::Kept, x, y, planes)
             && self.coder.bit(&mut self.contexts.is_kept[is_kept], wanted == Origin::Kept)
         {
@@ -375,7 +402,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         let kind = match origin {
             Origin::Fresh => 0,
             Origin::Left | Origin::Above => 1,
-            Origin::Kept => 2,
+            Origin::Kept | Origin::Copied => 2,
         };
         let nothing = Coded { means: in_front.map_or([0.0; 4], |l| l.means), classes: [0; 4] };
         if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
@@ -522,7 +549,9 @@ pub(super) fn residual<C: Coder>(
     if let (true, Some(source)) = (C::ENCODES, source) {
         let mut difference: Plane = std::array::from_fn(|i| source[i] - expected[i]);
         fill_in(&mut difference, mask);
-        quantize(&forward(&difference), step, &mut levels);
+        let rounding =
+            if component < FIRST_INTER || component == CORRECTION { ROUNDING } else { INTER_ROUNDING };
+        quantize(&forward(&difference), step, rounding, &mut levels);
     }
     let class = contexts.coefficients(coder, component, near, &mut levels);
     *values = *expected;
@@ -548,11 +577,11 @@ pub(super) fn residual<C: Coder>(
 }
 
 /// Levels of coefficients.
-fn quantize(coefficients: &Plane, step: f32, levels: &mut Levels) {
+fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
     levels.length = 0;
     for (k, &place) in ZIGZAG.iter().enumerate() {
         let coefficient = coefficients[usize::from(place)];
-        let size = (coefficient.abs() / step + if k == 0 { 0.5 } else { ROUNDING }) as i32;
+        let size = (coefficient.abs() / step + rounding[usize::from(k > 0)]) as i32;
         levels.values[k] = if coefficient < 0.0 { -size } else { size };
         if size > 0 {
             levels.length = k + 1;
@@ -622,8 +651,14 @@ const KAPPA_FLOOR: f32 = 0.2;
 /// Least visible opacity in the steps of colour.
 const SEEN_FLOOR: f32 = 0.02;
 const MAX_BRIGHTNESS: f32 = 1.5;
-/// Fraction from which a level is rounded up. Larger dead zones cost more of the picture than they save.
-const ROUNDING: f32 = 0.45;
+/// What is added to constant and other coefficients before levels are cut off. Larger dead zones cost more of the picture than they
+/// save.
+const ROUNDING: [f32; 2] = [0.5, 0.45];
+/// After a moved reference, which has errors of about half a step itself, they save more than they cost.
+const INTER_ROUNDING: [f32; 2] = [0.4, 0.32];
+/// Components from here on are predicted from a reference, but for the last.
+const FIRST_INTER: usize = 4;
+const CORRECTION: usize = 7;
 /// How much nearer to zero than its level a coefficient is on average.
 const TOWARDS_ZERO: f32 = 0.05;
 /// Half of a block in lists.

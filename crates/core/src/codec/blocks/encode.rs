@@ -33,13 +33,18 @@ pub(super) fn band(
     reference: Option<(&Reference, Motion)>,
 ) -> Result<EncodedBand, CodecError> {
     let steps = head.steps;
-    let mut layering = Layering::new(frame, place, rule, steps);
+    let mut layering = Layering::new(frame, place, rule, steps, reference);
     let coder = BandCoder::new(Encoder::new(), steps, place, reference);
-    let (coder, mut decoded) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
+    let (coder, mut decoded, origins) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
     if !head.has_corrections(&decoded) {
         return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded });
     }
-    let source = |block: usize, planes: &mut [Plane; 3]| miss(frame, place, &decoded, block, planes);
+    let source = |block: usize, planes: &mut [Plane; 3]| {
+        // A block of the reference has its corrections in it.
+        let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
+        let at = [block % place.across, block / place.across + place.first_row];
+        if is_corrected { 0 } else { miss(frame, at, &decoded, block, planes) }
+    };
     let (base, coder) = if head.is_split { (Some(coder.finish()), Encoder::new()) } else { (None, coder) };
     let (coder, corrections) = picture::code(coder, &steps, place, source)?;
     let last = coder.finish();
@@ -51,28 +56,26 @@ pub(super) fn band(
     Ok(EncodedBand { base, corrections, decoded })
 }
 
-/// By how much the lists of a block composite to too little, as roots; and which have matter.
-fn miss(frame: &LayeredFrame, place: Place, decoded: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
-    if !decoded.has_matter(block) {
-        return 0;
-    }
+/// By how much the lists of a block, at column and row `at` of the frame's blocks, composite to too little, as roots;
+/// and which are in the frame and have matter in the band.
+fn miss(frame: &LayeredFrame, at: [usize; 2], band: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
     let intrinsics = frame.header.camera.intrinsics;
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
     let mut mask = 0;
     for i in 0..BLOCK_LISTS {
-        let cells = decoded.list(block, i);
-        let x = block % place.across * BLOCK + i % BLOCK;
-        let y = (block / place.across + place.first_row) * BLOCK + i / BLOCK;
-        if cells.is_empty() || x >= width || y >= height {
+        let (x, y) = (at[0] * BLOCK + i % BLOCK, at[1] * BLOCK + i / BLOCK);
+        let cells = &band.cells[band.list(block, i)];
+        planes.iter_mut().for_each(|plane| plane[i] = 0.0);
+        if x >= width || y >= height {
             continue;
         }
-        mask |= 1 << i;
+        mask |= u64::from(!cells.is_empty()) << i;
         let mut over = Over::default();
         for segment in frame.list(y * width + x) {
             let segment = frame.segment(segment);
             over.add(segment.c, segment.tau);
         }
-        let found = composite_roots(&decoded.cells[cells]);
+        let found = composite_roots(cells);
         let wanted = over.c.to_array().map(|c| c.max(0.0).sqrt());
         let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c] - found[c]));
         for (plane, value) in planes.iter_mut().zip(ycc) {
@@ -88,6 +91,7 @@ struct Layering<'a> {
     place: Place,
     rule: Rule,
     steps: Steps,
+    reference: Option<(&'a Reference, Motion)>,
     relayer: Relayer,
     lists: BlockLists,
     planes: Vec<Planes>,
@@ -95,17 +99,40 @@ struct Layering<'a> {
 }
 
 impl<'a> Layering<'a> {
-    fn new(frame: &'a LayeredFrame, place: Place, rule: Rule, steps: Steps) -> Self {
+    fn new(
+        frame: &'a LayeredFrame,
+        place: Place,
+        rule: Rule,
+        steps: Steps,
+        reference: Option<(&'a Reference, Motion)>,
+    ) -> Self {
         Self {
             frame,
             place,
             rule,
             steps,
+            reference,
             relayer: Relayer::default(),
             lists: BlockLists::default(),
             planes: Vec::new(),
             layers: Vec::new(),
         }
+    }
+
+    /// Whether the reference, from the same camera and no coarser, shows the block as well as it could be coded.
+    fn is_same(&self, x: usize, y: usize) -> bool {
+        let Some((reference, motion)) = self.reference else { return false };
+        let is_fine =
+            reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth);
+        let at = [x, y + self.place.first_row];
+        let Some((band, block)) = reference.block(at[0] as i32, at[1] as i32) else { return false };
+        if !(motion.is_still && is_fine && band.has_matter(block)) {
+            return false;
+        }
+        let mut planes = [[0.0; BLOCK_LISTS]; 3];
+        miss(self.frame, at, band, block, &mut planes);
+        let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
+        mean <= SAME * self.steps.picture
     }
 
     /// The error with the planes of an origin, if it has any; the layers are then in `self.layers`.
@@ -130,6 +157,11 @@ impl Source for Layering<'_> {
         plan: &mut Plan,
     ) {
         plan.layers.clear();
+        plan.origin = Origin::Fresh;
+        if self.is_same(x, y) {
+            plan.origin = Origin::Copied;
+            return;
+        }
         self.lists.read(self.frame, x as u32, (y + self.place.first_row) as u32);
         if self.lists.is_empty() {
             return;
@@ -169,6 +201,8 @@ impl Source for Layering<'_> {
     }
 }
 
+/// Part of the step of corrections that a block may be off on average and still be the same.
+const SAME: f32 = 0.75;
 /// Planes of another block are taken if their error is at most so many times that of fresh ones.
 const SLACK: f32 = 1.15;
 /// And, for each layer, so much of what a layer is worth more.

@@ -114,7 +114,7 @@ pub fn encode(
             Ok(Chunk { index, is_base: header.is_base(), bytes })
         })
         .collect::<Result<_, CodecError>>()?;
-    Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, decoded)))
+    Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, Some(steps), decoded)))
 }
 
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.

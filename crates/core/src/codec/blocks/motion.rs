@@ -16,6 +16,8 @@ pub(super) struct Motion {
     depth_per_unit: f64,
     reference_near: f64,
     reference_units_per_depth: f64,
+    /// Whether the cameras are the same.
+    pub(super) is_still: bool,
 }
 
 /// How a point moves from the frame to the reference.
@@ -51,6 +53,7 @@ impl Motion {
             depth_per_unit: range(camera),
             reference_near: reference.near.into(),
             reference_units_per_depth: 1.0 / range(reference),
+            is_still: camera == reference,
         }
     }
 

@@ -7,6 +7,7 @@ use super::band::{Band, Cell};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane};
 use super::motion::Shift;
 use super::scales::{f32_from_fixed, scales};
+use super::steps::Steps;
 use super::transform::Plane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
@@ -15,13 +16,15 @@ use crate::layer::FrameHeader;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
     pub(super) header: FrameHeader,
+    /// The steps it was coded with.
+    pub(super) steps: Option<Steps>,
     pub(super) bands: Vec<Arc<Band>>,
     /// Band and row of blocks in it, for each row of blocks.
     pub(super) rows: Vec<(u8, u32)>,
 }
 
 impl Reference {
-    pub(super) fn new(header: FrameHeader, bands: Vec<Arc<Band>>) -> Self {
+    pub(super) fn new(header: FrameHeader, steps: Option<Steps>, bands: Vec<Arc<Band>>) -> Self {
         let rows = bands
             .iter()
             .enumerate()
@@ -29,7 +32,7 @@ impl Reference {
                 (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
             })
             .collect();
-        Self { header, bands, rows }
+        Self { header, steps, bands, rows }
     }
 
     /// The frame.

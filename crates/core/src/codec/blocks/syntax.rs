@@ -7,6 +7,7 @@ use super::model::{BLOCK, BLOCK_LISTS};
 #[derive(Clone, Debug)]
 pub(super) struct Contexts {
     pub(super) has_planes: [[Model; 3]; 9],
+    pub(super) is_copied: [Model; 9],
     pub(super) is_kept: [Model; 9],
     pub(super) is_merged: [Model; 9],
     pub(super) is_above: [Model; 3],
@@ -32,6 +33,7 @@ impl Contexts {
         let m = Model::START;
         Box::new(Self {
             has_planes: [[m; 3]; 9],
+            is_copied: [m; 9],
             is_kept: [m; 9],
             is_merged: [m; 9],
             is_above: [m; 3],
