@@ -8,7 +8,7 @@
 //! What a loss moves is measured where visible, as (opacity or colour) × depth units^(5/4): joined parts of a list are
 //! read as one homogeneous medium, whose collected colour and opacity differ on the way from what they were; and a
 //! layer has one front and one back plane, from which the ends of its lists differ. The power 5/4 makes one long move
-//! dearer than many short ones.
+//! dearer than many short ones. Every other list is enough to choose cuts by.
 //!
 //! Only an encoder runs this, so results need not be the same on all machines. Lists are worked on 64 at a time, in
 //! loops that become vector instructions.
@@ -131,7 +131,7 @@ impl Relayer {
         let slopes = merge::slopes(lists);
         let plane = |z| DepthPlane { z, dx: slopes[0], dy: slopes[1] };
         for (i, shear) in self.walk.shear.iter_mut().enumerate() {
-            *shear = plane(0.0).at(i);
+            *shear = plane(0.0).at(lists.sampled(i));
         }
         let cuts = self.merge.cuts(&mut self.walk, lists, rule);
         self.planes.clear();
@@ -158,20 +158,15 @@ impl Relayer {
 /// A number for each list of a block.
 type Column = [f32; BLOCK_LISTS];
 
-/// Runs over the lists; eight passes are one in vector instructions.
-#[inline(always)]
-fn columns(mut f: impl FnMut(usize)) {
-    for i in 0..BLOCK_LISTS {
-        f(i);
-    }
-}
+/// A number for each list that is looked at for the cuts: one of two, as the squares of one colour of a chessboard.
+type Sample = [f32; SAMPLES];
 
-/// Sums over the lists.
+/// Sums over so many lists, a multiple of [`LANES`].
 #[inline(always)]
-fn sum<const N: usize>(f: impl Fn(usize) -> [f32; N]) -> [f32; N] {
+fn sum<const N: usize>(num: usize, f: impl Fn(usize) -> [f32; N]) -> [f32; N] {
     // Additions are not reordered by the compiler, so the lanes are written out.
     let mut lanes = [[0.0; LANES]; N];
-    for start in (0..BLOCK_LISTS).step_by(LANES) {
+    for start in (0..num).step_by(LANES) {
         for lane in 0..LANES {
             for (lanes, term) in lanes.iter_mut().zip(f(start + lane)) {
                 lanes[lane] += term;
@@ -214,6 +209,7 @@ fn fourth_root(x: f32) -> f32 {
 }
 
 const LANES: usize = 8;
+const SAMPLES: usize = BLOCK_LISTS / 2;
 /// Three quarters of the bits of 1, less what makes the error alike to both sides.
 const FOURTH_ROOT_BIAS: u32 = 0x2fa0_0000 - 0x0005_0000;
 /// Least visibility in errors: what is hidden here is seen from another pose.

@@ -75,7 +75,7 @@ impl Joints {
             let weighted = weight * move_of_union(ends, self.tau[i], alphas, first, both);
             *moved = select(weight > 0.0, weighted, 0.0);
         }
-        sum(|i| [moved[i]])[0]
+        sum(BLOCK_LISTS, |i| [moved[i]])[0]
     }
 }
 
@@ -214,7 +214,7 @@ impl Assigned {
         let mut error = self.joined;
         let mut kappa = [1.0; BLOCK_LISTS];
         for (cells, layer) in self.cells.iter().zip(out) {
-            let [moved] = sum(|i| {
+            let [moved] = sum(BLOCK_LISTS, |i| {
                 let d = (cells.front[i] - layer.front.at(i)).abs()
                     + 0.5 * (cells.back[i] - layer.back.at(i)).abs();
                 let seen = select(kappa[i] > KAPPA_FLOOR, kappa[i], KAPPA_FLOOR) * lists.slope[i];
@@ -246,13 +246,13 @@ fn weights(cells: &Cells, kappa: &Column, layer: &BlockLayer) -> Column {
 #[inline(always)]
 fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2]) -> DepthPlane {
     let middle = (BLOCK as f32 - 1.0) / 2.0;
-    let [w, wx, wy, wz] = sum(|i| {
+    let [w, wx, wy, wz] = sum(BLOCK_LISTS, |i| {
         let (x, y) = ((i % BLOCK) as f32 - middle, (i / BLOCK) as f32 - middle);
         let w = weights[i];
         [w, w * x, w * y, w * z[i]]
     });
     let (mx, my, mz) = (wx / w, wy / w, wz / w);
-    let [xx, xy, yy, xz, yz] = sum(|i| {
+    let [xx, xy, yy, xz, yz] = sum(BLOCK_LISTS, |i| {
         let (x, y) = ((i % BLOCK) as f32 - middle - mx, (i / BLOCK) as f32 - middle - my);
         let w = weights[i];
         let z = z[i] - mz;

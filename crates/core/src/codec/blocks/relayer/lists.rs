@@ -1,6 +1,6 @@
 //! The lists of a block as curves: what a ray along a list has collected up to a depth.
 
-use super::{Column, columns, select};
+use super::{Column, SAMPLES, Sample, select};
 use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, Segment};
@@ -13,6 +13,8 @@ pub struct BlockLists {
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
+    /// The colour of the chessboard on which more segments stand: 0 or 1.
+    color: usize,
 }
 
 /// A segment and what is in front of it.
@@ -52,6 +54,7 @@ impl Default for BlockLists {
             starts: std::array::from_fn(|i| i as u32),
             pieces: vec![behind; BLOCK_LISTS],
             slope: [1.0; BLOCK_LISTS],
+            color: 0,
         }
     }
 }
@@ -63,6 +66,7 @@ impl BlockLists {
         let intrinsics = frame.header.camera.intrinsics;
         let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
         self.pieces.clear();
+        let mut num_of_color = [0, 0];
         for i in 0..BLOCK_LISTS {
             let (x, y) = (x as usize * BLOCK + i % BLOCK, y as usize * BLOCK + i / BLOCK);
             let mut before = Before::default();
@@ -76,7 +80,9 @@ impl BlockLists {
             let [r, g, b] = before.c;
             // The picture shows about the root of the colour, so an error in a dark list counts for more.
             self.slope[i] = (0.5 / r.max(g).max(b).max(0.01).sqrt()).sqrt();
+            num_of_color[(i + i / BLOCK) % 2] += self.list(i).len();
         }
+        self.color = usize::from(num_of_color[1] > num_of_color[0]);
     }
 
     /// Appends a segment; returns what is collected before the next.
@@ -99,6 +105,12 @@ impl BlockLists {
         self.pieces.len() == BLOCK_LISTS
     }
 
+    /// The list of sample `i`. Not all samples are empty unless all lists are.
+    #[inline(always)]
+    pub(super) fn sampled(&self, i: usize) -> usize {
+        2 * i + (i / (BLOCK / 2) + self.color) % 2
+    }
+
     /// The segments of list `i`.
     #[inline(always)]
     pub(super) fn list(&self, i: usize) -> &[Piece] {
@@ -106,57 +118,60 @@ impl BlockLists {
     }
 }
 
-/// What all lists have collected up to a cut through the block.
+/// What the sampled lists have collected up to a cut through the block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Collected {
     /// Optical depth.
-    pub(super) tau: Column,
+    pub(super) tau: Sample,
     /// Transmittance, and one over it.
-    pub(super) kappa: Column,
-    pub(super) per_kappa: Column,
+    pub(super) kappa: Sample,
+    pub(super) per_kappa: Sample,
     /// Colour, seen from the front.
-    pub(super) c: [Column; 3],
+    pub(super) c: [Sample; 3],
     /// Where matter begins, at this cut or behind it; infinite behind all matter.
-    pub(super) next: Column,
+    pub(super) next: Sample,
     /// Where matter ends, at this cut or before it; −infinite in front of all matter.
-    pub(super) last: Column,
+    pub(super) last: Sample,
 }
 
 impl Collected {
     pub(super) const NOTHING: Self = Self {
-        tau: [0.0; BLOCK_LISTS],
-        kappa: [1.0; BLOCK_LISTS],
-        per_kappa: [1.0; BLOCK_LISTS],
-        c: [[0.0; BLOCK_LISTS]; 3],
-        next: [f32::INFINITY; BLOCK_LISTS],
-        last: [f32::NEG_INFINITY; BLOCK_LISTS],
+        tau: [0.0; SAMPLES],
+        kappa: [1.0; SAMPLES],
+        per_kappa: [1.0; SAMPLES],
+        c: [[0.0; SAMPLES]; 3],
+        next: [f32::INFINITY; SAMPLES],
+        last: [f32::NEG_INFINITY; SAMPLES],
     };
 }
 
-/// Walks through all lists at once, front to back. Depths are those of the lists less `shear`.
+/// Walks through the sampled lists at once, front to back. Depths are those of the lists less `shear`.
 #[derive(Clone, Debug)]
 pub(super) struct Walk {
-    pub(super) shear: Column,
+    pub(super) shear: Sample,
+    /// Slopes of [`BlockLists`].
+    pub(super) slope: Sample,
     /// Index of the piece that the walk is in or in front of.
-    index: [u32; BLOCK_LISTS],
+    index: [u32; SAMPLES],
     /// The columns of these pieces.
-    front: Column,
-    back: Column,
-    rate: Column,
-    e: [Column; 3],
-    tau: Column,
-    kappa: Column,
-    c: [Column; 3],
+    front: Sample,
+    back: Sample,
+    rate: Sample,
+    e: [Sample; 3],
+    tau: Sample,
+    kappa: Sample,
+    c: [Sample; 3],
     /// Where the pieces before end.
-    last: Column,
+    last: Sample,
 }
 
 impl Default for Walk {
     fn default() -> Self {
-        let zero = [0.0; BLOCK_LISTS];
+        let zero = [0.0; SAMPLES];
         Self {
             shear: zero,
-            index: [0; BLOCK_LISTS],
+            slope: zero,
+            index: [0; SAMPLES],
             front: zero,
             back: zero,
             rate: zero,
@@ -173,8 +188,10 @@ impl Walk {
     /// To the front of the lists.
     #[inline(always)]
     pub(super) fn start(&mut self, lists: &BlockLists) {
-        for i in 0..BLOCK_LISTS {
-            self.index[i] = lists.starts[i];
+        for i in 0..SAMPLES {
+            let list = lists.sampled(i);
+            self.index[i] = lists.starts[list];
+            self.slope[i] = lists.slope[list];
             self.last[i] = f32::NEG_INFINITY;
             self.enter(lists, i);
         }
@@ -214,7 +231,7 @@ impl Walk {
                 self.enter(lists, i);
             }
         }
-        columns(|i| {
+        for i in 0..SAMPLES {
             let front = self.front[i];
             let is_inside = depth > front;
             // Nothing is left of infinity less infinity.
@@ -229,7 +246,7 @@ impl Walk {
             }
             out.next[i] = select(is_inside, depth, front);
             out.last[i] = select(is_inside, depth, self.last[i]);
-        });
+        }
     }
 }
 

@@ -250,3 +250,17 @@ fn fourth_roots_are_near() {
     }
     assert_eq!(power_5_4(0.0), 0.0);
 }
+
+#[test]
+fn a_single_list_has_its_layers() {
+    // On squares of both colours.
+    for only in [0, 1, 9, 63] {
+        let slabs = |i| vec![slab(i, 20000.0, 500.0, 0.8, 0.7), slab(i, 24000.0, 700.0, 0.3, 0.9)];
+        let frame = frame(|i| if i == only { slabs(i) } else { vec![] });
+        let (mut relayer, mut layers) = (Relayer::default(), vec![]);
+        // One list of 64 weighs as much.
+        relayer.fresh(&lists(&frame), &Rule { lambda: RULE.lambda / 64.0, ..RULE }, &mut layers);
+        assert_eq!(layers.iter().map(|layer| layer.mask).collect::<Vec<_>>(), [1 << only; 2]);
+        assert!(greatest_change(&frame, &layers) < 1e-6);
+    }
+}
