@@ -148,7 +148,8 @@ impl Merge {
                 total += 2;
             }
         }
-        let stride = total as f32 / CANDIDATES as f32;
+        let num = (total / ENDS_PER_CANDIDATE).clamp(MIN_CANDIDATES, MAX_CANDIDATES);
+        let stride = total as f32 / num as f32;
         self.cuts.clear();
         self.cuts.push(lo - 1.0);
         let (mut previous, mut sum, mut next) = (lo - 1.0, 0, stride);
@@ -280,9 +281,11 @@ pub(super) fn move_of_union(
     0.5 * (changes[0] * (ends[2] - ends[0]) + changes[1] * (ends[3] - ends[1])) * fourth_root(length)
 }
 
-/// Candidate cuts of a block, at most. Twice as many take half as long again and change the bonsai's DSSIM by less than
-/// .0001.
-const CANDIDATES: usize = 64;
+/// Candidate cuts of a block: more where its lists are long, whose ends say less each. Time is proportional to them.
+const MIN_CANDIDATES: u32 = 64;
+const MAX_CANDIDATES: u32 = 128;
+/// Ends of segments for each candidate between these.
+const ENDS_PER_CANDIDATE: u32 = 12;
 /// Least distance of candidate cuts, in depth units: about a sixth of a pixel.
 const MIN_DISTANCE: f32 = 20.0;
 /// Fewer neighbours than this say nothing about a slope.
