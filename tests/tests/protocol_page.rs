@@ -6,12 +6,14 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 17] = [
+const SOURCES: [&str; 19] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
     "crates/core/src/codec/scale.rs",
     "crates/core/src/codec/predict.rs",
+    "crates/core/src/codec/contexts.rs",
+    "crates/core/src/codec/rans.rs",
     "crates/core/src/codec/blocks/band.rs",
     "crates/core/src/codec/blocks/chunk.rs",
     "crates/core/src/codec/blocks/coding.rs",

@@ -91,8 +91,6 @@ pub struct Conditions {
     pub shading: bool,
     /// Bits of a colour channel on the wire.
     pub color_bits: u8,
-    /// Level of zstd.
-    pub zstd_level: i32,
     /// Threads of the CPU.
     pub threads: usize,
     /// Background of the pictures compared.
@@ -239,7 +237,6 @@ fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
         backend: backend.description(),
         shading: options.shaded,
         color_bits: options.codec.color_bits,
-        zstd_level: options.codec.zstd_level,
         threads: rayon::current_num_threads(),
         background: "#000000",
     }

@@ -66,15 +66,19 @@ pub fn write(path: &Path, encoded: &EncodedFrame) -> Result<(), IglfError> {
 
 /// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
 pub fn read(path: &Path) -> Result<LayeredFrame, IglfError> {
+    decode(&read_chunks(path)?).map_err(|cause| IglfError::Codec { path: path.display().to_string(), cause })
+}
+
+/// Reads the chunks of a frame as they are, without looking into them.
+pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
     let name = || path.display().to_string();
     let file = File::open(path).map_err(|cause| IglfError::Io { path: name(), cause })?;
-    let chunks = chunks_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
+    chunks_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
         Problem::Io(cause) => IglfError::Io { path: name(), cause },
         Problem::Malformed(what, found, expected) => {
             IglfError::Malformed { path: name(), what, found, expected }
         }
-    })?;
-    decode(&chunks).map_err(|cause| IglfError::Codec { path: name(), cause })
+    })
 }
 
 fn to_bytes(encoded: &EncodedFrame) -> Vec<u8> {

@@ -53,8 +53,14 @@ fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
         }
     }
     let facts = bench.json("info a.iglf --json");
-    assert_has(&facts, "size fov_deg eye near far k lists segments segments_mean");
+    assert_has(&facts, "size fov_deg eye near far k lists segments segments_mean bytes bytes_per_segment");
     assert_eq!(facts["size"], serde_json::json!([64, 64]));
+    let sum = |values: Vec<&Value>| values.iter().filter_map(|v| v.as_u64()).sum::<u64>();
+    let planes = sum(facts["bytes_by_plane"].as_object().unwrap().values().collect());
+    let chunks = sum(facts["chunks"].as_array().unwrap().iter().map(|c| &c["bytes"]).collect());
+    assert!(facts["bytes"] == planes && facts["bytes"] == chunks && planes > 0, "{facts}");
+    let text = bench.ok("info a.iglf");
+    assert!(["front", "blue", "rows 0–63", "all"].iter().all(|row| text.contains(row)), "{text}");
 }
 
 /// A frame seen from 90 and 180 degrees aside, from within the volume and in another size is a picture too.

@@ -1,6 +1,6 @@
 //! What is measured: the product's codec, raw segments behind a general compressor, and image codecs on planes.
 
-use isinglass_core::codec::{self, Coding, Settings, blocks};
+use isinglass_core::codec::{Coding, Settings, blocks};
 use isinglass_core::kernels::layering::Layering;
 
 use super::layout::{Layout, Part};
@@ -49,11 +49,10 @@ pub(crate) fn all() -> Vec<Contender> {
 /// The modes of the product's codec, each with its settings.
 fn product() -> Vec<Contender> {
     let mode = |name, settings: Vec<(String, Coding)>| Contender { name, way: Way::Product(settings) };
-    let levels = [codec::MIN_ZSTD_LEVEL, 3, codec::MAX_ZSTD_LEVEL];
     let exact = [8, 10].into_iter().flat_map(|color_bits| {
-        levels.map(|zstd_level| {
-            let coding = Coding::Exact(Settings { color_bits, zstd_level });
-            (format!("{color_bits} bits, level {zstd_level}"), coding)
+        [1, 2].map(|num_groups| {
+            let coding = Coding::Exact(Settings { color_bits, num_groups });
+            (format!("{color_bits} bits, {num_groups} groups"), coding)
         })
     });
     let blocks = (0..=blocks::MAX_QUALITY).step_by(QUALITY_STEP).map(|quality| {

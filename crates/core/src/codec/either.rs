@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::blocks::{self, BlocksAssembly, BlocksChunk, Reference, References};
-use super::header::{ChunkHeader, peek};
+use super::header::{ChunkHeader, HEADER_BYTES, peek};
 use super::{CodecError, assembly, planes};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
@@ -43,6 +43,19 @@ pub fn decode_chunk(bytes: &[u8], references: &References) -> Result<DecodedChun
     } else {
         DecodedChunk::Exact(planes::decode_chunk(bytes)?)
     })
+}
+
+/// What a chunk spends its bytes on, in the order in which it does; the sum is the chunk's length.
+pub fn bytes_by_plane(bytes: &[u8]) -> Result<Vec<(&'static str, usize)>, CodecError> {
+    let header = peek(bytes)?;
+    if !header.is_rate() {
+        return planes::bytes_by_plane(&header, bytes);
+    }
+    let (found, expected) = (bytes.len(), header.chunk_bytes());
+    if found != expected {
+        return Err(CodecError::Length { found, expected });
+    }
+    Ok(vec![("header", HEADER_BYTES), ("blocks", header.payload_bytes as usize)])
 }
 
 /// Collects the chunks of one frame.

@@ -181,4 +181,4 @@ impl Reader<'_> {
 pub const HEADER_BYTES: usize = 72;
 
 pub(super) const MAGIC: [u8; 4] = *b"IGLC";
-pub(super) const VERSION: u8 = 1;
+pub(super) const VERSION: u8 = 2;

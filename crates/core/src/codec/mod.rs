@@ -1,4 +1,4 @@
-//! Layered frames to bytes and back: quantised planes, predicted, compressed with zstd.
+//! Layered frames to bytes and back: quantised planes, predicted and coded in contexts.
 //!
 //! A frame becomes up to [`MAX_CHUNKS`] chunks, each decodable without any other: bands of whole tile rows, times two
 //! groups of segments. The *base* group of a list holds its most visible segments, the *refinement* the rest; a frame
@@ -14,11 +14,13 @@
 
 mod assembly;
 pub mod blocks;
+mod contexts;
 mod either;
 mod header;
 mod planes;
 mod predict;
 mod quantize;
+mod rans;
 mod scale;
 #[cfg(test)]
 mod tests;
@@ -31,7 +33,7 @@ use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use blocks::{Reference, References};
 
-pub use either::{Assembly, DecodedChunk, decode_chunk};
+pub use either::{Assembly, DecodedChunk, bytes_by_plane, decode_chunk};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
 
 /// How to encode.
@@ -39,13 +41,13 @@ pub use header::{ChunkHeader, HEADER_BYTES, peek};
 pub struct Settings {
     /// Bits of a colour channel: 8 or 10.
     pub color_bits: u8,
-    /// Compression level of zstd, [`MIN_ZSTD_LEVEL`] to [`MAX_ZSTD_LEVEL`].
-    pub zstd_level: i32,
+    /// Groups of segments: 2, so that a frame can be shown before the hidden ones are there, or 1, which is smaller.
+    pub num_groups: u8,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { color_bits: 10, zstd_level: 1 }
+        Self { color_bits: 10, num_groups: 2 }
     }
 }
 
@@ -189,11 +191,11 @@ pub enum CodecError {
 /// [`MAX_CHUNK_SEGMENTS`] or [`MAX_CHUNK_BYTES`].
 pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame, CodecError> {
     let scale = scale::of(settings.color_bits)?;
-    if !(MIN_ZSTD_LEVEL..=MAX_ZSTD_LEVEL).contains(&settings.zstd_level) {
+    if !(1..=2).contains(&settings.num_groups) {
         return Err(CodecError::Header {
-            what: "compression level",
-            found: settings.zstd_level.to_string(),
-            expected: format!("{MIN_ZSTD_LEVEL} to {MAX_ZSTD_LEVEL}"),
+            what: "number of groups",
+            found: settings.num_groups.to_string(),
+            expected: "1 or 2".into(),
         });
     }
     at_most("lists", frame.header.camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
@@ -202,14 +204,14 @@ pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame,
     let intrinsics = frame.header.camera.intrinsics;
     let width = intrinsics.width as usize;
     let num_bands = header::num_bands(intrinsics.height);
-    let base_k = base_k(frame);
+    let base_k = if settings.num_groups == 1 { MAX_K } else { base_k(frame) };
     let bands: Vec<_> = (0..num_bands)
         .into_par_iter()
         .map(|band| {
             let rows = header::band_rows(intrinsics.height, num_bands, band);
             let lists = rows.start as usize * width..rows.end as usize * width;
-            quantize::band(frame, lists, base_k, scale).map(|group| {
-                let payload = planes::encode(&group.lists, width, scale, settings.zstd_level)?;
+            quantize::band(frame, lists, base_k, scale).map(|mut group| {
+                let payload = planes::encode(&mut group.lists, width, scale)?;
                 Ok((group, payload))
             })
         })
@@ -292,10 +294,6 @@ pub const MAX_FRAME_SEGMENTS: usize = 1 << 25;
 pub const MAX_CHUNK_SEGMENTS: usize = 1 << 23;
 /// Most bytes of a chunk, header included; a receiver need not read further.
 pub const MAX_CHUNK_BYTES: usize = 32 << 20;
-/// Fastest compression.
-pub const MIN_ZSTD_LEVEL: i32 = 1;
-/// Smallest compression.
-pub const MAX_ZSTD_LEVEL: i32 = 19;
 
 /// Longest list of the base group: half of the mean of the lists that are not empty, rounded up.
 fn base_k(frame: &LayeredFrame) -> usize {

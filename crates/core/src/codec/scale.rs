@@ -15,17 +15,20 @@ use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
 /// The tables for one number of colour bits. `color` and `tau` are what a decoder gives: rounded to half floats.
 pub(super) struct Scale {
-    pub(super) color_bits: u8,
     pub(super) color: Vec<f32>,
     pub(super) color_half: Vec<u16>,
     pub(super) tau: [f32; 256],
     pub(super) tau_half: [u16; 256],
     /// e^−τ of the codes.
     pub(super) transmittance: [f32; 256],
-    /// √(1 − e^−τ) of the codes.
-    pub(super) sqrt_alpha: [f32; 256],
-    /// 1/√(1 − e^−τ) of the codes; that of 0 is guarded.
-    pub(super) inverse_sqrt_alpha: [f32; 256],
+    /// √(1 − e^−τ) of the codes, in 2⁻¹⁶.
+    sqrt_alpha: [u32; 256],
+    /// 1/√(1 − e^−τ) of the codes, in 2⁻¹²; that of 0 is guarded.
+    inverse_sqrt_alpha: [u32; 256],
+    /// log₂ of the codes in steps of 1/[`LOG_STEPS`]; that of 0 is an octave below that of 1.
+    log_tau: [i16; 256],
+    /// The code whose logarithm is nearest, from [`LEAST_LOG_EXTINCTION`] on.
+    code_from_log: Box<[u8; NUM_LOGS]>,
     /// Half-way between a code and the next; nothing is beyond the last.
     tau_limits: [f32; 256],
     /// A code not above the nearest one, for each value of a float's upper bits.
@@ -63,19 +66,45 @@ impl Scale {
                 tau_limits[..255].partition_point(|&limit| limit < least) as u8
             })
             .collect();
-        let sqrt_alpha = tau.map(|t| (1.0 - exp_neg(t)).sqrt() as f32);
+        let mut log_tau = tau.map(|t| if t > 0.0 { log2_steps(t) } else { 0 });
+        log_tau[0] = log_tau[1] - LOG_STEPS;
+        let mut code_from_log = Box::new([0; NUM_LOGS]);
+        for (log, code) in (LEAST_LOG_EXTINCTION..).zip(&mut *code_from_log) {
+            *code = log_tau.windows(2).filter(|w| w[0] + w[1] < 2 * log).count() as u8;
+        }
+        let sqrt_alpha = tau.map(|t| (1.0 - exp_neg(t)).sqrt());
         Self {
-            color_bits,
             color: color_half.iter().map(|&h| value(h)).collect(),
             color_half,
             tau,
             tau_half,
             transmittance: tau.map(|t| exp_neg(t) as f32),
-            sqrt_alpha,
-            inverse_sqrt_alpha: sqrt_alpha.map(|a| 1.0 / a.max(LEAST_SQRT_ALPHA)),
+            sqrt_alpha: sqrt_alpha.map(|a| (a * 65536.0 + 0.5) as u32),
+            inverse_sqrt_alpha: sqrt_alpha.map(|a| (4096.0 / a.max(LEAST_SQRT_ALPHA) + 0.5) as u32),
+            log_tau,
+            code_from_log,
             tau_limits,
             tau_seeds,
         }
+    }
+
+    /// How many times the colour code of matter of one optical depth is that of the same matter of another, √(α'/α), in
+    /// 2⁻¹⁶ and at most 16.
+    pub(super) fn times(&self, from: u8, to: u8) -> u32 {
+        let times = u64::from(self.inverse_sqrt_alpha[usize::from(from)])
+            * u64::from(self.sqrt_alpha[usize::from(to)]);
+        (times >> 12).min(16 << 16) as u32
+    }
+
+    /// log₂ of the extinction, optical depth by thickness, of a segment: in steps of 1/128.
+    pub(super) fn log_extinction(&self, tau: u8, thickness: u16) -> i16 {
+        self.log_tau[usize::from(tau)] - log_thickness(thickness)
+    }
+
+    /// The code of the optical depth that an extinction makes on such a thickness.
+    pub(super) fn tau_from_log(&self, log_extinction: i16, thickness: u16) -> u8 {
+        let log = log_extinction + log_thickness(thickness) - LEAST_LOG_EXTINCTION;
+        self.code_from_log[usize::from(log as u16) % NUM_LOGS]
     }
 
     /// Greatest code of a colour channel.
@@ -125,6 +154,48 @@ pub(super) fn exp_neg(x: f32) -> f64 {
     sum
 }
 
+/// log₂ of a positive number in steps of 1/[`LOG_STEPS`], rounded down. By squaring: libraries differ in the last bit.
+const fn log2_steps(x: f32) -> i16 {
+    let mut exponent = 0;
+    let mut mantissa = x as f64;
+    while mantissa >= 2.0 {
+        mantissa *= 0.5;
+        exponent += 1;
+    }
+    while mantissa < 1.0 {
+        mantissa *= 2.0;
+        exponent -= 1;
+    }
+    let mut step = LOG_STEPS;
+    let mut log = exponent * LOG_STEPS;
+    while step > 1 {
+        step /= 2;
+        mantissa *= mantissa;
+        if mantissa >= 2.0 {
+            mantissa *= 0.5;
+            log += step;
+        }
+    }
+    log
+}
+
+/// [`log2_steps`] of a thickness to 8 bits; 0 counts as 1.
+fn log_thickness(thickness: u16) -> i16 {
+    let exponent = 15 - thickness.max(1).leading_zeros() as i16;
+    let mantissa = (thickness << (15 - exponent)) >> 7;
+    exponent * LOG_STEPS + i16::from(LOG_MANTISSA[usize::from(mantissa & 0xff)])
+}
+
+static LOG_MANTISSA: [u8; 256] = {
+    let mut table = [0; 256];
+    let mut i = 0;
+    while i < 256 {
+        table[i] = log2_steps(1.0 + i as f32 / 256.0) as u8;
+        i += 1;
+    }
+    table
+};
+
 fn half(x: f64) -> u16 {
     pack_halves(x as f32, 0.0) as u16
 }
@@ -136,9 +207,17 @@ fn value(half: u16) -> f32 {
 /// Greatest colour that is kept. Shading can lift a colour a little above one.
 pub(super) const COLOR_MAX: f32 = 1.25;
 /// Guards the division by the opacity of an empty segment.
-const LEAST_SQRT_ALPHA: f32 = 1e-4;
+const LEAST_SQRT_ALPHA: f64 = 1e-4;
 /// Lower bits of a float that the first guess at a code of τ leaves out: 32 guesses an octave.
 const SEED_SHIFT: u32 = 18;
+
+/// Steps of a logarithm in an octave: a step of τ is at least two of them.
+const LOG_STEPS: i16 = 128;
+/// Logarithm of the extinction of the least τ on the greatest thickness, rounded down; a τ of 0 is an octave below.
+pub(super) const LEAST_LOG_EXTINCTION: i16 = (-20 - 1 - 16) * LOG_STEPS;
+/// Logarithms from there to that of the greatest τ, 10 octaves, on 16 octaves of thickness: a power of two, so that no
+/// place is outside.
+const NUM_LOGS: usize = 64 * LOG_STEPS as usize;
 
 static SCALE_8: LazyLock<Scale> = LazyLock::new(|| Scale::new(8));
 static SCALE_10: LazyLock<Scale> = LazyLock::new(|| Scale::new(10));
@@ -186,6 +265,30 @@ mod tests {
             assert!((exp_neg(t) - exact).abs() <= 2e-13 * exact, "{t}");
         }
         assert!((exp_neg(1.0) - (-1.01f64).exp()).abs() > 1e-3);
+    }
+
+    #[test]
+    fn logarithms_are_those_of_the_library() {
+        for z in 1..=u16::MAX {
+            // Rounded down twice: to 8 bits (at most 0.72 steps) and to a step.
+            let exact = 128.0 * f64::from(z).log2();
+            assert!((exact - 1.73..=exact).contains(&f64::from(log_thickness(z))), "{z}");
+        }
+        let scale = of(10).unwrap();
+        for q in 1..=255u8 {
+            for z in [1, 2, 77, 4096, 65_535] {
+                assert_eq!(scale.tau_from_log(scale.log_extinction(q, z), z), q, "{q} {z}");
+            }
+            // Twice the thickness is twice the optical depth, up to half a step, an eighth at most, and two roundings.
+            let twice = scale.tau[usize::from(scale.tau_from_log(scale.log_extinction(q, 50), 100))];
+            let expected = (2.0 * scale.tau[usize::from(q)]).min(TAU_MAX);
+            assert!((twice / expected - 1.0).abs() < 0.08 || q < 60, "{q} {twice} {expected}");
+        }
+        assert_eq!(scale.tau_from_log(LEAST_LOG_EXTINCTION, u16::MAX), 0);
+        assert!(scale.log_extinction(0, u16::MAX) >= LEAST_LOG_EXTINCTION);
+        let most = scale.log_extinction(255, 0) + log_thickness(u16::MAX);
+        assert!(most < LEAST_LOG_EXTINCTION + NUM_LOGS as i16);
+        assert_eq!(scale.tau_from_log(scale.log_extinction(255, 0), u16::MAX), 255);
     }
 
     #[test]

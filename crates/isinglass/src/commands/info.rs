@@ -2,14 +2,17 @@
 
 use std::fs::File;
 use std::io::Read;
+use std::ops::Range;
 use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
 use isinglass_bench::progress::Progress;
+use isinglass_core::codec;
+use isinglass_core::codec::blocks::References;
 use isinglass_core::volume::Histogram;
 use isinglass_formats::{OpenOptions, VolumeFacts, iglf, open};
-use serde_json::json;
+use serde_json::{Map, json};
 
 use crate::args::VolumeArgs;
 use crate::report::{print, print_json};
@@ -44,6 +47,7 @@ fn is_stored_frame(path: &Path) -> bool {
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {
     let frame = iglf::read(path)?;
+    let spent = Spent::of(&iglf::read_chunks(path)?)?;
     let header = frame.header;
     let camera = header.camera;
     let size = [camera.intrinsics.width, camera.intrinsics.height];
@@ -63,11 +67,21 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
             "lists_filled": num_filled,
             "segments": segments,
             "segments_mean": segments as f64 / num_filled.max(1) as f64,
+            "bytes": spent.bytes(|_| true),
+            "bytes_per_segment": per(spent.bytes(|_| true), segments),
+            "bytes_by_plane": spent.planes().map(|p| (p.to_owned(), spent.of_plane(p, |_| true).into())).collect::<Map<_, _>>(),
+            "chunks": spent.0.iter().map(|chunk| json!({
+                "group": chunk.group,
+                "band": chunk.band,
+                "rows": [chunk.rows.start, chunk.rows.end],
+                "bytes": chunk.bytes(),
+                "segments": chunk.segments,
+            })).collect::<Vec<_>>(),
         }));
     }
     print(&format!(
         "{}\n  size         {} × {}, field of view {fov_deg:.1}°\n  eye          {} {} {}\n  depth        {} to {}\n  \
-         segments     {segments} in {num_filled} of {num_lists} lists, at most {} a list\n",
+         segments     {segments} in {num_filled} of {num_lists} lists, at most {} a list\n{}",
         path.display(),
         size[0],
         size[1],
@@ -76,6 +90,85 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
         eye[2],
         camera.near,
         camera.far,
-        header.k
+        header.k,
+        spent.table(segments),
     ))
+}
+
+/// What the chunks of a frame spend their bytes on.
+struct Spent(Vec<ChunkSpent>);
+
+struct ChunkSpent {
+    /// 0 base, 1 refinement.
+    group: usize,
+    band: u8,
+    rows: Range<u32>,
+    segments: usize,
+    planes: Vec<(&'static str, usize)>,
+}
+
+impl ChunkSpent {
+    fn bytes(&self) -> usize {
+        self.planes.iter().map(|(_, bytes)| bytes).sum()
+    }
+}
+
+impl Spent {
+    fn of(chunks: &[Vec<u8>]) -> Result<Self> {
+        let mut spent = Vec::with_capacity(chunks.len());
+        for bytes in chunks {
+            let chunk = codec::decode_chunk(bytes, &References::default())?;
+            spent.push(ChunkSpent {
+                group: usize::from(!chunk.header().is_base()),
+                band: chunk.header().band,
+                rows: chunk.header().rows(),
+                segments: chunk.num_segments(),
+                planes: codec::bytes_by_plane(bytes)?,
+            });
+        }
+        Ok(Self(spent))
+    }
+
+    /// Planes in their order; those that a chunk without segments lacks are those of the others.
+    fn planes(&self) -> impl Iterator<Item = &'static str> {
+        let longest = self.0.iter().max_by_key(|chunk| chunk.planes.len());
+        longest.into_iter().flat_map(|chunk| chunk.planes.iter().map(|(name, _)| *name))
+    }
+
+    fn bytes(&self, of: impl Fn(&ChunkSpent) -> bool) -> usize {
+        self.0.iter().filter(|chunk| of(chunk)).map(ChunkSpent::bytes).sum()
+    }
+
+    fn of_plane(&self, plane: &str, of: impl Fn(&ChunkSpent) -> bool) -> usize {
+        let planes = self.0.iter().filter(|chunk| of(chunk)).flat_map(|chunk| &chunk.planes);
+        planes.filter(|(name, _)| *name == plane).map(|(_, bytes)| bytes).sum()
+    }
+
+    /// Bytes of planes and of bands, by group and in all, and a segment's share.
+    fn table(&self, segments: usize) -> String {
+        let total = self.bytes(|_| true);
+        let mut text = format!("  bytes        {total} in {} chunks\n\n", self.0.len());
+        text +=
+            &format!("  {:14} {:>10} {:>10} {:>10} {:>8}\n", "", "base", "refinement", "both", "/segment");
+        let mut row = |name: &str, groups: [usize; 2], segments: usize| {
+            let both = groups[0] + groups[1];
+            let [base, refinement] = groups;
+            text += &format!("  {name:14} {base:10} {refinement:10} {both:10} {:8.3}\n", per(both, segments));
+        };
+        for plane in self.planes() {
+            row(plane, [0, 1].map(|g| self.of_plane(plane, |c| c.group == g)), segments);
+        }
+        for chunk in (0..=u8::MAX).filter_map(|band| self.0.iter().find(|c| c.band == band)) {
+            let in_band = |c: &ChunkSpent| c.band == chunk.band;
+            let name = format!("rows {}–{}", chunk.rows.start, chunk.rows.end - 1);
+            let own = self.0.iter().filter(|c| in_band(c)).map(|c| c.segments).sum();
+            row(&name, [0, 1].map(|g| self.bytes(|c| c.group == g && in_band(c))), own);
+        }
+        row("all", [0, 1].map(|g| self.bytes(|c| c.group == g)), segments);
+        text
+    }
+}
+
+fn per(bytes: usize, segments: usize) -> f64 {
+    bytes as f64 / segments.max(1) as f64
 }

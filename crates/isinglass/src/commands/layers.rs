@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
+use isinglass_core::codec::{Coding, Settings};
 use isinglass_formats::iglf;
 use serde_json::json;
 
@@ -52,7 +53,12 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
     let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
-    let (encoded, _) = args.codec.coding().encode(&frame, None)?;
+    // Nobody waits for a part of a file.
+    let coding = match args.codec.coding() {
+        Coding::Exact(settings) => Coding::Exact(Settings { num_groups: 1, ..settings }),
+        coding => coding,
+    };
+    let (encoded, _) = coding.encode(&frame, None)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded)?;
     if args.json {

@@ -133,7 +133,8 @@ impl Lists {
         let last = if length == 0 { 0.0 } else { f32::from(self.cells[i][length - 1].back) };
         let front = (planes.0.at(i).max(last).min(MAX_FRONT) + 0.5) as u16;
         let back = (planes.1.at(i).max(f32::from(front) + LEAST_LENGTH).min(MAX_BACK) + 0.5) as u16;
-        if back > front && length < MAX_LAYERS {
+        // The cell before may end so deep that none fits behind it.
+        if back > front && f32::from(front) >= last && length < MAX_LAYERS {
             self.cells[i][length] = Cell { front, back, u, ycc };
             self.lengths[i] += 1;
             self.kappa[i] *= 1.0 - alpha;

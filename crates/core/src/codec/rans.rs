@@ -1,0 +1,564 @@
+//! The entropy stage of the exact mode: static range asymmetric numeral systems (Duda 2013) with one table a context.
+//!
+//! Numbers become *tokens* and raw bits (`token`): small ones are a token each, larger ones share a token with all
+//! of their octave's half. The tokens of a plane are one stream with one state of 32 bits, renewed by 16 bits at a time;
+//! frequencies sum to 2¹². A decoder finds a token by the alias method (Walker 1977; Vose 1991), as JPEG XL does:
+//! the 4096 slots are 64 buckets of 64, and a bucket holds the slots of its own token and of one other. A table is 512
+//! bytes, so those in use stay in the first cache, and finding a token takes no search and no branch.
+//!
+//! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`Stream::ended`] says in
+//! the end whether it was the one that an encoder made.
+
+/// Tokens that a table can tell apart.
+pub(super) const TOKENS: usize = 64;
+/// Sum of the frequencies of a table.
+const SLOTS: u32 = 1 << SLOT_BITS;
+const SLOT_BITS: u32 = 12;
+/// Slots of a bucket.
+const BUCKET: u32 = SLOTS / TOKENS as u32;
+const BUCKET_BITS: u32 = 6;
+/// Least state between two tokens, and the state of an encoder that has not coded anything.
+const LEAST_STATE: u32 = 1 << 16;
+/// Numbers that are a token of their own.
+const SMALL: u32 = 16;
+
+/// How often each token occurs.
+pub(super) type Counts = [u32; TOKENS];
+/// Frequencies of the tokens, summing to 2¹².
+pub(super) type Frequencies = [u16; TOKENS];
+
+/// The token of a number below 2¹⁷, how many raw bits follow it, and those bits.
+pub(super) fn token(number: u32) -> (u8, u32, u32) {
+    if number < SMALL {
+        return (number as u8, 0, 0);
+    }
+    let bits = number.ilog2() - 1;
+    ((SMALL - 8 + 2 * bits + (number >> bits)) as u8, bits, number & ((1 << bits) - 1))
+}
+
+/// Least number of each token in the low 24 bits, and how many raw bits complete it. Tokens that no number has are
+/// as the greatest that one has.
+static NUMBERS: [u32; TOKENS] = {
+    let mut numbers = [0; TOKENS];
+    let mut token = 0;
+    while token < TOKENS as u32 {
+        numbers[token as usize] = if token < SMALL {
+            token
+        } else {
+            let capped = if token < 42 { token } else { 41 };
+            let bits = 3 + (capped - SMALL) / 2;
+            (2 + capped % 2) << bits | bits << 24
+        };
+        token += 1;
+    }
+    numbers
+};
+
+/// Frequencies in proportion to the counts; every token that occurs has one. Without any count, those of token 0 alone.
+pub(super) fn frequencies(counts: &Counts) -> Frequencies {
+    let total: u64 = counts.iter().map(|&c| u64::from(c)).sum();
+    let mut out = [0; TOKENS];
+    if total == 0 {
+        out[0] = SLOTS as u16;
+        return out;
+    }
+    let mut sum = 0;
+    for (frequency, &count) in out.iter_mut().zip(counts) {
+        if count > 0 {
+            *frequency = ((u64::from(count) * u64::from(SLOTS) + total / 2) / total).max(1) as u16;
+            sum += u32::from(*frequency);
+        }
+    }
+    // What rounding has left over or taken too much is the most frequent tokens', where it matters least.
+    while sum != SLOTS {
+        let Some(most) = out.iter_mut().max() else { break };
+        let excess = sum.saturating_sub(SLOTS).min(u32::from(*most) / 2);
+        *most = (u32::from(*most) - excess + SLOTS.saturating_sub(sum)) as u16;
+        sum = sum - excess + SLOTS.saturating_sub(sum);
+    }
+    out
+}
+
+/// Bits that [`BitWriter::frequencies`] takes.
+pub(super) fn frequency_bits(frequencies: &Frequencies) -> u32 {
+    let last = last_token(frequencies);
+    let bits = |&f: &u16| CLASS_BITS + class(f).saturating_sub(1);
+    TOKEN_BITS + frequencies[..last].iter().map(bits).sum::<u32>()
+}
+
+fn last_token(frequencies: &Frequencies) -> usize {
+    frequencies.iter().rposition(|&f| f > 0).unwrap_or(0)
+}
+
+/// Bits of a number without leading zeros.
+fn class(frequency: u16) -> u32 {
+    u16::BITS - frequency.leading_zeros()
+}
+
+const TOKEN_BITS: u32 = 6;
+const CLASS_BITS: u32 = 4;
+
+/// The slots of a table shared out to buckets.
+struct Alias {
+    /// The first slots of a bucket, this many, are those of the bucket's own token, in order.
+    cutoff: [u16; TOKENS],
+    /// Whose the other slots are.
+    other: [u8; TOKENS],
+    /// Number of the first of these among the slots of that token.
+    start: [u16; TOKENS],
+}
+
+impl Alias {
+    /// Buckets with too few slots of their own token take the rest from the token that last had too many.
+    fn new(frequencies: &Frequencies) -> Self {
+        let mut cutoff = *frequencies;
+        let mut other: [u8; TOKENS] = std::array::from_fn(|i| i as u8);
+        let mut start = [0; TOKENS];
+        let bucket = BUCKET as u16;
+        let mut over = Stack::EMPTY;
+        let mut under = Stack::EMPTY;
+        for (token, &frequency) in frequencies.iter().enumerate() {
+            match frequency.cmp(&bucket) {
+                std::cmp::Ordering::Greater => over.push(token),
+                std::cmp::Ordering::Less => under.push(token),
+                std::cmp::Ordering::Equal => {}
+            }
+        }
+        while let (Some(giver), Some(taker)) = (over.last(), under.pop()) {
+            cutoff[giver] -= bucket - cutoff[taker];
+            other[taker] = giver as u8;
+            start[taker] = cutoff[giver];
+            if cutoff[giver] <= bucket {
+                over.pop();
+                if cutoff[giver] < bucket {
+                    under.push(giver);
+                }
+            }
+        }
+        Self { cutoff, other, start }
+    }
+}
+
+struct Stack {
+    tokens: [u8; TOKENS],
+    len: usize,
+}
+
+impl Stack {
+    const EMPTY: Self = Self { tokens: [0; TOKENS], len: 0 };
+
+    fn push(&mut self, token: usize) {
+        self.tokens[self.len] = token as u8;
+        self.len += 1;
+    }
+
+    fn last(&self) -> Option<usize> {
+        self.tokens[..self.len].last().map(|&token| token.into())
+    }
+
+    fn pop(&mut self) -> Option<usize> {
+        let last = self.last();
+        self.len = self.len.saturating_sub(1);
+        last
+    }
+}
+
+/// How a decoder sees a table.
+#[derive(Clone)]
+pub(super) struct DecodeTable {
+    /// Slots of a bucket that are its own token's.
+    cutoff: [u8; TOKENS],
+    /// For the bucket's own token and the other one, from the low bits up: 6 of the token, 12 of what is to be added to a
+    /// place in the bucket to give the number of the slot among those of the token, modulo 2¹², 13 of its frequency.
+    entries: [[u32; 2]; TOKENS],
+}
+
+impl DecodeTable {
+    /// A table without any slot.
+    pub(super) const EMPTY: Self = Self { cutoff: [0; TOKENS], entries: [[0; 2]; TOKENS] };
+
+    /// The table of these frequencies.
+    pub(super) fn new(frequencies: &Frequencies) -> Self {
+        let alias = Alias::new(frequencies);
+        let entry = |token: usize, add: u16| {
+            token as u32 | (u32::from(add) % SLOTS) << 6 | u32::from(frequencies[token]) << 18
+        };
+        Self {
+            cutoff: alias.cutoff.map(|slots| slots as u8),
+            entries: std::array::from_fn(|i| {
+                [entry(i, 0), entry(alias.other[i].into(), alias.start[i].wrapping_sub(alias.cutoff[i]))]
+            }),
+        }
+    }
+}
+
+/// How an encoder sees a table.
+#[derive(Clone)]
+pub(super) struct EncodeTable {
+    /// For each token its frequency and the place of its first slot in `slots`.
+    tokens: [(u16, u16); TOKENS],
+    /// The slots of every token in order.
+    slots: [u16; SLOTS as usize],
+}
+
+impl EncodeTable {
+    /// The table of these frequencies.
+    pub(super) fn new(frequencies: &Frequencies) -> Self {
+        let mut tokens = [(0, 0); TOKENS];
+        let mut sum = 0u16;
+        for (token, &frequency) in tokens.iter_mut().zip(frequencies) {
+            *token = (frequency, sum);
+            sum = sum.wrapping_add(frequency);
+        }
+        let mut slots = [0; SLOTS as usize];
+        let alias = Alias::new(frequencies);
+        for bucket in 0..TOKENS {
+            let cutoff = alias.cutoff[bucket];
+            let first = bucket as u16 * BUCKET as u16;
+            let mut fill = |token: usize, number: u16, slots_of_bucket: std::ops::Range<u16>| {
+                let to = usize::from(tokens[token].1 + number);
+                for (slot, i) in slots[to..].iter_mut().zip(slots_of_bucket) {
+                    *slot = first + i;
+                }
+            };
+            fill(bucket, 0, 0..cutoff);
+            fill(alias.other[bucket].into(), alias.start[bucket], cutoff..BUCKET as u16);
+        }
+        Self { tokens, slots }
+    }
+}
+
+/// The tokens of a plane on their way to bytes, last token first.
+pub(super) struct TokenWriter {
+    state: u32,
+    words: Vec<u16>,
+}
+
+impl Default for TokenWriter {
+    fn default() -> Self {
+        Self { state: LEAST_STATE, words: vec![] }
+    }
+}
+
+impl TokenWriter {
+    /// Puts a token that occurs in the table in front of the ones before.
+    #[inline]
+    pub(super) fn push(&mut self, table: &EncodeTable, token: u8) {
+        let (frequency, first) = table.tokens[usize::from(token) % TOKENS];
+        let frequency = u32::from(frequency.max(1));
+        if u64::from(self.state) >= u64::from(frequency) << (32 - SLOT_BITS) {
+            self.words.push(self.state as u16);
+            self.state >>= 16;
+        }
+        let (quotient, rest) = (self.state / frequency, self.state % frequency);
+        let slot = table.slots[(u32::from(first) + rest) as usize % SLOTS as usize];
+        self.state = quotient << SLOT_BITS | u32::from(slot);
+    }
+
+    /// Appends the stream to `bytes` and begins another.
+    pub(super) fn finish(&mut self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.state.to_le_bytes());
+        bytes.extend(self.words.iter().rev().flat_map(|word| word.to_le_bytes()));
+        self.words.clear();
+        self.state = LEAST_STATE;
+    }
+}
+
+/// Bits on their way to bytes, lowest first.
+#[derive(Default)]
+pub(super) struct BitWriter {
+    bytes: Vec<u8>,
+    pending: u64,
+    num_pending: u32,
+}
+
+impl BitWriter {
+    /// Appends the low `count` bits, at most 32, of a number that has no others.
+    #[inline]
+    pub(super) fn push(&mut self, bits: u32, count: u32) {
+        self.pending |= u64::from(bits) << self.num_pending;
+        self.num_pending += count;
+        if self.num_pending >= 32 {
+            self.bytes.extend_from_slice(&(self.pending as u32).to_le_bytes());
+            self.pending >>= 32;
+            self.num_pending -= 32;
+        }
+    }
+
+    /// Appends frequencies: the last token that occurs, then of each before it the class (bits without leading zeros)
+    /// and the bits below the highest. The last one is what is left.
+    pub(super) fn frequencies(&mut self, frequencies: &Frequencies) {
+        let last = last_token(frequencies);
+        self.push(last as u32, TOKEN_BITS);
+        for &frequency in &frequencies[..last] {
+            let class = class(frequency);
+            self.push(class, CLASS_BITS);
+            if class > 1 {
+                self.push(u32::from(frequency) ^ 1 << (class - 1), class - 1);
+            }
+        }
+    }
+
+    /// Appends the bits to `bytes`, filled up with zeros to whole bytes, and begins again.
+    pub(super) fn finish(&mut self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.bytes);
+        bytes.extend_from_slice(&self.pending.to_le_bytes()[..self.num_pending.div_ceil(8) as usize]);
+        self.bytes.clear();
+        (self.pending, self.num_pending) = (0, 0);
+    }
+}
+
+/// Bits of bytes, lowest first; zeros after the end.
+pub(super) struct BitReader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> BitReader<'a> {
+    /// At the first bit.
+    pub(super) fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0 }
+    }
+
+    /// The next `count` bits, at most 25.
+    #[inline(always)]
+    pub(super) fn take(&mut self, count: u32) -> u32 {
+        let byte = self.at / 8;
+        let word = match self.bytes.get(byte..byte + 4).map(<[u8; 4]>::try_from) {
+            Some(Ok(word)) => u32::from_le_bytes(word),
+            _ => self.last_word(byte),
+        };
+        let bits = word >> (self.at % 8) & ((1 << count) - 1);
+        self.at += count as usize;
+        bits
+    }
+
+    #[cold]
+    fn last_word(&self, byte: usize) -> u32 {
+        u32::from_le_bytes(std::array::from_fn(|i| self.bytes.get(byte + i).copied().unwrap_or(0)))
+    }
+
+    /// Whether the last bit taken lies in the last byte.
+    pub(super) fn ended(&self) -> bool {
+        self.at.div_ceil(8) == self.bytes.len()
+    }
+
+    /// Inverse of [`BitWriter::frequencies`], or what is wrong.
+    pub(super) fn frequencies(&mut self) -> Result<Frequencies, &'static str> {
+        let mut frequencies = [0; TOKENS];
+        let last = self.take(TOKEN_BITS) as usize;
+        let mut left = SLOTS;
+        for frequency in &mut frequencies[..last] {
+            let class = self.take(CLASS_BITS);
+            if class > SLOT_BITS {
+                return Err("a frequency is too large");
+            }
+            if class > 0 {
+                let value = 1 << (class - 1) | self.take(class - 1);
+                *frequency = value as u16;
+                left = left.saturating_sub(value);
+            }
+        }
+        if left == 0 {
+            return Err("the frequencies of a table sum to more than 4096");
+        }
+        frequencies[last] = left as u16;
+        Ok(frequencies)
+    }
+}
+
+/// The numbers of a plane, read from its tokens and raw bits.
+pub(super) struct Stream<'a> {
+    state: u32,
+    words: &'a [[u8; 2]],
+    at: usize,
+    raw: BitReader<'a>,
+}
+
+impl<'a> Stream<'a> {
+    /// At the first number. `tokens` is what [`TokenWriter::finish`] gave, `raw` what [`BitWriter::finish`] did.
+    pub(super) fn new(tokens: &'a [u8], raw: &'a [u8]) -> Self {
+        let (state, words) = tokens.split_first_chunk().unwrap_or((&[0; 4], &[]));
+        let (words, odd) = words.as_chunks();
+        Self { state: u32::from_le_bytes(*state), words, at: odd.len(), raw: BitReader::new(raw) }
+    }
+
+    /// The next number.
+    #[inline(always)]
+    pub(super) fn next(&mut self, table: &DecodeTable) -> u32 {
+        let least = NUMBERS[self.token(table)];
+        (least & 0xff_ffff) + self.raw.take(least >> 24)
+    }
+
+    /// The next number, which probably has no raw bits.
+    #[inline(always)]
+    pub(super) fn next_small(&mut self, table: &DecodeTable) -> u32 {
+        let token = self.token(table);
+        if token < SMALL as usize {
+            return token as u32;
+        }
+        let least = NUMBERS[token];
+        (least & 0xff_ffff) + self.raw.take(least >> 24)
+    }
+
+    #[inline(always)]
+    fn token(&mut self, table: &DecodeTable) -> usize {
+        let bucket = (self.state >> BUCKET_BITS) as usize % TOKENS;
+        let within = self.state % BUCKET;
+        let is_other = within >= u32::from(table.cutoff[bucket]);
+        let entry = table.entries[bucket][usize::from(is_other)];
+        let number = (within + (entry >> 6)) % SLOTS;
+        let state = (entry >> 18).wrapping_mul(self.state >> SLOT_BITS).wrapping_add(number);
+        let word = self.words.get(self.at).map_or(0, |&word| u16::from_le_bytes(word).into());
+        let is_low = state < LEAST_STATE;
+        self.state = if is_low { state << 16 | word } else { state };
+        self.at += usize::from(is_low);
+        entry as usize % TOKENS
+    }
+
+    /// Whether an encoder's stream ends here.
+    pub(super) fn ended(&self) -> bool {
+        self.state == LEAST_STATE && self.at == self.words.len() && self.raw.ended()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts of `n` tokens, each a third rarer than the one before, beginning with token `first`.
+    fn falling(first: usize, n: usize) -> Counts {
+        let mut counts = [0; TOKENS];
+        for i in 0..n {
+            counts[(first + i) % TOKENS] = (1e6 * 0.67f64.powi(i as i32)) as u32 + 1;
+        }
+        counts
+    }
+
+    #[test]
+    fn numbers_are_their_token_and_bits() {
+        let mut last = 0;
+        for number in (0..70_000).chain([131_071]) {
+            let (token, bits, rest) = token(number);
+            assert!((last..TOKENS as u8).contains(&token) && rest < 1 << bits && bits < 16);
+            last = token;
+            let least = NUMBERS[usize::from(token)];
+            assert_eq!((least >> 24, (least & 0xff_ffff) + rest), (bits, number));
+        }
+    }
+
+    #[test]
+    fn every_slot_is_in_one_place_for_both_sides() {
+        for counts in
+            [falling(0, 64), falling(3, 1), falling(60, 7), falling(0, 30), [1; TOKENS], [0; TOKENS]]
+        {
+            let frequencies = frequencies(&counts);
+            assert_eq!(frequencies.iter().map(|&f| u32::from(f)).sum::<u32>(), SLOTS);
+            assert!(counts.iter().zip(frequencies).all(|(&c, f)| c == 0 || f > 0));
+            let table = EncodeTable::new(&frequencies);
+            let mut slots = table.slots;
+            slots.sort_unstable();
+            assert!(slots.into_iter().eq(0..SLOTS as u16));
+            let decode = DecodeTable::new(&frequencies);
+            for (token, &(frequency, first)) in table.tokens.iter().enumerate() {
+                for number in 0..frequency {
+                    let slot = u32::from(table.slots[usize::from(first + number)]);
+                    let state = (1 << 16 | slot).to_le_bytes();
+                    let mut stream = Stream::new(&state, &[]);
+                    assert_eq!(stream.next(&decode), NUMBERS[token] & 0xff_ffff);
+                    // The state is what the definition says: frequency·⌊state/2¹²⌋ + number of the slot.
+                    let expected = u32::from(frequency) * 16 + u32::from(number);
+                    assert_eq!(stream.state, if expected < LEAST_STATE { expected << 16 } else { expected });
+                }
+            }
+            let mut writer = BitWriter::default();
+            writer.frequencies(&frequencies);
+            let mut bytes = vec![];
+            writer.finish(&mut bytes);
+            assert_eq!(bytes.len(), frequency_bits(&frequencies).div_ceil(8) as usize);
+            let mut reader = BitReader::new(&bytes);
+            assert_eq!(reader.frequencies(), Ok(frequencies));
+            assert!(reader.ended());
+        }
+    }
+
+    #[test]
+    fn streams_are_read_as_written_and_are_as_short_as_their_entropy() {
+        let tables = [falling(0, 40), falling(20, 12), falling(7, 1)];
+        let frequencies = tables.map(|counts| frequencies(&counts));
+        let mut seed = 1u64;
+        let mut random = |below: u32| {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 33) as u32 % below
+        };
+        let symbols: Vec<(usize, u8)> = (0..40_000)
+            .map(|_| {
+                let table = random(3) as usize;
+                let mut slot = random(SLOTS);
+                let token = frequencies[table].iter().position(|&f| {
+                    let found = slot < f.into();
+                    slot = slot.wrapping_sub(f.into());
+                    found
+                });
+                (table, token.unwrap() as u8)
+            })
+            .collect();
+        let encode = frequencies.each_ref().map(EncodeTable::new);
+        let decode = frequencies.each_ref().map(DecodeTable::new);
+        let mut writer = TokenWriter::default();
+        for &(table, token) in symbols.iter().rev() {
+            writer.push(&encode[table], token);
+        }
+        let mut raw = BitWriter::default();
+        let mut entropy = 0.0;
+        for &(table, token) in &symbols {
+            raw.push(1, NUMBERS[usize::from(token)] >> 24);
+            entropy -= (f64::from(frequencies[table][usize::from(token)]) / f64::from(SLOTS)).log2();
+        }
+        let (mut tokens, mut bits) = (vec![], vec![]);
+        writer.finish(&mut tokens);
+        raw.finish(&mut bits);
+        // States of 32 bits against slots of 12: rounding costs less than a thousandth, and the last state 4 bytes.
+        assert!(tokens.len() as f64 <= 4.0 + entropy / 8.0 * 1.001, "{} {}", tokens.len(), entropy / 8.0);
+        let mut stream = Stream::new(&tokens, &bits);
+        for &(table, token) in &symbols {
+            let least = NUMBERS[usize::from(token)];
+            let bit = u32::from(least >> 24 > 0);
+            assert_eq!(stream.next(&decode[table]), (least & 0xff_ffff) + bit);
+        }
+        assert!(stream.ended());
+        stream.next(&decode[0]);
+        assert!(!stream.ended());
+        let mut short = Stream::new(&tokens[..tokens.len() - 2], &bits);
+        for &(table, _) in &symbols {
+            short.next(&decode[table]);
+        }
+        assert!(!short.ended(), "a stream that lost its end must be noticed");
+    }
+
+    #[test]
+    fn bad_tables_are_refused_and_any_table_decodes() {
+        // Two frequencies of 4095 each.
+        assert!(
+            BitReader::new(&[0b0000_0011, 0b1111_1111, 0xff, 0xff, 0xff, 0xff, 0xff]).frequencies().is_err()
+        );
+        let mut seed = 7u64;
+        let mut accepted = 0;
+        for _ in 0..20_000 {
+            let bytes: [u8; 64] = std::array::from_fn(|_| {
+                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                // Mostly small frequencies, as many large ones are always refused.
+                (seed >> 56) as u8 & 0x33
+            });
+            if let Ok(frequencies) = BitReader::new(&bytes).frequencies() {
+                accepted += 1;
+                let table = DecodeTable::new(&frequencies);
+                let mut stream = Stream::new(&bytes, &bytes);
+                for _ in 0..200 {
+                    assert!(stream.next(&table) < 1 << 17);
+                }
+            }
+        }
+        assert!(accepted > 1000, "{accepted}");
+    }
+}
