@@ -1,38 +1,23 @@
 //! Are several layered frames one picture? What the newest does not see comes from older ones, without a seam, and
 //! nothing else changes.
-use std::sync::Arc;
+
+mod common;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::combine::{MAX_FRAMES, choose, combine};
 use isinglass_core::kernels::layering::{Layering, generate};
-use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 
-const PICTURE: Intrinsics = Intrinsics { width: 72, height: 56, fov_y: 0.7 };
+use self::common::scene;
 
-fn scene() -> Scene {
-    let builtin = Builtin::Shells;
-    let p = |x, color, opacity| ControlPoint { x, color, opacity };
-    let transfer = TransferFunction {
-        name: "test".into(),
-        domain: Domain::Full,
-        unit_length: UnitLength::Radius(0.02),
-        points: vec![
-            p(0.0, [0.1, 0.2, 0.9], 0.0),
-            p(0.2, [0.2, 0.8, 0.5], 0.05),
-            p(0.8, [0.9, 0.6, 0.2], 0.5),
-            p(1.0, [1.0, 1.0, 0.9], 0.9),
-        ],
-    };
-    Scene::new(Arc::new(builtin.volume(40)), &transfer, MarchSettings::default())
-}
+const PICTURE: Intrinsics = Intrinsics { width: 72, height: 56, fov_y: 0.7 };
 
 /// Near enough that the volume goes on beyond the picture on all sides.
 fn near(azimuth_degrees: f32, pan: Vec3, bounds: &Aabb) -> Camera {
@@ -61,7 +46,7 @@ fn difference(a: &Picture, b: &Picture, counted: impl Fn(usize, usize) -> bool) 
 
 #[test]
 fn one_frame_alone_is_cast_as_ever_and_the_own_pose_is_the_newest_frame_s_alone() {
-    let scene = scene();
+    let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let (here, there) = (near(0.0, Vec3::ZERO, &bounds), near(20.0, Vec3::ZERO, &bounds));
     let (newest, older) = (frame(&scene, here), frame(&scene, there));
@@ -77,7 +62,7 @@ fn one_frame_alone_is_cast_as_ever_and_the_own_pose_is_the_newest_frame_s_alone(
 
 #[test]
 fn what_the_newest_frame_does_not_see_comes_from_the_kept_ones() {
-    let scene = scene();
+    let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let width = bounds.radius() * 0.2;
     // The camera was on the left, went to the middle, and looks to the left again: by panning and by turning.
@@ -117,7 +102,7 @@ fn what_the_newest_frame_does_not_see_comes_from_the_kept_ones() {
 fn no_seam_shows_where_one_frame_ends() {
     // Frames that disagree: the kept one is of twice the brightness. The picture goes over from one to the other
     // gradually, while a hard change would show as a step.
-    let scene = scene();
+    let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let width = bounds.radius() * 0.2;
     let newest = frame(&scene, near(0.0, Vec3::ZERO, &bounds));
@@ -147,7 +132,7 @@ fn no_seam_shows_where_one_frame_ends() {
 
 #[test]
 fn as_the_camera_leaves_the_newest_frame_nothing_jumps() {
-    let scene = scene();
+    let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let newest = frame(&scene, near(0.0, Vec3::ZERO, &bounds));
     let kept = frame(&scene, near(25.0, Vec3::ZERO, &bounds));
@@ -166,7 +151,7 @@ fn as_the_camera_leaves_the_newest_frame_nothing_jumps() {
 
 #[test]
 fn frames_are_chosen_that_add_what_is_missing() {
-    let bounds = scene().volume.bounds();
+    let bounds = scene(Builtin::Shells).volume.bounds();
     let camera = |az: f32| near(az, Vec3::ZERO, &bounds);
     let newest = camera(0.0);
     // Seen whole, nothing is missing.
@@ -184,7 +169,7 @@ fn frames_are_chosen_that_add_what_is_missing() {
 
 #[test]
 fn odd_cameras_are_survived() {
-    let scene = scene();
+    let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     // Back to back, inside the volume, beside it, far away.
     let cameras: Vec<Camera> = [(0.0, 1.3), (180.0, 0.2), (90.0, 0.0), (45.0, 30.0)]

@@ -3,20 +3,21 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::sync::Arc;
+mod common;
 
 use glam::{DVec3, Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::{Layering, Representative, generate};
-use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::{Aabb, Ray};
-use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
+
+use self::common::scene;
 
 /// One of each kind; the representative depths differ in a number alone.
 const RULES: [Layering; 6] = [
@@ -27,22 +28,6 @@ const RULES: [Layering; 6] = [
     Layering::Slabs,
     Layering::SingleDepth(Representative::Mean),
 ];
-
-fn scene(builtin: Builtin) -> Scene {
-    let p = |x, color, opacity| ControlPoint { x, color, opacity };
-    let transfer = TransferFunction {
-        name: "test".into(),
-        domain: Domain::Full,
-        unit_length: UnitLength::Radius(0.02),
-        points: vec![
-            p(0.0, [0.1, 0.2, 0.9], 0.0),
-            p(0.2, [0.2, 0.8, 0.5], 0.05),
-            p(0.8, [0.9, 0.6, 0.2], 0.5),
-            p(1.0, [1.0, 1.0, 0.9], 0.9),
-        ],
-    };
-    Scene::new(Arc::new(builtin.volume(40)), &transfer, MarchSettings::default())
-}
 
 fn camera(pose: Pose, size: u32, bounds: &Aabb) -> Camera {
     Camera::new(pose, Intrinsics { width: size, height: size - 3, fov_y: 0.8 }, bounds)

@@ -65,13 +65,8 @@ impl Assembly {
         let header = &chunk.header;
         let contradiction =
             |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
-        if header.frame != self.first.frame {
-            return Err(contradiction("another frame header"));
-        }
-        if (header.color_bits, header.num_chunks, header.num_base)
-            != (self.first.color_bits, self.first.num_chunks, self.first.num_base)
-        {
-            return Err(contradiction("other numbers of chunks or bits"));
+        if let Some(what) = header.difference(&self.first) {
+            return Err(contradiction(what));
         }
         if self.contains(header.index) {
             return Err(CodecError::Duplicate(header.index));

@@ -39,6 +39,18 @@ impl ChunkHeader {
         self.color_bits == 0
     }
 
+    /// What all chunks of a frame have in common and this one has otherwise than `first`.
+    pub(super) fn difference(&self, first: &Self) -> Option<&'static str> {
+        let numbers = |header: &Self| (header.color_bits, header.num_chunks, header.num_base);
+        if self.frame != first.frame {
+            Some("another frame header")
+        } else if numbers(self) != numbers(first) {
+            Some("other numbers of chunks or another coding")
+        } else {
+            None
+        }
+    }
+
     /// Rows of lists that the chunk covers.
     pub fn rows(&self) -> Range<u32> {
         band_rows(self.frame.camera.intrinsics.height, self.num_base, self.band)

@@ -79,7 +79,8 @@ fn full_frame(width: u32, height: u32, k: u8) -> LayeredFrame {
     frame
 }
 
-fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {
+/// A built-in volume of 48³ voxels through a smooth transfer function.
+pub(super) fn soft_scene(builtin: Builtin) -> Scene {
     let p = |x, color, opacity| ControlPoint { x, color, opacity };
     let transfer = TransferFunction {
         name: "soft".into(),
@@ -91,8 +92,11 @@ fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {
             p(1.0, [1.0, 0.9, 0.7], 0.999),
         ],
     };
-    let scene = Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default());
-    generate(&scene, header(size, size, 8), Layering::VisibilityMerge)
+    Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default())
+}
+
+fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {
+    generate(&soft_scene(builtin), header(size, size, 8), Layering::VisibilityMerge)
 }
 
 fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {

@@ -185,13 +185,8 @@ impl BlocksAssembly {
         let header = &chunk.header;
         let contradiction =
             |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
-        if header.frame != self.first.frame {
-            return Err(contradiction("another frame header"));
-        }
-        if (header.color_bits, header.num_chunks, header.num_base)
-            != (self.first.color_bits, self.first.num_chunks, self.first.num_base)
-        {
-            return Err(contradiction("other numbers of chunks or another coding"));
+        if let Some(what) = header.difference(&self.first) {
+            return Err(contradiction(what));
         }
         if self.head.is_some_and(|head| head != chunk.head) {
             return Err(contradiction("other steps or another reference"));

@@ -2,30 +2,15 @@ use glam::Vec3;
 
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
+use crate::codec::tests::soft_scene as scene;
 use crate::codec::{Assembly, DecodedChunk, HEADER_BYTES, assemble, decode, decode_chunk, peek};
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::image_error;
 use crate::kernels::layering::{Layering, generate};
-use crate::kernels::march::{MarchSettings, Scene};
+use crate::kernels::march::Scene;
 use crate::kernels::raycast::{CastOptions, Raycaster};
 use crate::space::Aabb;
-use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::procedural::Builtin;
-
-fn scene(builtin: Builtin) -> Scene {
-    let p = |x, color, opacity| ControlPoint { x, color, opacity };
-    let transfer = TransferFunction {
-        name: "soft".into(),
-        domain: Domain::Full,
-        unit_length: UnitLength::Radius(1.0),
-        points: vec![
-            p(0.1, [0.2, 0.3, 0.8], 0.0),
-            p(0.5, [0.9, 0.6, 0.3], 0.9),
-            p(1.0, [1.0, 0.9, 0.7], 0.999),
-        ],
-    };
-    Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default())
-}
 
 /// Frame `frame` of `width`×`height` lists, `degrees` along an orbit.
 fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> LayeredFrame {
