@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 19] = [
+const SOURCES: [&str; 20] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
@@ -17,6 +17,7 @@ const SOURCES: [&str; 19] = [
     "crates/core/src/codec/blocks/band.rs",
     "crates/core/src/codec/blocks/chunk.rs",
     "crates/core/src/codec/blocks/coding.rs",
+    "crates/core/src/codec/blocks/coding",
     "crates/core/src/codec/blocks/entropy.rs",
     "crates/core/src/codec/blocks/motion.rs",
     "crates/core/src/codec/blocks/picture.rs",

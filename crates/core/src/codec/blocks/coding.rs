@@ -1,18 +1,22 @@
 //! The layers of a band in bits: written once, for both directions. What is decoded is computed here too, so that the
 //! encoder works with it.
 
-use std::ops::Range;
+mod depth;
+mod layer;
 
 use super::super::CodecError;
 use super::band::{Band, Lists, Planes};
 use super::entropy::Coder;
-use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
+use super::model::{BLOCK, BlockLayer, DepthPlane};
 use super::motion::{Motion, Shift};
 use super::reference::{Fetched, Reference};
-use super::scales::{fixed_from_f32, scales, ycc_from_color};
 use super::steps::Steps;
-use super::syntax::{Contexts, DEPTH_CONTEXTS, Levels, NO_CLASS, count_class};
-use super::transform::{Plane, ZIGZAG, fill_in, forward, inverse};
+use super::syntax::Contexts;
+use depth::bounded;
+use layer::{Around, Coded};
+
+pub(super) use depth::PlaneCode;
+pub(super) use layer::residual;
 
 /// Where the planes of a block come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,14 +32,6 @@ pub(super) enum Origin {
     Kept,
     /// All of the block is that of the reference, whose camera is the same.
     Copied,
-}
-
-/// A depth plane in steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct PlaneCode {
-    pub(super) z: i32,
-    pub(super) dx: i32,
-    pub(super) dy: i32,
 }
 
 /// What an encoder says of a block.
@@ -104,23 +100,6 @@ pub(super) struct BandCoder<'a, C> {
     lists: Lists,
     fetched: Fetched,
     offered: Vec<Planes>,
-}
-
-/// The block that a layer is in.
-struct Around {
-    x: usize,
-    y: usize,
-    origin: Origin,
-    first_layer: usize,
-    /// Layers of the block on the left and of the one above.
-    neighbors: [Range<usize>; 2],
-}
-
-/// What later blocks and layers want to know of a layer.
-#[derive(Clone, Copy, Debug)]
-struct Coded {
-    means: [f32; 4],
-    classes: [u8; 4],
 }
 
 impl<'a, C: Coder> BandCoder<'a, C> {
@@ -314,354 +293,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         self.offer(origin, x, y, planes);
         origin
     }
-
-    /// Codes the planes of a block.
-    fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
-        let classes = neighbors.clone().map(|n| count_class(n.len()));
-        let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
-        let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);
-        let mut last_back: Option<PlaneCode> = None;
-        for i in 0..count as usize {
-            let (wanted_front, wanted_back) = codes.get(i).copied().unwrap_or_default();
-            let touches = last_back.is_some_and(|back| {
-                let has_touched = usize::from(i > 1);
-                self.coder.bit(&mut self.contexts.touches[has_touched], wanted_front == back)
-            });
-            let front = match last_back {
-                Some(back) if touches => back,
-                _ => {
-                    let behind =
-                        last_back.map_or(f32::NEG_INFINITY, |b| (b.z as f32 - 0.5) * self.steps.depth);
-                    self.plane(wanted_front, behind, 0, PlaneCode::default(), &neighbors)
-                }
-            };
-            let behind = front.z as f32 * self.steps.depth;
-            let back = self.plane(wanted_back, behind, 1, front, &neighbors);
-            self.band.planes.push((self.steps.plane(front), self.steps.plane(back)));
-            last_back = Some(back);
-        }
-    }
-
-    /// Codes a front (`side` 0) or back (1), predicted from the first of the neighbours' that is `behind` a depth.
-    fn plane(
-        &mut self,
-        wanted: PlaneCode,
-        behind: f32,
-        side: usize,
-        otherwise: PlaneCode,
-        neighbors: &[Range<usize>; 2],
-    ) -> PlaneCode {
-        let next = neighbors.clone().map(|layers| {
-            let planes = self.band.planes[layers].iter().map(|(f, b)| if side == 0 { *f } else { *b });
-            planes.filter(|p| p.z > behind).min_by(|a, b| a.z.total_cmp(&b.z))
-        });
-        let (expected, context) = match next {
-            [Some(a), Some(b)] => {
-                let apart = ((a.z - b.z).abs() / self.steps.depth) as u32;
-                let nearer = if a.z < b.z { a } else { b };
-                let mean =
-                    DepthPlane { z: 0.5 * (a.z + b.z), dx: 0.5 * (a.dx + b.dx), dy: 0.5 * (a.dy + b.dy) };
-                let context = (apart.saturating_add(1).ilog2() as usize + usize::from(apart > 0))
-                    .min(DEPTH_CONTEXTS - 3);
-                (self.steps.code(&if apart < 4 { mean } else { nearer }), context)
-            }
-            [Some(a), None] | [None, Some(a)] => (self.steps.code(&a), DEPTH_CONTEXTS - 2),
-            [None, None] => (otherwise, DEPTH_CONTEXTS - 1),
-        };
-        let coder = &mut self.coder;
-        let models = &mut self.contexts.depth[side][context];
-        let z = expected.z.saturating_add(coder.signed(models, wanted.z.saturating_sub(expected.z)));
-        let models = &mut self.contexts.slope[side][(context / 3).min(3)];
-        let mut slope = |wanted: i32, expected: i32| {
-            expected.saturating_add(coder.signed(models, wanted.saturating_sub(expected)))
-        };
-        let (dx, dy) = (slope(wanted.dx, expected.dx), slope(wanted.dy, expected.dy));
-        PlaneCode { z, dx, dy }
-    }
-
-    /// Codes what is between the planes number `layer`.
-    fn layer(
-        &mut self,
-        layer: usize,
-        around: &Around,
-        wanted: Option<&BlockLayer>,
-        mask_before: &mut Option<u64>,
-    ) -> Coded {
-        let &Around { x, y, origin, first_layer, ref neighbors } = around;
-        let planes = self.band.planes[layer];
-        let in_front = layer.checked_sub(1).filter(|&l| l >= first_layer).map(|l| self.layers[l]);
-        let expected = self.fetch((x, y), &planes);
-        let wanted_mask = wanted.map_or(0, |w| w.mask);
-        let likely = match expected.map(u64::count_ones) {
-            None => 0,
-            Some(0) => 1,
-            Some(1..=8) => 2,
-            Some(9..=63) => 3,
-            Some(_) => 4,
-        };
-        let kind = match origin {
-            Origin::Fresh => 0,
-            Origin::Left | Origin::Above => 1,
-            Origin::Kept | Origin::Copied => 2,
-        };
-        let nothing = Coded { means: in_front.map_or([0.0; 4], |l| l.means), classes: [0; 4] };
-        if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
-            return nothing;
-        }
-        let inside = self.place.inside(x, y);
-        let said = if wanted_mask == inside { u64::MAX } else { wanted_mask };
-        let mask = self.contexts.mask(&mut self.coder, *mask_before, expected, said) & inside;
-        if mask == 0 {
-            return nothing;
-        }
-        *mask_before = Some(mask);
-
-        let matches = neighbors.clone().map(|n| self.overlapping(n, &planes));
-        let means: [f32; 4] = std::array::from_fn(|c| match matches {
-            [Some(a), Some(b)] => 0.5 * (a.means[c] + b.means[c]),
-            [Some(a), None] | [None, Some(a)] => a.means[c],
-            [None, None] => in_front.map_or(0.0, |l| l.means[c]),
-        });
-        let classes: [[u8; 2]; 4] = std::array::from_fn(|c| {
-            let beside = match matches {
-                [Some(a), Some(b)] => (a.classes[c] + b.classes[c]) / 2,
-                [Some(a), None] | [None, Some(a)] => a.classes[c],
-                [None, None] => NO_CLASS,
-            };
-            [in_front.map_or(NO_CLASS, |l| l.classes[c]), beside]
-        });
-        let known = expected.map_or(0, |e| (e & mask).count_ones());
-        let sources = wanted.filter(|_| C::ENCODES).map(|w| planes_of(w, mask));
-        let mut is_inter = 2 * known > mask.count_ones();
-        if is_inter {
-            let is_better = sources.as_ref().is_some_and(|s| self.is_inter_better(s, &means, mask));
-            let full = usize::from(expected == Some(u64::MAX));
-            is_inter = self.coder.bit(&mut self.contexts.is_inter[full], is_better);
-        }
-
-        let scales = scales();
-        let lists = || (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1);
-        let num_lists = mask.count_ones() as f32;
-        let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
-        let mut coded = Coded { means, classes: [0; 4] };
-        let mut step = self.steps.opacity / kappa.max(KAPPA_FLOOR).sqrt();
-        let mut values = [[0.0; BLOCK_LISTS]; 4];
-        let mut codes = [0; BLOCK_LISTS];
-        for c in 0..4 {
-            let expected = if is_inter { self.fetched.planes[c] } else { [means[c]; BLOCK_LISTS] };
-            if is_inter {
-                coded.means[c] = expected.iter().sum::<f32>() * (1.0 / BLOCK_LISTS as f32);
-            }
-            if c == 1 {
-                // How much of a colour is seen is known from what is decoded.
-                let seen =
-                    |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * scales.alpha[usize::from(codes[i])];
-                let seen = lists().map(seen).sum::<f32>() / num_lists;
-                step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
-            } else if c == 2 {
-                step *= self.steps.chroma;
-            }
-            let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
-            let source = sources.as_ref().map(|s| &s[c]);
-            let (class, mean) = residual(
-                &mut self.coder,
-                &mut self.contexts,
-                component,
-                classes[c],
-                step,
-                mask,
-                source,
-                &expected,
-                &mut values[c],
-            );
-            coded.classes[c] = class;
-            coded.means[c] += mean;
-            if c == 0 {
-                for i in lists() {
-                    codes[i] = scales.code(values[0][i]);
-                }
-            }
-        }
-        for i in lists() {
-            let ycc = [
-                values[1][i].clamp(0.0, MAX_BRIGHTNESS),
-                values[2][i].clamp(-1.0, 1.0),
-                values[3][i].clamp(-1.0, 1.0),
-            ];
-            let alpha = scales.alpha[usize::from(codes[i])];
-            self.lists.push(i, &planes, codes[i], ycc.map(fixed_from_f32), alpha);
-        }
-        coded
-    }
-
-    /// Fetches what the reference has between two planes; the lists that have any.
-    fn fetch(&mut self, (x, y): (usize, usize), planes: &Planes) -> Option<u64> {
-        let (reference, motion) = self.reference.as_ref()?;
-        let y = y + self.place.first_row;
-        let [mx, my] = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
-        let shift = motion.at(mx, my, 0.5 * (planes.0.z + planes.1.z))?;
-        self.fetched.fetch(reference, (x, y), planes, shift, self.steps.depth);
-        Some(self.fetched.mask)
-    }
-
-    /// The layer that has most depth in common with a pair of planes.
-    fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<Coded> {
-        let common = |l: usize| {
-            let (front, back) = self.band.planes[l];
-            back.z.min(planes.1.z) - front.z.max(planes.0.z)
-        };
-        let best =
-            layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
-        best.map(|(_, l)| self.layers[l])
-    }
-
-    /// Whether the moved reference is nearer to the source than a constant is.
-    fn is_inter_better(&self, sources: &[Plane; 4], means: &[f32; 4], mask: u64) -> bool {
-        let lists = || (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1);
-        let (mut intra, mut inter) = (0.0, 0.0);
-        for c in 0..2 {
-            let mean = lists().map(|i| sources[c][i]).sum::<f32>() / mask.count_ones() as f32;
-            intra += 8.0 * (mean - means[c]).abs();
-            for i in lists() {
-                intra += (sources[c][i] - mean).abs();
-                inter += (sources[c][i] - self.fetched.planes[c][i]).abs();
-            }
-        }
-        inter < intra
-    }
 }
 
-/// Codes what a plane differs by from what is expected of it, and writes its values. Returns the class, and by how
-/// much the mean differs.
-#[expect(clippy::too_many_arguments, reason = "two directions in one function")]
-pub(super) fn residual<C: Coder>(
-    coder: &mut C,
-    contexts: &mut Contexts,
-    component: usize,
-    near: [u8; 2],
-    step: f32,
-    mask: u64,
-    source: Option<&Plane>,
-    expected: &Plane,
-    values: &mut Plane,
-) -> (u8, f32) {
-    let mut levels = Levels::ZERO;
-    if let (true, Some(source)) = (C::ENCODES, source) {
-        let mut difference: Plane = std::array::from_fn(|i| source[i] - expected[i]);
-        fill_in(&mut difference, mask);
-        let rounding =
-            if component < FIRST_INTER || component == CORRECTION { ROUNDING } else { INTER_ROUNDING };
-        quantize(&forward(&difference), step, rounding, &mut levels);
-    }
-    let class = contexts.coefficients(coder, component, near, &mut levels);
-    *values = *expected;
-    if levels.length == 0 {
-        return (class, 0.0);
-    }
-    let mut coefficients = [0.0; BLOCK_LISTS];
-    for (k, &level) in levels.values[..levels.length].iter().enumerate() {
-        if level != 0 {
-            let size = level.unsigned_abs() as f32 - if k > 0 { TOWARDS_ZERO } else { 0.0 };
-            coefficients[usize::from(ZIGZAG[k])] = if level < 0 { -size * step } else { size * step };
-        }
-    }
-    let mean = coefficients[0] * (1.0 / BLOCK as f32);
-    if levels.length == 1 {
-        values.iter_mut().for_each(|v| *v += mean);
-    } else {
-        for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
-            *value += difference;
-        }
-    }
-    (class, mean)
-}
-
-/// Levels of coefficients.
-fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
-    levels.length = 0;
-    for (k, &place) in ZIGZAG.iter().enumerate() {
-        let coefficient = coefficients[usize::from(place)];
-        let size = (coefficient.abs() / step + rounding[usize::from(k > 0)]) as i32;
-        levels.values[k] = if coefficient < 0.0 { -size } else { size };
-        if size > 0 {
-            levels.length = k + 1;
-        }
-    }
-}
-
-/// u, Y, Co, Cg of a layer's lists.
-fn planes_of(layer: &BlockLayer, mask: u64) -> [Plane; 4] {
-    let mut planes = [[0.0; BLOCK_LISTS]; 4];
-    for i in (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1) {
-        planes[0][i] = scales().u_from_tau(layer.tau[i]);
-        let [y, co, cg] = ycc_from_color(layer.c[i], -(-layer.tau[i]).exp_m1());
-        (planes[1][i], planes[2][i], planes[3][i]) = (y, co, cg);
-    }
-    planes
-}
-
-/// A plane with numbers that stay finite whatever is done to them.
-fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
-    let slope = |s: f32| s.clamp(-MAX_SLOPE, MAX_SLOPE);
-    DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
-}
-
-impl Steps {
-    /// The plane of a code.
-    fn plane(&self, code: PlaneCode) -> DepthPlane {
-        let slope = self.depth * 0.25;
-        bounded(code.z as f32 * self.depth, code.dx as f32 * slope, code.dy as f32 * slope)
-    }
-
-    /// The code of the nearest plane.
-    pub(super) fn code(&self, plane: &DepthPlane) -> PlaneCode {
-        let nearest = |v: f32, step: f32| (v / step + 0.5).floor() as i32;
-        let slope = self.depth * 0.25;
-        PlaneCode {
-            z: nearest(plane.z, self.depth),
-            dx: nearest(plane.dx, slope),
-            dy: nearest(plane.dy, slope),
-        }
-    }
-
-    /// The codes of layers' planes: what all but touches does, and every back is behind its front.
-    pub(super) fn codes(&self, layers: &[BlockLayer], out: &mut Vec<(PlaneCode, PlaneCode)>) {
-        out.clear();
-        for layer in layers {
-            let (mut front, mut back) = (self.code(&layer.front), self.code(&layer.back));
-            if let Some((_, before)) = out.last()
-                && front.z <= before.z + 1
-            {
-                front = *before;
-            }
-            back.z = back.z.max(front.z + 1);
-            out.push((front, back));
-        }
-    }
-
-    /// The planes that a decoder makes of codes.
-    pub(super) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
-        out.clear();
-        out.extend(codes.iter().map(|(front, back)| (self.plane(*front), self.plane(*back))));
-    }
-}
-
-/// Least visibility in the steps: what is hidden here is seen from another pose.
-const KAPPA_FLOOR: f32 = 0.2;
-/// Least visible opacity in the steps of colour.
-const SEEN_FLOOR: f32 = 0.02;
-const MAX_BRIGHTNESS: f32 = 1.5;
-/// What is added to constant and other coefficients before levels are cut off. Larger dead zones cost more of the picture than they
-/// save.
-const ROUNDING: [f32; 2] = [0.5, 0.45];
-/// After a moved reference, which has errors of about half a step itself, they save more than they cost.
-const INTER_ROUNDING: [f32; 2] = [0.4, 0.32];
-/// Components from here on are predicted from a reference, but for the last.
-const FIRST_INTER: usize = 4;
-const CORRECTION: usize = 7;
-/// How much nearer to zero than its level a coefficient is on average.
-const TOWARDS_ZERO: f32 = 0.05;
 /// Half of a block in lists.
 const HALF: f32 = BLOCK as f32 / 2.0;
-const MAX_DEPTH: f32 = 1e7;
-const MAX_SLOPE: f32 = 1e6;

@@ -1,0 +1,132 @@
+//! The depth planes of a block in steps.
+
+use std::ops::Range;
+
+use super::super::band::Planes;
+use super::super::entropy::Coder;
+use super::super::model::{BlockLayer, DepthPlane, MAX_LAYERS};
+use super::super::steps::Steps;
+use super::super::syntax::{DEPTH_CONTEXTS, count_class};
+use super::BandCoder;
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in super::super) struct PlaneCode {
+    pub(in super::super) z: i32,
+    pub(in super::super) dx: i32,
+    pub(in super::super) dy: i32,
+}
+
+impl<C: Coder> BandCoder<'_, C> {
+    /// Codes the planes of a block.
+    pub(super) fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
+        let classes = neighbors.clone().map(|n| count_class(n.len()));
+        let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
+        let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);
+        let mut last_back: Option<PlaneCode> = None;
+        for i in 0..count as usize {
+            let (wanted_front, wanted_back) = codes.get(i).copied().unwrap_or_default();
+            let touches = last_back.is_some_and(|back| {
+                let has_touched = usize::from(i > 1);
+                self.coder.bit(&mut self.contexts.touches[has_touched], wanted_front == back)
+            });
+            let front = match last_back {
+                Some(back) if touches => back,
+                _ => {
+                    let behind =
+                        last_back.map_or(f32::NEG_INFINITY, |b| (b.z as f32 - 0.5) * self.steps.depth);
+                    self.plane(wanted_front, behind, 0, PlaneCode::default(), &neighbors)
+                }
+            };
+            let behind = front.z as f32 * self.steps.depth;
+            let back = self.plane(wanted_back, behind, 1, front, &neighbors);
+            self.band.planes.push((self.steps.plane(front), self.steps.plane(back)));
+            last_back = Some(back);
+        }
+    }
+
+    /// Codes a front (`side` 0) or back (1), predicted from the first of the neighbours' that is `behind` a depth.
+    fn plane(
+        &mut self,
+        wanted: PlaneCode,
+        behind: f32,
+        side: usize,
+        otherwise: PlaneCode,
+        neighbors: &[Range<usize>; 2],
+    ) -> PlaneCode {
+        let next = neighbors.clone().map(|layers| {
+            let planes = self.band.planes[layers].iter().map(|(f, b)| if side == 0 { *f } else { *b });
+            planes.filter(|p| p.z > behind).min_by(|a, b| a.z.total_cmp(&b.z))
+        });
+        let (expected, context) = match next {
+            [Some(a), Some(b)] => {
+                let apart = ((a.z - b.z).abs() / self.steps.depth) as u32;
+                let nearer = if a.z < b.z { a } else { b };
+                let mean =
+                    DepthPlane { z: 0.5 * (a.z + b.z), dx: 0.5 * (a.dx + b.dx), dy: 0.5 * (a.dy + b.dy) };
+                let context = (apart.saturating_add(1).ilog2() as usize + usize::from(apart > 0))
+                    .min(DEPTH_CONTEXTS - 3);
+                (self.steps.code(&if apart < 4 { mean } else { nearer }), context)
+            }
+            [Some(a), None] | [None, Some(a)] => (self.steps.code(&a), DEPTH_CONTEXTS - 2),
+            [None, None] => (otherwise, DEPTH_CONTEXTS - 1),
+        };
+        let coder = &mut self.coder;
+        let models = &mut self.contexts.depth[side][context];
+        let z = expected.z.saturating_add(coder.signed(models, wanted.z.saturating_sub(expected.z)));
+        let models = &mut self.contexts.slope[side][(context / 3).min(3)];
+        let mut slope = |wanted: i32, expected: i32| {
+            expected.saturating_add(coder.signed(models, wanted.saturating_sub(expected)))
+        };
+        let (dx, dy) = (slope(wanted.dx, expected.dx), slope(wanted.dy, expected.dy));
+        PlaneCode { z, dx, dy }
+    }
+}
+
+/// A plane with numbers that stay finite whatever is done to them.
+pub(super) fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
+    let slope = |s: f32| s.clamp(-MAX_SLOPE, MAX_SLOPE);
+    DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
+}
+
+impl Steps {
+    /// The plane of a code.
+    fn plane(&self, code: PlaneCode) -> DepthPlane {
+        let slope = self.depth * 0.25;
+        bounded(code.z as f32 * self.depth, code.dx as f32 * slope, code.dy as f32 * slope)
+    }
+
+    /// The code of the nearest plane.
+    pub(in super::super) fn code(&self, plane: &DepthPlane) -> PlaneCode {
+        let nearest = |v: f32, step: f32| (v / step + 0.5).floor() as i32;
+        let slope = self.depth * 0.25;
+        PlaneCode {
+            z: nearest(plane.z, self.depth),
+            dx: nearest(plane.dx, slope),
+            dy: nearest(plane.dy, slope),
+        }
+    }
+
+    /// The codes of layers' planes: what all but touches does, and every back is behind its front.
+    pub(in super::super) fn codes(&self, layers: &[BlockLayer], out: &mut Vec<(PlaneCode, PlaneCode)>) {
+        out.clear();
+        for layer in layers {
+            let (mut front, mut back) = (self.code(&layer.front), self.code(&layer.back));
+            if let Some((_, before)) = out.last()
+                && front.z <= before.z + 1
+            {
+                front = *before;
+            }
+            back.z = back.z.max(front.z + 1);
+            out.push((front, back));
+        }
+    }
+
+    /// The planes that a decoder makes of codes.
+    pub(in super::super) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
+        out.clear();
+        out.extend(codes.iter().map(|(front, back)| (self.plane(*front), self.plane(*back))));
+    }
+}
+
+const MAX_DEPTH: f32 = 1e7;
+const MAX_SLOPE: f32 = 1e6;
