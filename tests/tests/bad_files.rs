@@ -201,7 +201,7 @@ fn transfer_functions_that_are_wrong() {
         (point("0.5").repeat(257), "257 control points, expected 1 to 256"),
         (point("0.5") + "colour = 3\n", "line 5: unknown field `colour`"),
         ("not toml at all".into(), "line 1"),
-        ("#".repeat(1 << 20) + "\n", "found more than 1 MiB, expected a TOML file"),
+        ("#".repeat(8 << 20) + "\n", "found more than 8 MiB, expected control points in TOML"),
     ] {
         let path = file(&text);
         let message = load_transfer(&path).unwrap_err().to_string();

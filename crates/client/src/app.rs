@@ -3,24 +3,30 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use egui::{Key, Modifiers};
+use egui::PointerButton;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
 use isinglass_net::{Clock, ReceivedFrame, State};
 
+use crate::bindings::{Action, take_actions};
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::frame_source::FrameSource;
+use crate::look_panel::{self, Settings};
 use crate::meters::RefreshMeter;
 use crate::novel_view::{NovelViews, Shown};
+use crate::orientation::Orientation;
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
+use crate::pick::visible_point;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
 use crate::quality_control::QualityControl;
 use crate::stereo::Stereo;
-use crate::viewing::{FrameSize, Refresh, Standing, Viewing};
+use crate::transfer_editor::{TransferEditor, ValueScale};
+use crate::view_aids::{self, ViewAids, pixel_at};
+use crate::viewing::{Refresh, Standing, Viewing};
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
 
 /// See the module.
@@ -42,8 +48,12 @@ pub(crate) struct ViewerApp<S> {
     method_problem: Option<String>,
     stereo: Stereo,
     shows_overlay: bool,
+    aids: ViewAids,
+    /// When the centre of rotation was chosen.
+    center_chosen_at: Option<Duration>,
+    editor: TransferEditor,
     shows_help: bool,
-    shows_look: bool,
+    is_look_open: bool,
     pointer: Pointer,
     title: String,
     notice: Option<(String, Duration)>,
@@ -64,6 +74,7 @@ impl<S: FrameSource> ViewerApp<S> {
         Self {
             stereo: options.stereo,
             shows_overlay: options.shows_overlay,
+            aids: ViewAids { shows_axes: options.shows_overlay, ..ViewAids::default() },
             options,
             viewing,
             controls: None,
@@ -78,8 +89,10 @@ impl<S: FrameSource> ViewerApp<S> {
             picture_status,
             novel_views,
             method_problem: None,
+            center_chosen_at: None,
+            editor: TransferEditor::default(),
             shows_help: false,
-            shows_look: true,
+            is_look_open: false,
             pointer: Pointer::default(),
             title: String::new(),
             notice: None,
@@ -97,26 +110,89 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_mut()
     }
 
-    fn keys(&mut self, ctx: &egui::Context) {
-        let pressed = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
-        if pressed(Key::O) {
-            self.shows_overlay = !self.shows_overlay;
+    /// Does what the keys say; whether the first view was asked for.
+    fn keys(&mut self, ctx: &egui::Context, picture: &Intrinsics) -> bool {
+        let types = ctx.text_edit_focused();
+        let actions = ctx.input_mut(|i| take_actions(&mut i.events, types));
+        let mut resets = false;
+        for action in actions {
+            match action {
+                Action::FirstView => resets = true,
+                Action::StandardView(side, opposite) => {
+                    let (from, up) = self.orientation().standard_view(side, opposite);
+                    if let Some((_, controls)) = self.controls(picture) {
+                        controls.look_from(from, up);
+                    }
+                }
+                Action::Numbers => self.shows_overlay = !self.shows_overlay,
+                Action::LookPanel => self.is_look_open = !self.is_look_open,
+                Action::Box => self.aids.shows_box = !self.aids.shows_box,
+                Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
+                Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
+                Action::Undo | Action::Redo => {
+                    let Some(scale) = self.value_scale() else { continue };
+                    match action {
+                        Action::Undo => self.editor.undo(&scale),
+                        _ => self.editor.redo(&scale),
+                    }
+                }
+                Action::Help => self.shows_help = !self.shows_help,
+                Action::CloseHelp => self.shows_help = false,
+                Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            }
         }
-        if pressed(Key::L) {
-            self.shows_look = !self.shows_look;
+        resets
+    }
+
+    fn orientation(&self) -> Orientation {
+        let description = self.viewing.source().description();
+        Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
+    }
+
+    fn value_scale(&self) -> Option<ValueScale> {
+        Some(ValueScale::of(&self.viewing.source().description()?.volume))
+    }
+
+    /// A double click makes what is visible there the centre of rotation.
+    fn choose_center(&mut self, ctx: &egui::Context, now: Duration, rect: egui::Rect, refresh: &Refresh) {
+        let is_double = ctx.input(|i| i.pointer.button_double_clicked(PointerButton::Primary));
+        let at = ctx.pointer_interact_pos().filter(|at| is_double && rect.contains(*at) && is_free(ctx, *at));
+        let (Some(at), Some(frame)) = (at, &refresh.frame) else { return };
+        if !self.stereo().is_mono() {
+            return;
         }
-        if pressed(Key::S) {
-            self.stereo.mode = self.stereo.mode.next();
+        let pixel = pixel_at(rect, &refresh.camera, at);
+        if let Some(point) = visible_point(&frame.frame, &refresh.bounds, &refresh.camera, pixel)
+            && let Some((_, controls)) = &mut self.controls
+            && controls.set_center(point)
+        {
+            self.center_chosen_at = Some(now);
         }
-        if pressed(Key::H) | pressed(Key::F1) {
-            self.shows_help = !self.shows_help;
+    }
+
+    fn paint_aids(&self, ui: &egui::Ui, now: Duration, rect: egui::Rect, refresh: &Refresh) {
+        let (Some((_, controls)), Some(description)) = (&self.controls, self.viewing.source().description())
+        else {
+            return;
+        };
+        // Two eyes would each need their own.
+        if !self.stereo().is_mono() {
+            return;
         }
-        if pressed(Key::Escape) {
-            self.shows_help = false;
-        }
-        if ctx.input_mut(|i| i.consume_key(Modifiers::COMMAND, Key::Q)) {
-            ctx.send_viewport_cmd(egui::ViewportCommand::Close);
-        }
+        let scene = view_aids::Scene {
+            rect,
+            camera: &refresh.camera,
+            bounds: &refresh.bounds,
+            orientation: &self.orientation(),
+            unit: description.volume.unit.as_deref(),
+            center: controls.center(),
+            shows_center: self.marks_center(now),
+        };
+        self.aids.paint(ui.painter(), &scene);
+    }
+
+    fn marks_center(&self, now: Duration) -> bool {
+        self.center_chosen_at.is_some_and(|at| now < at + CENTER_TIME)
     }
 
     fn overlay_model(&self, refresh: &Refresh, is_active: bool) -> OverlayModel {
@@ -142,20 +218,33 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
-        let Some(look) = self.viewing.look(now).filter(|_| self.shows_look) else { return };
-        let methods = (&self.novel_views.names[..], self.novel_views.selected);
-        let choice = panels::look_panel(ctx, &look, &self.viewing.frame_size, methods, self.stereo);
-        if let Some(selected) = choice.method {
-            self.novel_views.selected = selected;
+        let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
+        self.editor.follow(&look.transfer, &scale);
+        if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
+            self.editor.open(file.path().to_owned(), ctx);
         }
-        if let Some(look) = choice.look {
-            self.viewing.set_look(now, look);
+        let mut settings = Settings {
+            look: (*look).clone(),
+            frame_size: self.viewing.frame_size,
+            methods: &self.novel_views.names,
+            method: self.novel_views.selected,
+            stereo: self.stereo,
+            aids: self.aids,
+        };
+        look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings);
+        let Settings { look: mut wanted, frame_size, method, stereo, aids, .. } = settings;
+        self.novel_views.selected = method;
+        self.viewing.frame_size = frame_size;
+        (self.stereo, self.aids) = (stereo, aids);
+        let edit = self.editor.take_edit(ctx);
+        if let Some(transfer) = edit.transfer {
+            wanted.transfer = transfer;
         }
-        if let Some(scale) = choice.scale {
-            self.viewing.frame_size = FrameSize { scale, ..self.viewing.frame_size };
-        }
-        if let Some(stereo) = choice.stereo {
-            self.stereo = stereo;
+        wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
+        if wanted != *look {
+            self.viewing.set_look(now, wanted);
+            // The picture is to say that it is older, and the pace may hold the look back.
+            ctx.request_repaint();
         }
     }
 
@@ -175,37 +264,29 @@ impl<S: FrameSource> ViewerApp<S> {
 }
 
 impl<S: FrameSource> eframe::App for ViewerApp<S> {
-    /// Tab would move egui's keyboard focus before any widget is asked.
-    fn raw_input_hook(&mut self, _ctx: &egui::Context, raw_input: &mut egui::RawInput) {
-        raw_input.events.retain(|event| match event {
-            egui::Event::Key { key: Key::Tab, pressed, repeat, modifiers, .. } if modifiers.is_none() => {
-                self.shows_overlay ^= *pressed && !*repeat;
-                false
-            }
-            _ => true,
-        });
-    }
-
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        self.show(ui);
+    }
+}
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// A refresh of the whole window.
+    pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         let now = Duration::from_micros(self.clock.now_micros());
         let elapsed = now.saturating_sub(self.last_refresh);
         self.last_refresh = now;
-        let keys_are_free = !ctx.egui_wants_keyboard_input();
-        if keys_are_free {
-            self.keys(&ctx);
-        }
-
         let rect = ui.max_rect();
         let window = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
         let picture = self.stereo().eye_intrinsics(window);
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
-        let is_free = |at| ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background);
+        let resets = self.keys(&ctx, &picture);
         let events = ctx.input(|i| i.events.clone());
-        let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), is_free);
+        let free = |at| is_free(&ctx, at);
+        let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), free);
         // Zooming is about a point of the eye's own picture.
         input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
-        input.reset = keys_are_free && ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::R));
+        input.reset = resets;
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
             auto_orbit / 180.0 * picture.width.min(picture.height) as f32 * elapsed.as_secs_f32();
@@ -234,7 +315,12 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         let seconds = now.saturating_sub(self.opened_at).as_secs_f64();
         match refresh.as_ref().and_then(|r| Some((r, r.frame.clone()?))) {
             Some((r, frame)) => {
+                self.choose_center(&ctx, now, rect, r);
                 self.paint(ui, rect, r, frame);
+                self.paint_aids(ui, now, rect, r);
+                if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
+                    panels::older_look(&ctx);
+                }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
                     panels::overlay(&ctx, &self.title, &model);
@@ -257,10 +343,14 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
         } else if let Some(wait) = self.rest(refresh.as_ref(), &state) {
             ctx.request_repaint_after(wait);
         }
+        if let Some(due) = self.viewing.look_due() {
+            ctx.request_repaint_after(due.saturating_sub(now));
+        }
+        if self.marks_center(now) {
+            ctx.request_repaint_after(CENTER_TIME);
+        }
     }
-}
 
-impl<S: FrameSource> ViewerApp<S> {
     /// The ray cast, or the newest picture of another method.
     fn paint(&mut self, ui: &egui::Ui, rect: egui::Rect, refresh: &Refresh, frame: Arc<ReceivedFrame>) {
         let (camera, bounds) = (refresh.camera, refresh.bounds);
@@ -278,7 +368,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let stereo = self.stereo();
         let quality = self.quality.quality(refresh.standing == Standing::Moving);
         let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
-        ui.painter().add(PicturePaint { frame, kept, camera, bounds, stereo, quality }.shape(rect));
+        let background = self.aids.linear_background();
+        ui.painter()
+            .add(PicturePaint { frame, kept, camera, bounds, stereo, quality, background }.shape(rect));
     }
 
     /// Only the ray cast has two eyes.
@@ -357,6 +449,11 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
+/// Whether no panel lies at a point of the picture.
+fn is_free(ctx: &egui::Context, at: egui::Pos2) -> bool {
+    ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
+}
+
 /// A time of which 0 means that it is not known yet.
 fn micros(micros: u64) -> Option<Duration> {
     (micros > 0).then(|| Duration::from_micros(micros))
@@ -376,9 +473,16 @@ const SETTLED_PERIOD: Duration = Duration::from_millis(500);
 const REPORT_PERIOD: Duration = Duration::from_secs(1);
 /// A line of the server's stays so long.
 const NOTICE_TIME: Duration = Duration::from_secs(8);
+/// A chosen centre of rotation is marked so long.
+const CENTER_TIME: Duration = Duration::from_millis(1500);
+/// A picture of the look before is called so only then: a fast server is faster.
+const OLDER_LOOK_DELAY: Duration = Duration::from_millis(250);
 /// A script is asked so often.
 const SCRIPT_REFRESH: Duration = Duration::from_millis(30);
 /// The largest texture, and so window, that egui's device allows.
 const MAX_PICTURE_SIDE: f32 = 8192.0;
 /// While the camera moves, the picture is cast as finely as this many refreshes a second allow.
 const TARGET_RATE: f32 = 30.0;
+
+#[cfg(test)]
+mod tests;

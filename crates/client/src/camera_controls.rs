@@ -1,4 +1,4 @@
-//! From pointer movements to a camera: orbit, pan and zoom around the volume's centre.
+//! From pointer movements to a camera: orbit, roll, pan and zoom around a centre, the volume's at first.
 //!
 //! The camera is kept as a rotation and the eye's place *relative to the centre, in view space*: (x, y, d), where d is
 //! the view depth of the centre. Orbiting changes only the rotation, panning only x and y, zooming keeps d within
@@ -18,6 +18,8 @@ pub struct ControlInput {
     pub orbit: [f32; 2],
     /// Movement that pans.
     pub pan: [f32; 2],
+    /// Angle that the picture is turned by in its plane, radians, clockwise.
+    pub roll: f32,
     /// Natural logarithm of the magnification: positive brings the volume closer.
     pub zoom: f32,
     /// The point that zooming keeps in place, from the middle of the picture.
@@ -29,7 +31,7 @@ pub struct ControlInput {
 impl ControlInput {
     /// Whether it would leave the camera as it is.
     pub fn is_idle(&self) -> bool {
-        self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.zoom == 0.0 && !self.reset
+        self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.roll == 0.0 && self.zoom == 0.0 && !self.reset
     }
 }
 
@@ -54,6 +56,9 @@ impl Default for InitialOrbit {
 #[derive(Clone, Debug)]
 pub struct CameraControls {
     initial: InitialOrbit,
+    /// Of the volume.
+    middle: Vec3,
+    /// What the camera turns about.
     center: Vec3,
     radius: f32,
     world_from_view: Quat,
@@ -66,6 +71,7 @@ impl CameraControls {
     pub fn new(initial: InitialOrbit, bounds: &Aabb, intrinsics: &Intrinsics) -> Self {
         let mut controls = Self {
             initial,
+            middle: bounds.center(),
             center: bounds.center(),
             radius: bounds.radius(),
             world_from_view: Quat::IDENTITY,
@@ -78,6 +84,7 @@ impl CameraControls {
     /// Back to the first view.
     pub fn reset(&mut self, intrinsics: &Intrinsics) {
         let distance = self.initial.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance());
+        self.center = self.middle;
         self.world_from_view = Pose::orbit(
             Vec3::ZERO,
             self.initial.azimuth_degrees.to_radians(),
@@ -95,6 +102,7 @@ impl CameraControls {
             self.reset(intrinsics);
         }
         self.orbit(input.orbit, intrinsics);
+        self.roll(input.roll);
         self.pan(input.pan, intrinsics);
         self.zoom(input.zoom, input.zoom_at, intrinsics);
         before != (self.world_from_view, self.eye_from_center)
@@ -109,6 +117,37 @@ impl CameraControls {
         if (dx, dy) != (0.0, 0.0) && turned.is_finite() {
             self.world_from_view = turned;
         }
+    }
+
+    /// Turns the picture clockwise about the centre, by an angle in radians.
+    pub fn roll(&mut self, angle: f32) {
+        let turned = (self.world_from_view * Quat::from_rotation_z(angle)).normalize();
+        if angle != 0.0 && turned.is_finite() {
+            self.world_from_view = turned;
+        }
+    }
+
+    /// Looks at the volume's middle from the direction `from`, `up` upwards, from as far away as before.
+    pub fn look_from(&mut self, from: Vec3, up: Vec3) {
+        self.world_from_view = Pose::look_at(from, Vec3::ZERO, up).world_from_view;
+        self.center = self.middle;
+        self.eye_from_center = Vec3::Z * self.bounded_depth(self.eye_from_center.z);
+    }
+
+    /// What the camera turns about, world space.
+    pub fn center(&self) -> Vec3 {
+        self.center
+    }
+
+    /// Turns about another point from now on; the view stays as it is. A point that is not before the eye is refused.
+    pub fn set_center(&mut self, center: Vec3) -> bool {
+        let eye_from_center = self.world_from_view.inverse() * (self.pose().eye - center);
+        let depth = eye_from_center.z;
+        let is_usable = eye_from_center.is_finite() && depth == self.bounded_depth(depth);
+        if is_usable {
+            (self.center, self.eye_from_center) = (center, eye_from_center);
+        }
+        is_usable
     }
 
     /// Shifts the camera so that the centre of the volume, and all at its depth, follows the pointer.
@@ -299,6 +338,57 @@ mod tests {
         c.orbit([5.0, 3.0], &INTRINSICS);
         let p = pixel_of(&c, near_side);
         assert!(p[0] > 321.0 && p[1] > 200.5, "{p:?}");
+    }
+
+    #[test]
+    fn roll_turns_the_picture_clockwise_about_the_centre() {
+        let mut c = controls();
+        let before = pixel_of(&c, bounds().center());
+        c.roll(0.7);
+        assert_close(pixel_of(&c, bounds().center()), before, PIXEL_TOLERANCE);
+        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let right = bounds().center() + c.world_from_view * Vec3::X;
+        let at = pixel_of(&c, right)[0] - 320.0;
+        c.roll(std::f32::consts::FRAC_PI_2);
+        assert_close(pixel_of(&c, right), [320.0, 200.0 + at], PIXEL_TOLERANCE);
+        c.roll(f32::NAN);
+        assert_close(pixel_of(&c, right), [320.0, 200.0 + at], PIXEL_TOLERANCE);
+    }
+
+    #[test]
+    fn another_centre_leaves_the_view_and_is_what_turning_turns_about() {
+        let mut c = controls();
+        let before = c.pose();
+        let point = bounds().center() + Vec3::new(1.5, -1.0, 0.5);
+        assert!(c.set_center(point));
+        assert!(distance(&c.pose(), &before) < WORLD_TOLERANCE);
+        let pixel = pixel_of(&c, point);
+        c.orbit([70.0, 33.0], &INTRINSICS);
+        assert_close(pixel_of(&c, point), pixel, PIXEL_TOLERANCE);
+        // Control: the volume's own centre has moved.
+        let middle = pixel_of(&c, bounds().center());
+        assert!((middle[0] - 320.0).abs() + (middle[1] - 200.0).abs() > 5.0);
+        assert!(!c.set_center(c.pose().eye - c.pose().forward()) && !c.set_center(Vec3::NAN));
+        assert_eq!(c.center(), point);
+        c.reset(&INTRINSICS);
+        assert_eq!(c.center(), bounds().center());
+    }
+
+    #[test]
+    fn standard_views_look_from_their_side_and_keep_the_distance() {
+        let mut c = controls();
+        let depth = c.eye_from_center.z;
+        for (from, up) in [(Vec3::Y, Vec3::Z), (Vec3::NEG_X, Vec3::Z), (Vec3::Z, Vec3::Y)] {
+            c.set_center(bounds().center() + Vec3::splat(0.3));
+            c.look_from(from, up);
+            let pose = c.pose();
+            assert!(
+                (pose.forward() + from).length() < 1e-6
+                    && (pose.world_from_view * Vec3::Y - up).length() < 1e-6
+            );
+            assert!((pose.eye - bounds().center() - from * c.eye_from_center.z).length() < WORLD_TOLERANCE);
+        }
+        assert!((c.eye_from_center.z - depth).abs() < 1.0, "no farther than the centres are apart");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! come from `isinglass-net`, the ray caster from `isinglass-gpu`.
 
 mod app;
+mod bindings;
 pub mod camera_controls;
 mod camera_path;
 mod display;
@@ -14,19 +15,26 @@ mod frame_source;
 mod gpu_timer;
 mod headless;
 mod kept;
+mod look_panel;
 mod meters;
 mod novel_view;
+mod orientation;
 mod overlay;
+mod pace;
 mod panels;
+mod pick;
 mod picture;
 mod pointer;
 mod quality_control;
 mod run;
 mod slots;
 mod stereo;
+mod transfer_editor;
+mod view_aids;
 mod viewing;
 mod window;
 
+pub use bindings::{Action, BINDINGS, Binding, Opposite, Side};
 pub use camera_controls::InitialOrbit;
 pub use camera_path::{CameraPath, CameraPathError};
 pub use display::display_available;
@@ -34,7 +42,7 @@ pub use foresight::Foresight;
 pub use frame_source::FrameSource;
 pub use headless::{DisplayRecord, HeadlessViewer};
 pub use novel_view::{LAYERS, NovelView};
-pub use overlay::{BINDINGS, OverlayModel, Row, ViewTime, format_duration, format_rate};
+pub use overlay::{OverlayModel, Row, ViewTime, format_duration, format_rate};
 pub use picture::BACKGROUND;
 pub use quality_control::{Quality, QualityControl};
 pub use run::{ViewerOptions, run};

@@ -131,21 +131,6 @@ pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
     text
 }
 
-/// The keys and buttons, as the help shows them.
-pub const BINDINGS: [(&str, &str); 11] = [
-    ("left drag", "orbit"),
-    ("middle or shift+left drag", "pan"),
-    ("wheel, pinch", "zoom at the pointer"),
-    ("right drag", "zoom"),
-    ("r", "first view"),
-    ("o, Tab", "numbers on or off"),
-    ("l", "look panel on or off"),
-    ("s", "stereo: side by side, red-cyan, off"),
-    ("h, F1", "this help"),
-    ("Esc", "close help"),
-    ("Ctrl+q", "close the window"),
-];
-
 /// A duration with two or three figures: `0.8 ms`, `42 ms`, `1.3 s`.
 pub fn format_duration(d: Duration) -> String {
     let ms = d.as_secs_f64() * 1e3;

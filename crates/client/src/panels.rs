@@ -1,23 +1,38 @@
-//! What lies over the picture: numbers, banner, help, the look, and the page before the first frame.
+//! What lies over the picture: numbers, banner, help, and the page before the first frame.
 
 use egui::{Align2, Color32, Frame, Margin, RichText, Stroke, Ui, vec2};
-use isinglass_core::kernels::layering::Layering;
-use isinglass_core::layer::MAX_K;
-use isinglass_core::look::Look;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
 
-use crate::overlay::{BINDINGS, OverlayModel, sentence};
-use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
-use crate::viewing::{FrameSize, Standing};
+use crate::bindings::BINDINGS;
+use crate::overlay::{OverlayModel, sentence};
+use crate::viewing::Standing;
 
-/// A dark pane that text can be read on over any picture.
-fn pane() -> Frame {
+/// A pane that text can be read on over any picture.
+pub(crate) fn pane(ctx: &egui::Context) -> Frame {
+    let (fill, line) = if is_dark(ctx) {
+        (Color32::from_rgba_unmultiplied(14, 16, 20, 225), Color32::from_white_alpha(28))
+    } else {
+        (Color32::from_rgba_unmultiplied(246, 247, 249, 240), Color32::from_black_alpha(60))
+    };
     Frame::new()
-        .fill(Color32::from_black_alpha(170))
-        .stroke(Stroke::new(1.0, Color32::from_white_alpha(22)))
+        .fill(fill)
+        .stroke(Stroke::new(1.0, line))
         .corner_radius(6.0)
         .inner_margin(Margin::symmetric(10, 8))
+}
+
+fn is_dark(ctx: &egui::Context) -> bool {
+    ctx.theme() == egui::Theme::Dark
+}
+
+/// Text to be read, and text beside it.
+fn bright(ctx: &egui::Context) -> Color32 {
+    if is_dark(ctx) { Color32::from_gray(232) } else { Color32::from_gray(20) }
+}
+
+fn quiet(ctx: &egui::Context) -> Color32 {
+    if is_dark(ctx) { Color32::from_gray(165) } else { Color32::from_gray(80) }
 }
 
 /// The numbers, at the top left. `title` is the volume's name.
@@ -26,13 +41,13 @@ pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel) {
         .anchor(Align2::LEFT_TOP, vec2(10.0, 10.0))
         .interactable(true)
         .show(ctx, |ui| {
-            pane().show(ui, |ui| {
+            pane(ctx).show(ui, |ui| {
                 // A fixed width: changing digits must not make the pane tremble.
                 ui.set_width(OVERLAY_WIDTH);
                 ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
                 ui.spacing_mut().interact_size.y = 0.0;
                 if !title.is_empty() {
-                    ui.add(egui::Label::new(RichText::new(title).color(BRIGHT).size(12.0)).truncate());
+                    ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
                 }
                 badge(ui, model.standing);
                 ui.add_space(3.0);
@@ -44,11 +59,15 @@ pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel) {
 }
 
 fn badge(ui: &mut Ui, standing: Standing) {
+    let is_dark = ui.visuals().dark_mode;
     let color = match standing {
-        Standing::Exact | Standing::Settled => Color32::from_rgb(110, 205, 130),
-        Standing::Moving => Color32::from_rgb(120, 175, 240),
-        Standing::Refining => Color32::from_rgb(235, 190, 95),
-        Standing::Waiting => Color32::from_gray(150),
+        Standing::Exact | Standing::Settled if is_dark => Color32::from_rgb(110, 205, 130),
+        Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
+        Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
+        Standing::Moving => Color32::from_rgb(20, 85, 175),
+        Standing::Refining if is_dark => Color32::from_rgb(235, 190, 95),
+        Standing::Refining => Color32::from_rgb(150, 90, 0),
+        Standing::Waiting => quiet(ui.ctx()),
     };
     let line = ui.horizontal(|ui| {
         let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
@@ -60,9 +79,9 @@ fn badge(ui: &mut Ui, standing: Standing) {
 
 fn row(ui: &mut Ui, name: &str, value: &str) {
     ui.horizontal(|ui| {
-        ui.label(RichText::new(name).color(QUIET).size(11.5));
+        ui.label(RichText::new(name).color(quiet(ui.ctx())).size(11.5));
         ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-            ui.label(RichText::new(value).color(BRIGHT).size(11.5));
+            ui.label(RichText::new(value).color(bright(ui.ctx())).size(11.5));
         });
     });
 }
@@ -71,9 +90,19 @@ fn row(ui: &mut Ui, name: &str, value: &str) {
 pub(crate) fn banner(ctx: &egui::Context, text: &str) {
     let area = egui::Area::new(egui::Id::unique("banner")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
     area.interactable(false).show(ctx, |ui| {
-        pane().fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
+        pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
             ui.set_max_width((ctx.content_rect().width() - 60.0).max(200.0));
             ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
+        });
+    });
+}
+
+/// One line at the top, while the picture is made with an older look than was asked for.
+pub(crate) fn older_look(ctx: &egui::Context) {
+    let area = egui::Area::new(egui::Id::unique("older look")).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
+    area.interactable(false).show(ctx, |ui| {
+        pane(ctx).show(ui, |ui| {
+            ui.label(RichText::new("shown with the look before; the new one is on its way").size(12.0));
         });
     });
 }
@@ -86,128 +115,17 @@ pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
         .resizable(false)
         .collapsible(false)
         .show(ctx, |ui| {
-            egui::Grid::new("bindings").num_columns(2).spacing([28.0, 5.0]).show(ui, |ui| {
-                for (keys, action) in BINDINGS {
-                    ui.label(RichText::new(keys).color(BRIGHT));
-                    ui.label(action);
-                    ui.end_row();
-                }
+            let height = (ctx.content_rect().height() - 90.0).max(100.0);
+            egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
+                egui::Grid::new("bindings").num_columns(2).spacing([28.0, 5.0]).show(ui, |ui| {
+                    for binding in BINDINGS {
+                        ui.label(RichText::new(binding.keys).color(bright(ctx)));
+                        ui.label(binding.text);
+                        ui.end_row();
+                    }
+                });
             });
         });
-}
-
-/// What the look panel asked for.
-#[derive(Default)]
-pub(crate) struct LookChoice {
-    /// Another look.
-    pub(crate) look: Option<Look>,
-    /// Another size of the frames.
-    pub(crate) scale: Option<f32>,
-    /// Another method, by its number.
-    pub(crate) method: Option<usize>,
-    /// Another picture for two eyes.
-    pub(crate) stereo: Option<Stereo>,
-}
-
-/// Transfer function, shading, layering, frame size, stereo and, if there are several, the method of making pictures, at
-/// the top right; folded at first.
-pub(crate) fn look_panel(
-    ctx: &egui::Context,
-    look: &Look,
-    frame_size: &FrameSize,
-    (methods, method): (&[&str], usize),
-    stereo: Stereo,
-) -> LookChoice {
-    let mut choice = LookChoice::default();
-    let mut changed = look.clone();
-    let open_id = egui::Id::unique("look is open");
-    let is_open = ctx.data(|d| d.get_temp(open_id).unwrap_or(false));
-    // Two areas: one would keep the width of the unfolded panel.
-    let area_id = egui::Id::unique(if is_open { "look" } else { "look, folded" });
-    let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
-    let in_pane = |ui: &mut Ui| {
-        let title = egui::Button::new(RichText::new("Look").color(BRIGHT).size(12.0)).frame(false);
-        let hint = if is_open { "click to fold" } else { "transfer function, shading, layers, stereo" };
-        if ui.add(title).on_hover_text(hint).clicked() {
-            ctx.data_mut(|d| d.insert_temp(open_id, !is_open));
-        }
-        if is_open {
-            egui::Grid::new("look").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
-                ui.label("transfer function");
-                egui::ComboBox::from_id_salt("transfer").selected_text(&look.transfer.name).show_ui(
-                    ui,
-                    |ui| {
-                        for name in isinglass_formats::preset_names() {
-                            let is_selected = look.transfer.name == name;
-                            if ui.selectable_label(is_selected, name).clicked()
-                                && let Some(transfer) = isinglass_formats::preset(name)
-                            {
-                                changed.transfer = transfer;
-                            }
-                        }
-                    },
-                );
-                ui.end_row();
-                ui.label("shading");
-                ui.checkbox(&mut changed.shaded, "");
-                ui.end_row();
-                ui.label("layering");
-                egui::ComboBox::from_id_salt("layering").selected_text(look.layering.name()).show_ui(
-                    ui,
-                    |ui| {
-                        for layering in Layering::ALL {
-                            ui.selectable_value(&mut changed.layering, layering, layering.name());
-                        }
-                    },
-                );
-                ui.end_row();
-                ui.label("segments a ray").on_hover_text("K: more is truer after a turn, and more to send");
-                ui.add(egui::Slider::new(&mut changed.k, 1..=MAX_K as u8));
-                ui.end_row();
-                if methods.len() > 1 {
-                    ui.label("picture by").on_hover_text("how the server's frames become pictures here");
-                    egui::ComboBox::from_id_salt("method").selected_text(methods[method]).show_ui(ui, |ui| {
-                        for (number, name) in methods.iter().enumerate() {
-                            if ui.selectable_label(number == method, *name).clicked() {
-                                choice.method = Some(number);
-                            }
-                        }
-                    });
-                    ui.end_row();
-                }
-                ui.label("frame size").on_hover_text("of the server's frames, in units of the window's");
-                let mut percent = (frame_size.scale * 100.0).round();
-                if ui.add(egui::Slider::new(&mut percent, 25.0..=100.0).step_by(5.0).suffix(" %")).changed() {
-                    choice.scale = Some(percent / 100.0);
-                }
-                ui.end_row();
-                // Only the ray cast has two eyes.
-                if method == 0 {
-                    choice.stereo = stereo_rows(ui, stereo);
-                }
-            });
-        }
-    };
-    area.show(ctx, |ui| pane().show(ui, in_pane));
-    choice.look = (changed != *look).then_some(changed);
-    choice
-}
-
-/// Mode and eye distance; what was chosen, if anything.
-fn stereo_rows(ui: &mut Ui, stereo: Stereo) -> Option<Stereo> {
-    let mut changed = stereo;
-    ui.label("stereo").on_hover_text("two eyes, side by side or for red-cyan glasses");
-    egui::ComboBox::from_id_salt("stereo").selected_text(stereo.mode.name()).show_ui(ui, |ui| {
-        for mode in StereoMode::ALL {
-            ui.selectable_value(&mut changed.mode, mode, mode.name());
-        }
-    });
-    ui.end_row();
-    ui.label("eye distance").on_hover_text("as an angle, seen from the volume's centre");
-    let slider = egui::Slider::new(&mut changed.eye_angle_degrees, 0.0..=MAX_EYE_ANGLE_DEGREES);
-    ui.add_enabled(!stereo.is_mono(), slider.step_by(0.1).fixed_decimals(1).suffix("°"));
-    ui.end_row();
-    (changed != stereo).then_some(changed)
 }
 
 /// The page before the first picture.
@@ -258,6 +176,4 @@ pub(crate) fn title_of(volume: &VolumeDescription) -> String {
 
 /// Behind the page before the first picture.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);
-const BRIGHT: Color32 = Color32::from_gray(232);
-const QUIET: Color32 = Color32::from_gray(160);
 const OVERLAY_WIDTH: f32 = 172.0;

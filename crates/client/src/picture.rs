@@ -28,6 +28,8 @@ pub(crate) struct PicturePaint {
     pub(crate) stereo: Stereo,
     /// How finely to cast, if for one eye.
     pub(crate) quality: Quality,
+    /// Linear colour behind the volume.
+    pub(crate) background: [f32; 3],
 }
 
 /// What the painting tells the application.
@@ -129,11 +131,11 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         r.pass.set_options(queue, &CastOptions { num_samples, ..Default::default() });
         if self.is_enlarged() {
             let smaller = Camera { intrinsics: self.quality.size_of(self.camera.intrinsics), ..self.camera };
-            r.pass.prepare_smaller(device, queue, encoder, &smaller, BACKGROUND);
+            r.pass.prepare_smaller(device, queue, encoder, &smaller, self.background);
         } else if self.stereo.is_mono() {
-            r.pass.prepare(queue, &self.camera, BACKGROUND);
+            r.pass.prepare(queue, &self.camera, self.background);
         } else {
-            r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), BACKGROUND);
+            r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), self.background);
         }
         if let Some(timer) = &r.timer {
             timer.step(device, encoder);
@@ -183,5 +185,5 @@ impl PicturePaint {
     }
 }
 
-/// Linear colour behind the volume: black, as in every picture that the program writes.
+/// Linear colour behind the volume if no other is chosen: black, as in every picture that the program writes.
 pub const BACKGROUND: [f32; 3] = [0.0; 3];

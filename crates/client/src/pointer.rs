@@ -24,6 +24,7 @@ struct Drag {
 #[derive(Clone, Copy, Debug)]
 enum Action {
     Orbit,
+    Roll,
     Pan,
     Zoom,
 }
@@ -47,6 +48,7 @@ impl Pointer {
                         self.drag = None;
                     } else if *pressed && self.drag.is_none() && rect.contains(*pos) && is_free(*pos) {
                         let action = match button {
+                            PointerButton::Primary if modifiers.command => Action::Roll,
                             PointerButton::Primary if modifiers.shift => Action::Pan,
                             PointerButton::Primary => Action::Orbit,
                             PointerButton::Middle => Action::Pan,
@@ -72,10 +74,12 @@ impl Pointer {
     }
 
     fn move_to(&mut self, to: Pos2, rect: Rect, pixels_per_point: f32, input: &mut ControlInput) {
-        let moved = (to - self.position.unwrap_or(to)) * pixels_per_point;
+        let from = self.position.unwrap_or(to);
+        let moved = (to - from) * pixels_per_point;
         self.position = Some(to);
         match self.drag.as_ref().map(|d| d.action) {
             Some(Action::Orbit) => input.orbit = [input.orbit[0] + moved.x, input.orbit[1] + moved.y],
+            Some(Action::Roll) => input.roll += angle_around(rect.center(), from, to),
             Some(Action::Pan) => input.pan = [input.pan[0] + moved.x, input.pan[1] + moved.y],
             Some(Action::Zoom) => {
                 input.zoom -= moved.y / (rect.height() * pixels_per_point).max(1.0) * ZOOM_PER_HEIGHT;
@@ -83,6 +87,16 @@ impl Pointer {
             None => {}
         }
     }
+}
+
+/// The angle from one point to another around a third, radians, clockwise; y runs down.
+fn angle_around(center: Pos2, from: Pos2, to: Pos2) -> f32 {
+    let (a, b) = (from - center, to - center);
+    // Near to the centre every angle is chance.
+    if a.length().min(b.length()) < 4.0 {
+        return 0.0;
+    }
+    (a.x * b.y - a.y * b.x).atan2(a.dot(b))
 }
 
 /// Magnification, natural logarithm.
@@ -159,6 +173,13 @@ mod tests {
         }
         let right = drag(PointerButton::Secondary, Modifiers::NONE);
         assert!((right.zoom + 0.2 * ZOOM_PER_HEIGHT).abs() < 1e-6, "down moves away: {right:?}");
+        // From 50/-0 points right of the middle to 10/20: no button moves as much as this turns.
+        let roll = drag(PointerButton::Primary, Modifiers::COMMAND);
+        let expected: f32 = [(0.0f32, 0.0f32), (4.0, 10.0), (10.0, 20.0)]
+            .windows(2)
+            .map(|w| if w[0] == (0.0, 0.0) { 0.0 } else { w[1].1.atan2(w[1].0) - w[0].1.atan2(w[0].0) })
+            .sum();
+        assert!((roll.roll - expected).abs() < 1e-6 && roll.orbit == [0.0; 2], "{roll:?} {expected}");
         assert!(drag(PointerButton::Extra1, Modifiers::NONE).is_idle());
     }
 

@@ -17,6 +17,7 @@ use crate::camera_controls::angle_between_degrees;
 use crate::foresight::{Foresight, Limits, guard_band, widest};
 use crate::frame_source::FrameSource;
 use crate::kept::KeptFrames;
+use crate::pace::Pace;
 
 /// How the picture on screen stands to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,6 +105,8 @@ pub struct Refresh {
     pub is_ahead: bool,
     /// Whether camera or frame differ from the refresh before.
     pub changed: bool,
+    /// Since when the picture has been made with an older look than is wished for; none: it is made with that look.
+    pub older_look_since: Option<Duration>,
 }
 
 /// Keeps the wishes and the newest frame. Call [`Viewing::refresh`] once for each picture.
@@ -126,7 +129,10 @@ pub struct Viewing<S> {
     refreshed_at: Duration,
     /// What a list costs the server to generate and encode, as it last said.
     micros_per_list: Option<f32>,
-    wanted_look: Option<(Arc<Look>, Duration)>,
+    /// The look that was asked for, until the server has it.
+    wanted_look: Option<Arc<Look>>,
+    look_pace: Pace<Look>,
+    older_look_since: Option<Duration>,
 }
 
 impl<S: FrameSource> Viewing<S> {
@@ -147,6 +153,8 @@ impl<S: FrameSource> Viewing<S> {
             refreshed_at: Duration::ZERO,
             micros_per_list: None,
             wanted_look: None,
+            look_pace: Pace::new(LOOK_PERIOD),
+            older_look_since: None,
         }
     }
 
@@ -166,16 +174,17 @@ impl<S: FrameSource> Viewing<S> {
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
         let full = self.frame_size.frame_for(picture, max_side);
         self.began_at.get_or_insert(now);
+        self.send_look(now);
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
-        let frame = self.choose(now, newest, (pose, full));
+        let frame = self.choose(newest, (pose, full));
         if self.last.as_ref().is_some_and(|(last, _)| last.pose != pose) {
             self.moved_at = now;
         }
         self.predictor.observe(now, pose, bounds.center());
         let ahead = self.predictor.predict().filter(|_| self.foresight.predicts).unwrap_or(pose);
-        let has_own = frame.as_deref().filter(|f| self.is_settled(now, f, (pose, full)));
+        let has_own = frame.as_deref().filter(|f| self.is_settled(f, (pose, full)));
         let size = self.size(now, Camera { pose: ahead, ..camera }, pose, has_own, max_side, bounds);
         if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != ahead) {
             if self.left.len() == MAX_LEFT {
@@ -206,6 +215,8 @@ impl<S: FrameSource> Viewing<S> {
             kept = self.kept.choose(frame, &camera, bounds);
         }
         let header = frame.as_ref().map(|f| f.frame.header);
+        let has_older_look = frame.as_ref().is_some_and(|f| !self.has_wanted_look(f));
+        self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
@@ -216,6 +227,7 @@ impl<S: FrameSource> Viewing<S> {
             bounds: *bounds,
             frame,
             changed,
+            older_look_since: self.older_look_since,
         }
     }
 
@@ -264,14 +276,12 @@ impl<S: FrameSource> Viewing<S> {
     /// pose, is not complete.
     fn choose(
         &self,
-        now: Duration,
         newest: Option<Arc<ReceivedFrame>>,
         own: (Pose, Intrinsics),
     ) -> Option<Arc<ReceivedFrame>> {
         let newest = newest?;
         let shown = self.last.as_ref().and_then(|(_, frame)| frame.as_ref());
-        let shown =
-            shown.filter(|f| !newest.is_complete && is_own(&newest, own) && self.is_settled(now, f, own));
+        let shown = shown.filter(|f| !newest.is_complete && is_own(&newest, own) && self.is_settled(f, own));
         Some(shown.cloned().unwrap_or(newest))
     }
 
@@ -285,19 +295,46 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// The look to show as chosen: the one asked for last, until the server has it or has had time to refuse it.
-    pub fn look(&self, now: Duration) -> Option<Arc<Look>> {
-        let of_server = self.source.look().map(|(_, look)| look);
-        match &self.wanted_look {
-            Some((wanted, at)) if now < *at + LOOK_PATIENCE => Some(wanted.clone()),
-            _ => of_server,
+    /// The look to show as chosen: the one asked for last, until the server has it.
+    pub fn look(&self) -> Option<Arc<Look>> {
+        self.wanted_look.clone().or_else(|| self.source.look().map(|(_, look)| look))
+    }
+
+    /// Asks for another look; one that cannot be used is ignored. The source is asked no more often than 30 times a
+    /// second, for the newest.
+    pub fn set_look(&mut self, now: Duration, look: Look) {
+        if let Err(e) = look.validate() {
+            tracing::warn!("look ignored: {e}");
+            return;
+        }
+        self.wanted_look = Some(Arc::new(look.clone()));
+        if let Some(look) = self.look_pace.offer(now, look) {
+            self.source.set_look(look);
         }
     }
 
-    /// Asks for another look.
-    pub fn set_look(&mut self, now: Duration, look: Look) {
-        self.source.set_look(look.clone());
-        self.wanted_look = Some((Arc::new(look), now));
+    /// When a look that waits can be sent: there must be a refresh then.
+    pub fn look_due(&self) -> Option<Duration> {
+        self.look_pace.due()
+    }
+
+    fn send_look(&mut self, now: Duration) {
+        if let Some(look) = self.look_pace.poll(now) {
+            self.source.set_look(look);
+        }
+        // From here on the server's look is shown, whoever chose it.
+        if self.look_pace.due().is_none()
+            && self.source.look().is_some_and(|(_, l)| Some(l) == self.wanted_look)
+        {
+            self.wanted_look = None;
+        }
+    }
+
+    /// Whether a frame is made with the look that was asked for last.
+    fn has_wanted_look(&self, frame: &ReceivedFrame) -> bool {
+        let of_server = self.source.look();
+        of_server.as_ref().is_none_or(|(version, _)| *version == frame.frame.header.look)
+            && self.look() == of_server.map(|(_, look)| look)
     }
 
     /// Whether no frame has been there and the first is being asked for. That one is small, so that there is something to
@@ -328,7 +365,7 @@ impl<S: FrameSource> Viewing<S> {
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
-        if self.is_settled(now, frame, (pose, full)) {
+        if self.is_settled(frame, (pose, full)) {
             if full == picture { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
@@ -338,12 +375,8 @@ impl<S: FrameSource> Viewing<S> {
     }
 
     /// Whether a frame is the camera's own, complete, and of the look that is wished for.
-    fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
-        let server_look = self.source.look();
-        let version = frame.frame.header.look;
-        let look_is_current = server_look.as_ref().is_none_or(|(current, _)| *current == version)
-            && self.look(now) == server_look.map(|(_, look)| look);
-        is_own(frame, own) && frame.is_complete && look_is_current
+    fn is_settled(&self, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
+        is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame)
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, pose: &Pose) -> Option<Duration> {
@@ -374,8 +407,8 @@ const UNKNOWN_MICROS_PER_LIST: f32 = 3.0;
 /// Sizes of frames while the camera moves: few, so that they do not change all the time.
 const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
 const LEAST_MOVING_SCALE: f32 = 0.25;
-/// How long a wish for a look is shown as if granted.
-const LOOK_PATIENCE: Duration = Duration::from_secs(3);
+/// Looks go to the server at most so often: 30 times a second.
+const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
 const MAX_LEFT: usize = 256;
 

@@ -32,7 +32,7 @@ pub struct WindowOptions {
     pub stereo: Stereo,
     /// What is asked for beyond the picture of the moment.
     pub foresight: Foresight,
-    /// Whether the numbers are shown at first.
+    /// Whether numbers, axes and scale bar are shown at first.
     pub shows_overlay: bool,
     /// Turns the camera by itself, for pictures of a moving view; 0: not.
     pub auto_orbit_degrees_per_second: f32,

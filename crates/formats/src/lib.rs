@@ -16,6 +16,9 @@ mod presets;
 mod raw;
 mod source;
 mod transfer;
+mod transfer_import;
+mod transfer_json;
+mod transfer_maps;
 
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
@@ -23,4 +26,6 @@ pub use facts::{PERCENTILES, VolumeFacts};
 pub use presets::{default_preset, preset, preset_names};
 pub use raw::RawShape;
 pub use source::{OpenOptions, open};
-pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml};
+pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
+pub use transfer_import::{ImportedTransfer, import_transfers};
+pub use transfer_maps::ColorMap;

@@ -1,4 +1,4 @@
-//! Transfer functions as TOML files of control points.
+//! Transfer functions as TOML files of control points, read and written.
 //!
 //! ```toml
 //! name = "bone"                        # optional, else the name of the file
@@ -22,8 +22,10 @@ use serde::{Deserialize, de};
 use crate::error::{FormatError, io_error, quoted, shown};
 use crate::presets::{preset, preset_names};
 use crate::source::open_file;
+use crate::transfer_import::{EXPECTED, first_transfer};
 
-/// The preset of this name, or else the TOML file at this path.
+/// The preset of this name, or else the file at this path: TOML, or the first look of another program's file. A colour map
+/// comes onto a plain ramp.
 pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError> {
     if let Some(transfer) = preset(name_or_path) {
         return Ok(transfer);
@@ -33,18 +35,69 @@ pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError
         let expected = preset_names().collect::<Vec<_>>().join(", ");
         return Err(FormatError::UnknownPreset { found: quoted(name_or_path), expected });
     }
+    let text = read_text(path)?;
+    first_transfer(&text, path)
+}
+
+/// The text of a file of at most [`MAX_TRANSFER_BYTES`].
+pub(crate) fn read_text(path: &Path) -> Result<String, FormatError> {
+    let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: EXPECTED };
     let mut bytes = Vec::new();
     open_file(path)?.take(MAX_TRANSFER_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
     if bytes.len() as u64 > MAX_TRANSFER_BYTES {
-        let (path, found) = (shown(path), "more than 1 MiB");
-        return Err(FormatError::Unsupported { path, found, expected: "a TOML file of control points" });
+        return Err(unsupported("more than 8 MiB"));
     }
-    let text = String::from_utf8(bytes).map_err(|_| FormatError::Unsupported {
-        path: shown(path),
-        found: "bytes that are not UTF-8",
-        expected: "a TOML file of control points",
-    })?;
-    transfer_from_toml(&text, name_or_path)
+    String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))
+}
+
+/// The text of a file that reads back as `transfer`, to the last bit.
+pub fn transfer_to_toml(transfer: &TransferFunction) -> String {
+    let mut out = format!("name = {}\n", text_literal(&transfer.name));
+    let [a, b] = match transfer.domain {
+        Domain::Full => [0.0; 2],
+        Domain::Values(a, b) | Domain::Percentiles(a, b) => [a, b],
+    };
+    let (a, b) = (number_literal(a), number_literal(b));
+    out += &match transfer.domain {
+        Domain::Full => "domain = \"full\"\n".to_owned(),
+        Domain::Values(..) => format!("domain = {{ values = [{a}, {b}] }}\n"),
+        Domain::Percentiles(..) => format!("domain = {{ percentiles = [{a}, {b}] }}\n"),
+    };
+    out += &match transfer.unit_length {
+        UnitLength::Voxel => "unit_length = \"voxel\"\n".to_owned(),
+        UnitLength::World(l) => format!("unit_length = {{ world = {} }}\n", number_literal(l)),
+        UnitLength::Radius(r) => format!("unit_length = {{ radius = {} }}\n", number_literal(r)),
+    };
+    for p in &transfer.points {
+        let bytes = p.color.map(|c| (c * 255.0).round() as u8);
+        let color = if bytes.map(|c| f32::from(c) / 255.0) == p.color {
+            format!("\"#{:02x}{:02x}{:02x}\"", bytes[0], bytes[1], bytes[2])
+        } else {
+            format!("[{}]", p.color.map(number_literal).join(", "))
+        };
+        let (x, opacity) = (number_literal(p.x), number_literal(p.opacity));
+        out += &format!("\n[[point]]\nx = {x}\ncolor = {color}\nopacity = {opacity}\n");
+    }
+    out
+}
+
+/// The shortest literal that is this number when it is read, as numbers of files are, in double precision first.
+fn number_literal(x: f32) -> String {
+    let short = format!("{x:?}");
+    if short.parse::<f64>().is_ok_and(|y| y as f32 == x) { short } else { format!("{:?}", f64::from(x)) }
+}
+
+/// A string of TOML in quotes.
+fn text_literal(text: &str) -> String {
+    let mut out = String::from('"');
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => out.extend(['\\', c]),
+            c if c.is_control() => out += &format!("\\U{:08x}", u32::from(c)),
+            c => out.push(c),
+        }
+    }
+    out + "\""
 }
 
 /// The transfer function written in `text`. `path` is for messages, and its stem is the name if the text has none.
@@ -172,8 +225,8 @@ impl<'de> Deserialize<'de> for ColorText {
     }
 }
 
-/// A file larger than this holds no transfer function.
-pub const MAX_TRANSFER_BYTES: u64 = 1 << 20;
+/// A file larger than this holds no transfer function: ParaView's own list of 199 maps takes 0.3 MB.
+pub const MAX_TRANSFER_BYTES: u64 = 8 << 20;
 
 #[cfg(test)]
 mod tests {
@@ -195,6 +248,29 @@ mod tests {
         let tf = transfer_from_toml(&GOOD.replace("percentiles = [1, 99.5]", "values = [-1000, 3e3]"), "a")
             .unwrap();
         assert_eq!(tf.domain, Domain::Values(-1000.0, 3000.0));
+    }
+
+    #[test]
+    fn what_is_written_reads_back_to_the_bit() {
+        let mut transfers: Vec<_> = preset_names().map(|n| preset(n).unwrap()).collect();
+        let odd =
+            [0.0, f32::MIN_POSITIVE, 1e-30, 0.1, 1.0 / 3.0, f32::from_bits(0x3eaa_aaab), 0.999_999_94, 1.0];
+        let points = odd.map(|x| ControlPoint { x, color: [x, 1.0 - x, 0.5], opacity: x }).to_vec();
+        for (domain, unit_length) in [
+            (Domain::Full, UnitLength::Voxel),
+            (Domain::Values(-1e37, 3.4e37), UnitLength::World(1e-12)),
+            (Domain::Percentiles(0.1, 99.9), UnitLength::Radius(1e12)),
+        ] {
+            let name = "a \"quoted\\ name\tµ".into();
+            transfers.push(TransferFunction { name, domain, unit_length, points: points.clone() });
+        }
+        for transfer in transfers {
+            let text = transfer_to_toml(&transfer);
+            assert_eq!(transfer_from_toml(&text, "b.toml").unwrap(), transfer, "{text}");
+            // Control: a digit more or less is another function.
+            let other = text.replacen("opacity = 0.", "opacity = 0.1", 2);
+            assert!(other == text || transfer_from_toml(&other, "b.toml").unwrap() != transfer, "{text}");
+        }
     }
 
     #[test]

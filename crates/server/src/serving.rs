@@ -108,22 +108,25 @@ impl Viewer {
         }
     }
 
-    async fn take(&mut self, request: Request) -> bool {
-        match request {
-            Request::SetLook(look) => {
-                tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
-                self.version = self.version.next();
-                self.look = Arc::new(look);
-                // The newest pose shall be answered again.
-                self.session.poses.mark_changed();
-                self.session.control.look_changed(self.version, (*self.look).clone()).await.is_ok()
+    /// Takes all that has come by now. Of several looks the newest wins: none is rendered that is out of date.
+    async fn take(&mut self, first: Request) -> bool {
+        let mut newest_look = None;
+        let mut next = Some(first);
+        while let Some(request) = next {
+            match request {
+                Request::SetLook(look) => newest_look = Some(look),
+                Request::Stats(stats) => tracing::debug!(?stats, "viewer"),
+                Request::Bye => return false,
             }
-            Request::Stats(stats) => {
-                tracing::debug!(?stats, "viewer");
-                true
-            }
-            Request::Bye => false,
+            next = self.session.requests.try_recv().ok();
         }
+        let Some(look) = newest_look else { return true };
+        tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
+        self.version = self.version.next();
+        self.look = Arc::new(look);
+        // The newest pose shall be answered again.
+        self.session.poses.mark_changed();
+        self.session.control.look_changed(self.version, (*self.look).clone()).await.is_ok()
     }
 
     /// Generates the frame for a pose, and hands it over to be encoded and sent; false when the viewer has left.

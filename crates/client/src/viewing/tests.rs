@@ -324,16 +324,42 @@ fn a_look_that_is_on_its_way_is_not_exact() {
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     v.set_look(ms(20), look("skin"));
     assert_eq!(v.source.wanted_looks, [look("skin")]);
-    assert_eq!(v.look(ms(30)), Some(Arc::new(look("skin"))));
+    assert_eq!(v.look(), Some(Arc::new(look("skin"))));
     assert_eq!(v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
     assert_eq!(v.refresh(ms(40), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     v.source.answer(1, ms(0), true);
     assert_eq!(v.refresh(ms(50), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
-    // A wish that the server ignores is forgotten.
-    v.set_look(ms(60), look("no such thing"));
-    assert_eq!(v.look(ms(4_000)), Some(Arc::new(look("skin"))));
+    // A wish that no server can grant is none.
+    v.set_look(ms(60), Look { k: 0, ..look("no such thing") });
+    assert_eq!(v.look(), Some(Arc::new(look("skin"))));
     assert_eq!(v.refresh(ms(4_000), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+}
+
+#[test]
+fn edits_of_a_look_go_out_thirty_times_a_second_and_the_newest_wins() {
+    let mut v = viewing();
+    v.source.look = Some((LookVersion(1), Arc::new(look("0"))));
+    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+    v.source.answer(1, ms(0), true);
+    assert_eq!(v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).older_look_since, None);
+    // A second of dragging at 125 Hz, as mice report.
+    for i in 1..=125u64 {
+        v.set_look(ms(i * 8), look(&i.to_string()));
+        assert_eq!(v.look(), Some(Arc::new(look(&i.to_string()))), "the panel shows the newest at once");
+        let refresh = v.refresh(ms(i * 8), at(0.0), PICTURE, &BOUNDS);
+        assert_eq!(refresh.older_look_since, Some(ms(8)), "the picture says that it is older");
+    }
+    assert!((20..=31).contains(&v.source.wanted_looks.len()), "{}", v.source.wanted_looks.len());
+    let due = v.look_due().unwrap();
+    v.refresh(due, at(0.0), PICTURE, &BOUNDS);
+    assert_eq!((v.look_due(), v.source.wanted_looks.last()), (None, Some(&look("125"))));
+    // Granted, but the frame is still of the look before; then it is there.
+    v.source.look = Some((LookVersion(2), Arc::new(look("125"))));
+    assert_eq!(v.refresh(ms(1100), at(0.0), PICTURE, &BOUNDS).older_look_since, Some(ms(8)));
+    v.source.answer(1, ms(0), true);
+    let refresh = v.refresh(ms(1200), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!((refresh.older_look_since, refresh.standing), (None, Standing::Exact));
 }
 
 #[test]

@@ -1,0 +1,169 @@
+//! The panel at the right: transfer function, how frames are made, and what is drawn around them.
+
+use egui::{Align2, RichText, Ui, vec2};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::layer::MAX_K;
+use isinglass_core::look::Look;
+
+use crate::panels::pane;
+use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
+use crate::transfer_editor::{TransferEditor, ValueScale};
+use crate::view_aids::ViewAids;
+use crate::viewing::FrameSize;
+
+/// What is set in the panel beside the transfer function.
+pub(crate) struct Settings<'a> {
+    /// The server's frames.
+    pub(crate) look: Look,
+    /// Their size.
+    pub(crate) frame_size: FrameSize,
+    /// The methods to choose from.
+    pub(crate) methods: &'a [&'static str],
+    /// The one chosen.
+    pub(crate) method: usize,
+    /// The picture for two eyes.
+    pub(crate) stereo: Stereo,
+    /// What is drawn around the picture.
+    pub(crate) aids: ViewAids,
+}
+
+/// Shows the panel, open or folded, and changes what was set.
+pub(crate) fn show(
+    ctx: &egui::Context,
+    is_open: &mut bool,
+    editor: &mut TransferEditor,
+    scale: &ValueScale,
+    settings: &mut Settings<'_>,
+) {
+    // Two areas: one would keep the width of the open panel.
+    let area_id = egui::Id::unique(if *is_open { "look" } else { "look, folded" });
+    // All of the window's height but for the title and the margins; what does not fit is scrolled to.
+    let height = (ctx.content_rect().height() - 70.0).max(100.0);
+    let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
+    let area = area.default_size(vec2(PANEL_WIDTH, height + 50.0));
+    area.show(ctx, |ui| {
+        pane(ctx).show(ui, |ui| {
+            let title = egui::Button::new(RichText::new("Look").strong().size(13.0)).frame(false);
+            let hint = if *is_open { "l or click: fold" } else { "transfer function, shading, view (l)" };
+            if ui.add(title).on_hover_text(hint).clicked() {
+                *is_open = !*is_open;
+            }
+            if !*is_open {
+                return;
+            }
+            ui.set_width(PANEL_WIDTH);
+            egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
+                ui.set_width(PANEL_WIDTH);
+                section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
+                section(ui, "Frames", false, |ui| frames(ui, settings));
+                section(ui, "View", false, |ui| view(ui, settings));
+            });
+        });
+    });
+}
+
+fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui)) {
+    let header = egui::CollapsingHeader::new(RichText::new(title).size(12.5)).default_open(is_open);
+    header.show_unindented(ui, content);
+}
+
+fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
+    let Settings { look, frame_size, methods, method, stereo, .. } = settings;
+    egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+        row(ui, "shading", "by gradients, with a light fixed in the world", |ui| {
+            ui.checkbox(&mut look.shaded, "")
+        });
+        row(ui, "layering", "which segments a frame holds", |ui| {
+            let combo = egui::ComboBox::from_id_salt("layering").selected_text(look.layering.name());
+            let choices = |ui: &mut Ui| {
+                for layering in Layering::ALL {
+                    ui.selectable_value(&mut look.layering, layering, layering.name());
+                }
+            };
+            combo.show_ui(ui, choices).response
+        });
+        row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
+            ui.add(egui::Slider::new(&mut look.k, 1..=MAX_K as u8))
+        });
+        if methods.len() > 1 {
+            row(ui, "picture by", "how the server's frames become pictures here", |ui| {
+                let combo = egui::ComboBox::from_id_salt("method").selected_text(methods[*method]);
+                let choices = |ui: &mut Ui| {
+                    for (number, name) in methods.iter().enumerate() {
+                        ui.selectable_value(method, number, *name);
+                    }
+                };
+                combo.show_ui(ui, choices).response
+            });
+        }
+        row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
+            let mut percent = (frame_size.scale * 100.0).round();
+            let slider = ui.add(egui::Slider::new(&mut percent, 25.0..=100.0).step_by(5.0).suffix(" %"));
+            if slider.changed() {
+                frame_size.scale = percent / 100.0;
+            }
+            slider
+        });
+        // Only the ray cast has two eyes.
+        if *method == 0 {
+            stereo_rows(ui, stereo);
+        }
+    });
+}
+
+/// Mode and eye distance.
+fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
+    row(ui, "stereo", "two eyes, side by side or for red-cyan glasses", |ui| {
+        let combo = egui::ComboBox::from_id_salt("stereo").selected_text(stereo.mode.name());
+        let choices = |ui: &mut Ui| {
+            for mode in StereoMode::ALL {
+                ui.selectable_value(&mut stereo.mode, mode, mode.name());
+            }
+        };
+        combo.show_ui(ui, choices).response
+    });
+    row(ui, "eye distance", "as an angle, seen from the centre", |ui| {
+        let is_stereo = !stereo.is_mono();
+        let slider = egui::Slider::new(&mut stereo.eye_angle_degrees, 0.0..=MAX_EYE_ANGLE_DEGREES);
+        ui.add_enabled(is_stereo, slider.step_by(0.1).fixed_decimals(1).suffix("°"))
+    });
+}
+
+/// A line of a grid: a name, which the control is called by too, and the control.
+fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> egui::Response) {
+    let label = ui.label(name).on_hover_text(hint);
+    control(ui).labelled_by(label.id);
+    ui.end_row();
+}
+
+fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
+    let aids = &mut settings.aids;
+    ui.horizontal(|ui| {
+        ui.checkbox(&mut aids.shows_axes, "axes and scale (a)");
+        ui.checkbox(&mut aids.shows_box, "box (b)");
+    });
+    ui.horizontal(|ui| {
+        ui.label("background");
+        for (name, color) in [("black", [0; 3]), ("grey", [58, 60, 66]), ("white", [255; 3])] {
+            ui.selectable_value(&mut aids.background, color, name);
+        }
+        let color = ui.color_edit_button_srgb(&mut aids.background);
+        color.widget_info(|| egui::WidgetInfo::labeled(egui::Role::ColorWell, true, "background colour"));
+    });
+    ui.horizontal(|ui| {
+        ui.label("theme");
+        let mut theme = ui.ctx().options(|o| o.theme_preference);
+        for (name, wanted) in [
+            ("dark", egui::ThemePreference::Dark),
+            ("light", egui::ThemePreference::Light),
+            ("system's", egui::ThemePreference::System),
+        ] {
+            if ui.selectable_value(&mut theme, wanted, name).clicked() {
+                ui.ctx().set_theme(wanted);
+            }
+        }
+    });
+}
+
+/// Room for nine points of a curve, and for a third of a small screen beside it.
+const PANEL_WIDTH: f32 = 312.0;

@@ -1,0 +1,489 @@
+//! The editor of the transfer function: the curve over the histogram, and what is done to all of it.
+
+mod curve;
+mod files;
+mod history;
+mod plot;
+mod scale;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+
+use egui::{DragValue, RichText, Ui, vec2};
+use isinglass_core::transfer::{Domain, TransferFunction};
+use isinglass_formats::{ColorMap, ImportedTransfer};
+
+use curve::Curve;
+use files::{Files, Outcome, path_from_text};
+use history::History;
+use plot::{Grip, LEAST_WINDOW};
+pub(crate) use scale::ValueScale;
+use scale::format_value;
+
+/// The state of the editor. It shows what it is given, and tells what was made of it.
+pub(crate) struct TransferEditor {
+    curve: Curve,
+    /// As the server or the editor itself last had it.
+    known: Option<TransferFunction>,
+    /// What reset goes back to.
+    preset: TransferFunction,
+    history: History<TransferFunction>,
+    /// The state before a movement that goes on.
+    before: Option<TransferFunction>,
+    selected: Option<usize>,
+    grip: Option<Grip>,
+    view: Option<(f32, f32)>,
+    is_log: bool,
+    files: Files,
+    path: String,
+    /// A file that is there, and is replaced if it is asked for once more.
+    replaces: Option<PathBuf>,
+    found: Vec<ImportedTransfer>,
+    message: Option<String>,
+    /// What a preset says of shading, until it is taken.
+    shaded: Option<bool>,
+}
+
+/// What was made in the editor at a refresh.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Edit {
+    /// Another transfer function.
+    pub(crate) transfer: Option<TransferFunction>,
+    /// What an imported preset says of shading.
+    pub(crate) shaded: Option<bool>,
+}
+
+impl Default for TransferEditor {
+    fn default() -> Self {
+        let nothing = TransferFunction {
+            name: String::new(),
+            domain: Domain::Full,
+            unit_length: isinglass_core::transfer::UnitLength::Voxel,
+            points: Vec::new(),
+        };
+        Self {
+            curve: Curve { transfer: nothing.clone(), domain: (0.0, 1.0) },
+            known: None,
+            preset: nothing,
+            history: History::default(),
+            before: None,
+            selected: None,
+            grip: None,
+            view: None,
+            is_log: true,
+            files: Files::default(),
+            path: String::new(),
+            replaces: None,
+            found: Vec::new(),
+            message: None,
+            shaded: None,
+        }
+    }
+}
+
+impl TransferEditor {
+    /// Takes what the picture is made with: another function than the editor's own comes from elsewhere. To be called at
+    /// each refresh, whether the editor is shown or not.
+    pub(crate) fn follow(&mut self, given: &TransferFunction, scale: &ValueScale) {
+        if self.known.as_ref() != Some(given) && self.grip.is_none() {
+            self.known = Some(given.clone());
+            self.preset = given.clone();
+            self.before = None;
+            self.set(given.clone(), scale);
+            self.fit();
+        }
+        // The values behind percentiles depend on the volume.
+        self.curve.domain = scale.domain(&self.curve.transfer.domain);
+        self.take_outcome(scale);
+    }
+
+    /// What has been made since the last call. Movements end when no button is held.
+    pub(crate) fn take_edit(&mut self, ctx: &egui::Context) -> Edit {
+        if self.grip.is_none()
+            && !ctx.input(|i| i.pointer.any_down())
+            && let Some(before) = self.before.take().filter(|b| *b != self.curve.transfer)
+        {
+            self.history.note(before);
+        }
+        let mut edit = Edit { shaded: self.shaded.take(), ..Edit::default() };
+        if self.known.as_ref() != Some(&self.curve.transfer) {
+            self.known = Some(self.curve.transfer.clone());
+            edit.transfer.clone_from(&self.known);
+        }
+        edit
+    }
+
+    /// Back by one step.
+    pub(crate) fn undo(&mut self, scale: &ValueScale) {
+        if self.before.is_none()
+            && let Some(transfer) = self.history.undo(self.curve.transfer.clone())
+        {
+            self.set(transfer, scale);
+        }
+    }
+
+    /// Forward by one step.
+    pub(crate) fn redo(&mut self, scale: &ValueScale) {
+        if self.before.is_none()
+            && let Some(transfer) = self.history.redo(self.curve.transfer.clone())
+        {
+            self.set(transfer, scale);
+        }
+    }
+
+    /// Reads a file of presets, and takes the first of them.
+    pub(crate) fn open(&mut self, path: PathBuf, ctx: &egui::Context) {
+        self.path = path.display().to_string();
+        self.message = None;
+        self.files.read(path, ctx);
+    }
+
+    /// The editor's rows.
+    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
+        self.presets_row(ui, scale);
+        self.plot(ui, scale);
+        self.point_row(ui);
+        self.window_row(ui, scale);
+        self.shift_row(ui, scale);
+        self.range_row(ui, scale);
+        self.history_row(ui, scale);
+        self.file_rows(ui, scale);
+    }
+
+    /// Replaces the function in one step, from which the view starts anew.
+    fn take(&mut self, transfer: TransferFunction, scale: &ValueScale) {
+        self.begin();
+        self.preset = transfer.clone();
+        self.set(transfer, scale);
+        self.fit();
+    }
+
+    fn set(&mut self, transfer: TransferFunction, scale: &ValueScale) {
+        let domain = scale.domain(&transfer.domain);
+        self.selected = self.selected.filter(|s| *s < transfer.points.len());
+        self.curve = Curve { transfer, domain };
+    }
+
+    /// A part of a movement, or a step of its own.
+    fn change(&mut self, curve: Curve) {
+        self.begin();
+        self.curve = curve;
+    }
+
+    fn begin(&mut self) {
+        self.before.get_or_insert_with(|| self.curve.transfer.clone());
+    }
+
+    /// The values across the plot.
+    fn view(&mut self, scale: &ValueScale) -> (f32, f32) {
+        let (least, most) = self.widest_view(scale);
+        let (lo, hi) = self.curve.domain;
+        let margin = (hi - lo) * 0.06;
+        *self.view.get_or_insert(((lo - margin).max(least), (hi + margin).min(most)))
+    }
+
+    /// The volume's values and the function's.
+    fn widest_view(&self, scale: &ValueScale) -> (f32, f32) {
+        (scale.range.0.min(self.curve.domain.0), scale.range.1.max(self.curve.domain.1))
+    }
+
+    /// The view shows the function again, whatever it is then.
+    fn fit(&mut self) {
+        self.view = None;
+    }
+
+    fn presets_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let half = (ui.available_width() - 6.0) * 0.5;
+        let mut taken = None;
+        let mut colored = None;
+        ui.horizontal(|ui| {
+            let name = match self.curve.transfer.name.as_str() {
+                "" => "unnamed",
+                name => name,
+            };
+            let presets = egui::ComboBox::from_id_salt("preset").width(half).truncate();
+            let presets = presets.selected_text(name).show_ui(ui, |ui| {
+                for name in isinglass_formats::preset_names() {
+                    if ui.selectable_label(self.curve.transfer.name == name, name).clicked() {
+                        taken = isinglass_formats::preset(name);
+                    }
+                }
+            });
+            named(&presets.response, egui::Role::ComboBox, "preset");
+            let maps = egui::ComboBox::from_id_salt("colours").width(half).truncate();
+            let maps = maps.selected_text("colour map").show_ui(ui, |ui| {
+                for map in ColorMap::all() {
+                    if map_label(ui, &map) {
+                        colored = Some(map);
+                    }
+                }
+            });
+            named(&maps.response, egui::Role::ComboBox, "colour map");
+        });
+        if let Some(transfer) = taken {
+            self.take(transfer, scale);
+        }
+        if let Some(map) = colored {
+            self.begin();
+            self.set(map.onto(&self.curve.transfer), scale);
+        }
+    }
+
+    /// The selected point in numbers.
+    fn point_row(&mut self, ui: &mut Ui) {
+        let Some(index) = self.selected else {
+            // The same height, so that nothing jumps.
+            ui.horizontal(|ui| ui.label(RichText::new("no point selected").weak()));
+            return;
+        };
+        let point = self.curve.transfer.points[index];
+        let (mut value, mut opacity, mut color) = (self.curve.value(index), point.opacity, point.color);
+        let before = (value, opacity, color);
+        let speed = f64::from(self.curve.domain.1 - self.curve.domain.0) * 0.002;
+        let mut is_removed = false;
+        ui.horizontal(|ui| {
+            let value = number(ui, "value", &mut value, speed, f32::MIN..=f32::MAX);
+            value.on_hover_text("value of the selected point");
+            let opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0);
+            opacity.on_hover_text("opacity of matter one unit thick");
+            let mut bytes = plot::color32(color).to_array();
+            let button = ui.color_edit_button_srgba_unmultiplied(&mut bytes);
+            named(&button, egui::Role::ColorWell, "colour of the point");
+            if button.changed() {
+                color = [bytes[0], bytes[1], bytes[2]].map(|c| f32::from(c) / 255.0);
+            }
+            is_removed = ui.button("remove").clicked();
+        });
+        if is_removed {
+            if let Some(curve) = self.curve.without_point(index) {
+                self.selected = None;
+                self.change(curve);
+            }
+        } else if (value, opacity, color) != before {
+            let mut curve = self.curve.with_color(index, color);
+            if (value, opacity) != (before.0, before.1) {
+                curve = curve.with_point_at(index, value, opacity);
+            }
+            self.change(curve);
+        }
+    }
+
+    fn window_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (mut level, mut window) = self.curve.level_and_window();
+        let before = (level, window);
+        let speed = f64::from(window) * 0.005;
+        ui.horizontal(|ui| {
+            number(ui, "level", &mut level, speed, f32::MIN..=f32::MAX)
+                .on_hover_text("middle of the function's values; or drag the strip sideways");
+            number(ui, "window", &mut window, speed, 0.0..=f32::MAX)
+                .on_hover_text("width of the function's values; or drag the strip up and down");
+        });
+        if (level, window) != before {
+            self.change(self.curve.with_level_and_window(level, window, scale.span() * LEAST_WINDOW));
+        }
+    }
+
+    fn shift_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (level, window) = self.curve.level_and_window();
+        let (lo, hi) = scale.domain(&self.preset.domain);
+        let start = lo + (hi - lo) * 0.5;
+        let reach = scale.span() * 0.5;
+        let mut shift = level - start;
+        ui.horizontal(|ui| {
+            ui.label("shift");
+            ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
+            let slider = egui::Slider::new(&mut shift, -reach..=reach).clamping(egui::SliderClamping::Edits);
+            let slider = ui.add(slider.custom_formatter(|v, _| format_value(v as f32)));
+            named_number(&slider, egui::Role::Slider, "shift of the whole curve", f64::from(shift));
+            slider.on_hover_text("moves the whole curve along the values");
+        });
+        if shift != level - start {
+            self.change(self.curve.with_level_and_window(start + shift, window, 0.0));
+        }
+    }
+
+    fn range_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let mut domain = None;
+        ui.horizontal(|ui| {
+            for (text, wanted, hint) in [
+                ("full", Domain::Full, "from the least to the greatest value"),
+                (
+                    "0.1–99.9 %",
+                    Domain::Percentiles(0.1, 99.9),
+                    "leaves out a thousandth of the voxels at each end",
+                ),
+                (
+                    "1–99 %",
+                    Domain::Percentiles(1.0, 99.0),
+                    "leaves out a hundredth of the voxels at each end",
+                ),
+            ] {
+                let is_selected = self.curve.transfer.domain == wanted;
+                let button = ui.add(egui::Button::new(text).selected(is_selected));
+                if button.on_hover_text(hint).clicked() && !is_selected {
+                    domain = Some(wanted);
+                }
+            }
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                ui.checkbox(&mut self.is_log, "log").on_hover_text("logarithm of the histogram");
+                if ui.button("fit").on_hover_text("shows the whole function; the wheel zooms").clicked() {
+                    self.fit();
+                }
+            });
+        });
+        if let Some(domain) = domain {
+            self.begin();
+            let transfer = TransferFunction { domain, ..self.curve.transfer.clone() };
+            self.set(transfer, scale);
+            self.fit();
+        }
+    }
+
+    fn history_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (can_undo, can_redo) = self.history.has();
+        ui.horizontal(|ui| {
+            if ui.add_enabled(can_undo, egui::Button::new("undo")).on_hover_text("Ctrl+z").clicked() {
+                self.undo(scale);
+            }
+            if ui.add_enabled(can_redo, egui::Button::new("redo")).on_hover_text("Ctrl+Shift+z").clicked() {
+                self.redo(scale);
+            }
+            let differs = self.curve.transfer != self.preset;
+            let hint = format!(
+                "back to {}",
+                if self.preset.name.is_empty() { "the first" } else { &self.preset.name }
+            );
+            if ui.add_enabled(differs, egui::Button::new("reset")).on_hover_text(hint).clicked() {
+                self.take(self.preset.clone(), scale);
+            }
+        });
+    }
+
+    fn file_rows(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let mut opened = None;
+        let mut saved = None;
+        ui.horizontal(|ui| {
+            let width = (ui.available_width() - 96.0).max(60.0);
+            let field =
+                egui::TextEdit::singleline(&mut self.path).desired_width(width).hint_text("file of presets");
+            let field = ui.add(field);
+            if field.changed() {
+                self.replaces = None;
+                self.message = None;
+            }
+            field.on_hover_text("TOML; ParaView's colour maps (.json); Slicer's presets.xml and .vp.json");
+            let path = path_from_text(&self.path).filter(|_| !self.files.is_busy());
+            let open = ui.add_enabled(path.is_some(), egui::Button::new("open"));
+            if open.on_hover_text("or drop a file on the window").clicked() {
+                opened.clone_from(&path);
+            }
+            let save = if self.replaces.is_some() { "replace" } else { "save" };
+            if ui.add_enabled(path.is_some(), egui::Button::new(save)).on_hover_text("as TOML").clicked() {
+                saved = path;
+            }
+        });
+        if let Some(path) = opened {
+            self.message = None;
+            self.files.read(path, ui.ctx());
+        }
+        if let Some(path) = saved {
+            let replaces = self.replaces.take().is_some_and(|p| p == path);
+            self.files.write(path, &self.curve.transfer, replaces, ui.ctx());
+        }
+        if self.found.len() > 1 {
+            let mut chosen = None;
+            let combo = egui::ComboBox::from_id_salt("found").width(ui.available_width()).truncate();
+            let text = format!("{} presets in the file", self.found.len());
+            let combo = combo.selected_text(text).show_ui(ui, |ui| {
+                for (i, item) in self.found.iter().enumerate() {
+                    if ui.selectable_label(self.curve.transfer.name == item.name(), item.name()).clicked() {
+                        chosen = Some(i);
+                    }
+                }
+            });
+            named(&combo.response, egui::Role::ComboBox, "presets in the file");
+            if let Some(i) = chosen {
+                self.take_imported(i, scale);
+            }
+        }
+        if let Some(message) = &self.message {
+            ui.add(egui::Label::new(RichText::new(message).size(11.0)).wrap());
+        }
+    }
+
+    fn take_outcome(&mut self, scale: &ValueScale) {
+        match self.files.take() {
+            None => {}
+            Some(Outcome::Read(found)) => {
+                self.found = found;
+                self.message = None;
+                self.take_imported(0, scale);
+            }
+            Some(Outcome::Written(path)) => self.message = Some(format!("saved as {}", path.display())),
+            Some(Outcome::Exists(path)) => {
+                self.message = Some("there is such a file; press again to replace it".into());
+                self.replaces = Some(path);
+            }
+            Some(Outcome::Failed(problem)) => self.message = Some(problem),
+        }
+    }
+
+    fn take_imported(&mut self, index: usize, scale: &ValueScale) {
+        let Some(item) = self.found.get(index) else { return };
+        let transfer = item.onto(&self.curve.transfer);
+        match transfer.validate() {
+            Ok(()) => {
+                self.shaded = item.shaded();
+                self.take(transfer, scale);
+            }
+            Err(e) => self.message = Some(format!("{}: {e}", item.name())),
+        }
+    }
+}
+
+/// A number to drag or write, with its name before it.
+fn number(
+    ui: &mut Ui,
+    name: &str,
+    value: &mut f32,
+    speed: f64,
+    range: std::ops::RangeInclusive<f32>,
+) -> egui::Response {
+    ui.label(name);
+    let before = *value;
+    let drag = DragValue::new(value).speed(speed).range(range).update_while_editing(false);
+    let response = ui.add(drag.custom_formatter(|v, _| format_value(v as f32)));
+    if !value.is_finite() {
+        *value = before;
+    }
+    named_number(&response, egui::Role::SpinButton, name, f64::from(*value));
+    response
+}
+
+/// Gives a widget its name for screen readers and tests.
+fn named(response: &egui::Response, role: egui::Role, name: &str) {
+    response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
+}
+
+fn named_number(response: &egui::Response, role: egui::Role, name: &str, value: f64) {
+    response.widget_info(|| egui::WidgetInfo {
+        value: Some(value),
+        ..egui::WidgetInfo::labeled(role, true, name)
+    });
+}
+
+/// A colour map with its colours; whether it was chosen.
+fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
+    let is_clicked = ui.horizontal(|ui| {
+        let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), egui::Sense::hover());
+        for i in 0..28 {
+            let left = rect.left() + i as f32 * 2.0;
+            let column = egui::Rect::from_x_y_ranges(left..=left + 2.0, rect.y_range());
+            ui.painter().rect_filled(column, 0.0, plot::color32(map.at(i as f32 / 27.0)));
+        }
+        ui.selectable_label(false, map.name()).clicked()
+    });
+    is_clicked.inner
+}

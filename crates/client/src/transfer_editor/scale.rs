@@ -1,0 +1,171 @@
+//! The axes of the editor: values of the volume across, opacity upwards, and the histogram between them.
+
+use isinglass_core::transfer::Domain;
+use isinglass_core::wire::VolumeDescription;
+
+/// What is known of a volume's values.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ValueScale {
+    /// Least and greatest value, never the same.
+    pub(crate) range: (f32, f32),
+    counts: Vec<u64>,
+}
+
+impl ValueScale {
+    /// That of a volume.
+    pub(crate) fn of(volume: &VolumeDescription) -> Self {
+        Self { range: apart(volume.value_range), counts: volume.histogram.clone() }
+    }
+
+    /// From the least to the greatest value.
+    pub(crate) fn span(&self) -> f32 {
+        self.range.1 - self.range.0
+    }
+
+    /// The value below which `percent` % of the voxels are, as far as the bins tell: within one, evenly.
+    pub(crate) fn percentile(&self, percent: f32) -> f32 {
+        let total: u64 = self.counts.iter().sum();
+        let wanted = f64::from(percent.clamp(0.0, 100.0)) / 100.0 * total as f64;
+        let mut seen = 0.0;
+        for (i, &n) in self.counts.iter().enumerate() {
+            let n = n as f64;
+            if n > 0.0 && seen + n >= wanted {
+                let within = (wanted - seen) / n;
+                return self.value_at((i as f64 + within) as f32 / self.counts.len() as f32);
+            }
+            seen += n;
+        }
+        self.range.1
+    }
+
+    /// The two values that a domain stands for, ascending and apart.
+    pub(crate) fn domain(&self, domain: &Domain) -> (f32, f32) {
+        match *domain {
+            Domain::Full => self.range,
+            Domain::Values(a, b) => apart((a, b)),
+            Domain::Percentiles(a, b) => apart((self.percentile(a), self.percentile(b))),
+        }
+    }
+
+    /// Share of the voxels in the bin of a value, 0 to 1.
+    pub(crate) fn share(&self, value: f32) -> f32 {
+        let total: u64 = self.counts.iter().sum();
+        let bin = ((value - self.range.0) / self.span() * self.counts.len() as f32).floor();
+        let last = self.counts.len() as f32 - 1.0;
+        // The greatest value is in the last bin.
+        let bin = if value == self.range.1 { last } else { bin };
+        if !(0.0..=last).contains(&bin) || total == 0 {
+            return 0.0;
+        }
+        self.counts[bin as usize] as f32 / total as f32
+    }
+
+    /// Heights, 0 to 1, of `num` columns over the values of `view`: the largest bin in each.
+    pub(crate) fn columns(&self, view: (f32, f32), num: usize, is_log: bool) -> Vec<f32> {
+        let bins = self.counts.len() as f32;
+        let bin_at = |x: f32| (view.0 + (view.1 - view.0) * x - self.range.0) / self.span() * bins;
+        let most_in = |column: usize| {
+            let (a, b) = (bin_at(column as f32 / num as f32), bin_at((column + 1) as f32 / num as f32));
+            let (a, b) = (a.floor().max(0.0), b.ceil().min(bins));
+            let bins = if a < b { a as usize..b as usize } else { 0..0 };
+            self.counts[bins].iter().copied().max().unwrap_or(0) as f32
+        };
+        let counts: Vec<f32> = (0..num).map(most_in).collect();
+        let height = |n: f32| if is_log { n.ln_1p() } else { n };
+        let most = counts.iter().map(|&n| height(n)).fold(f32::MIN_POSITIVE, f32::max);
+        counts.iter().map(|&n| height(n) / most).collect()
+    }
+
+    fn value_at(&self, fraction: f32) -> f32 {
+        self.range.0 + self.span() * fraction
+    }
+}
+
+/// Two values that differ, as the kernels read a domain without a length.
+fn apart((lo, hi): (f32, f32)) -> (f32, f32) {
+    if hi > lo { (lo, hi) } else { (lo, lo + (lo.abs() * 1e-3).max(1.0)) }
+}
+
+/// Where an opacity stands on its axis, 0 to 1. Useful opacities of matter one voxel thick go from a few thousandths to
+/// one half: the cube root gives each of them room.
+pub(crate) fn height_of(opacity: f32) -> f32 {
+    opacity.clamp(0.0, 1.0).cbrt()
+}
+
+/// The inverse of [`height_of`].
+pub(crate) fn opacity_at(height: f32) -> f32 {
+    height.clamp(0.0, 1.0).powi(3)
+}
+
+/// A value with about four figures, and no more than its size calls for.
+pub(crate) fn format_value(value: f32) -> String {
+    let text = match value.abs() {
+        0.0 => return "0".into(),
+        a if !(1e-3..1e6).contains(&a) => return format!("{value:.2e}"),
+        a if a >= 1000.0 => format!("{value:.0}"),
+        a if a >= 100.0 => format!("{value:.1}"),
+        a if a >= 1.0 => format!("{value:.2}"),
+        _ => format!("{value:.4}"),
+    };
+    match text.split_once('.') {
+        Some((whole, part)) => {
+            let part = part.trim_end_matches('0');
+            if part.is_empty() { whole.to_owned() } else { format!("{whole}.{part}") }
+        }
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(crate) fn scale() -> ValueScale {
+        ValueScale { range: (-100.0, 300.0), counts: vec![70, 0, 20, 10] }
+    }
+
+    #[test]
+    fn percentiles_lie_in_their_bins() {
+        let s = scale();
+        for (percent, value) in
+            [(0.0, -100.0), (35.0, -50.0), (70.0, 0.0), (80.0, 150.0), (90.0, 200.0), (100.0, 300.0)]
+        {
+            assert!((s.percentile(percent) - value).abs() < 1e-3, "{percent} %: {}", s.percentile(percent));
+        }
+        assert_eq!(s.domain(&Domain::Full), (-100.0, 300.0));
+        assert_eq!(s.domain(&Domain::Percentiles(70.0, 90.0)), (0.0, 200.0));
+        assert_eq!(s.domain(&Domain::Values(5.0, 6.0)), (5.0, 6.0));
+        let constant = ValueScale { range: apart((7.0, 7.0)), counts: vec![5] };
+        let (lo, hi) = constant.domain(&Domain::Percentiles(50.0, 50.0));
+        assert!(lo < hi && lo.is_finite() && hi.is_finite());
+        let empty = ValueScale { range: (0.0, 1.0), counts: vec![] };
+        assert_eq!((empty.percentile(50.0), empty.share(0.5)), (1.0, 0.0));
+        assert_eq!(empty.columns((0.0, 1.0), 3, true), [0.0; 3]);
+    }
+
+    #[test]
+    fn columns_are_the_bins_at_any_zoom() {
+        let s = scale();
+        assert_eq!(s.columns(s.range, 4, false), [1.0, 0.0, 2.0 / 7.0, 1.0 / 7.0]);
+        let log = s.columns(s.range, 4, true);
+        assert!((log[2] - 21f32.ln() / 71f32.ln()).abs() < 1e-6 && log[1] == 0.0);
+        assert_eq!(s.columns((100.0, 300.0), 2, false), [1.0, 0.5], "a part is scaled by itself");
+        assert_eq!(s.columns((100.0, 200.0), 3, false), [1.0; 3]);
+        assert_eq!(s.columns((-900.0, 700.0), 4, false), [0.0, 0.0, 1.0, 0.0], "of several bins the largest");
+        assert_eq!([s.share(-50.0), s.share(150.0), s.share(300.0), s.share(301.0)], [0.7, 0.2, 0.1, 0.0]);
+    }
+
+    #[test]
+    fn the_axis_of_opacity_goes_there_and_back() {
+        for opacity in [0.0, 0.004, 0.1, 0.5, 1.0] {
+            assert!((opacity_at(height_of(opacity)) - opacity).abs() < 1e-6);
+        }
+        assert!(height_of(0.004) > 0.15, "thin matter is far enough from nothing to be taken hold of");
+    }
+
+    #[test]
+    fn values_are_short() {
+        let text = [0.0, 113.25, -1000.0, 1234567.0, 0.25, 0.00001, 12.0, 2.3456].map(format_value);
+        assert_eq!(text, ["0", "113.2", "-1000", "1.23e6", "0.25", "1.00e-5", "12", "2.35"]);
+    }
+}

@@ -1,0 +1,278 @@
+//! What is drawn over the picture to find one's way: the volume's box, its axes, a scale bar, the centre of rotation.
+
+use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke, Vec2, pos2, vec2};
+use glam::Vec3;
+use isinglass_core::camera::{Basis, Camera};
+use isinglass_core::picture::linear_from_srgb;
+use isinglass_core::space::Aabb;
+
+use crate::orientation::Orientation;
+
+/// What is drawn, and on what.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ViewAids {
+    /// The edges of the volume.
+    pub(crate) shows_box: bool,
+    /// Axes and scale bar.
+    pub(crate) shows_axes: bool,
+    /// sRGB behind the volume.
+    pub(crate) background: [u8; 3],
+}
+
+impl Default for ViewAids {
+    fn default() -> Self {
+        Self { shows_box: false, shows_axes: true, background: [0; 3] }
+    }
+}
+
+/// What is drawn around.
+pub(crate) struct Scene<'a> {
+    /// The picture's place.
+    pub(crate) rect: Rect,
+    /// The camera of the picture.
+    pub(crate) camera: &'a Camera,
+    /// The volume's box.
+    pub(crate) bounds: &'a Aabb,
+    /// Which way its axes point.
+    pub(crate) orientation: &'a Orientation,
+    /// Its unit of length, if known.
+    pub(crate) unit: Option<&'a str>,
+    /// The point that the camera turns about.
+    pub(crate) center: Vec3,
+    /// Whether to mark it.
+    pub(crate) shows_center: bool,
+}
+
+impl ViewAids {
+    /// The background as the ray cast takes it.
+    pub(crate) fn linear_background(&self) -> [f32; 3] {
+        self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
+    }
+
+    /// Draws what is to be drawn.
+    pub(crate) fn paint(&self, painter: &Painter, scene: &Scene<'_>) {
+        let [r, g, b] = self.background.map(f32::from);
+        let is_dark = 0.299 * r + 0.587 * g + 0.114 * b < 128.0;
+        let ink = if is_dark { Color32::from_gray(225) } else { Color32::from_gray(25) };
+        let pen =
+            Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } };
+        if self.shows_box {
+            pen.draw_box(scene);
+        }
+        if self.shows_axes {
+            pen.draw_axes(scene);
+            pen.draw_scale(scene);
+        }
+        if scene.shows_center {
+            pen.draw_center(scene);
+        }
+    }
+}
+
+struct Pen<'a> {
+    painter: &'a Painter,
+    ink: Color32,
+    halo: Color32,
+}
+
+impl Pen<'_> {
+    /// Lines can be seen on matter of any colour.
+    fn line(&self, ends: [Pos2; 2], width: f32, color: Color32) {
+        let halo = self.halo.gamma_multiply(f32::from(color.a()) / 255.0 * 0.6);
+        self.painter.line_segment(ends, Stroke::new(width + 2.0, halo));
+        self.painter.line_segment(ends, Stroke::new(width, color));
+    }
+
+    fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
+        let font = FontId::proportional(size);
+        for shift in [vec2(-1.0, 0.0), vec2(1.0, 0.0), vec2(0.0, -1.0), vec2(0.0, 1.0)] {
+            self.painter.text(at + shift, align, text, font.clone(), self.halo.gamma_multiply(0.7));
+        }
+        self.painter.text(at, align, text, font, color);
+    }
+
+    /// Edges of faces that look away are faint.
+    fn draw_box(&self, scene: &Scene<'_>) {
+        let basis = scene.camera.basis();
+        let corners = scene.bounds.corners();
+        let eye = scene.camera.pose.eye;
+        let faces_eye = |axis: usize, is_high: bool| {
+            let side = if is_high { scene.bounds.max } else { scene.bounds.min };
+            (eye[axis] > side[axis]) == is_high
+        };
+        for (a, b) in edges() {
+            let axis = (a ^ b).trailing_zeros() as usize;
+            let others = [(axis + 1) % 3, (axis + 2) % 3];
+            let is_front = others.iter().any(|&other| faces_eye(other, a >> other & 1 == 1));
+            let strength = if is_front { 0.85 } else { 0.3 };
+            if let Some(ends) = projected(&basis, scene.rect, corners[a], corners[b]) {
+                self.line(ends, 1.0, self.ink.gamma_multiply(strength));
+            }
+        }
+    }
+
+    /// In the corner at the bottom left.
+    fn draw_axes(&self, scene: &Scene<'_>) {
+        let center = scene.rect.left_bottom() + vec2(AXES_MARGIN, -AXES_MARGIN);
+        let view_from_world = scene.camera.pose.world_from_view.inverse();
+        let mut ends: Vec<(Vec3, char, Color32, bool)> = Vec::with_capacity(6);
+        for (i, axis) in Vec3::AXES.into_iter().enumerate() {
+            let (positive, negative) = scene.orientation.letters[i];
+            ends.push((view_from_world * axis, positive, AXIS_COLORS[i], true));
+            ends.extend(negative.map(|letter| (view_from_world * -axis, letter, AXIS_COLORS[i], false)));
+        }
+        // Far ends first.
+        ends.sort_by(|a, b| a.0.z.total_cmp(&b.0.z));
+        for (end, letter, color, is_positive) in ends {
+            let flat = vec2(end.x, -end.y);
+            let tip = center + flat * AXIS_LENGTH;
+            let color = if is_positive { color } else { color.gamma_multiply(0.55) };
+            self.line([center, tip], if is_positive { 2.0 } else { 1.0 }, color);
+            // An axis that points at the eye has no room for its letter but at the middle.
+            let out = if flat.length() > 1e-3 { flat.normalized() * LETTER_GAP } else { Vec2::ZERO };
+            if is_positive || flat.length() > 0.35 {
+                self.text(tip + out, Align2::CENTER_CENTER, &letter.to_string(), 13.0, color);
+            }
+        }
+    }
+
+    /// Beside the axes: a length that is right at the depth of the centre of rotation.
+    fn draw_scale(&self, scene: &Scene<'_>) {
+        let depth = (scene.center - scene.camera.pose.eye).dot(scene.camera.pose.forward());
+        let world_per_point = 2.0 * scene.camera.intrinsics.tan_half().1 * depth / scene.rect.height();
+        let Some((length, text)) = round_length(world_per_point * MAX_SCALE_POINTS, scene.unit) else {
+            return;
+        };
+        let left = scene.rect.left_bottom() + vec2(2.0 * AXES_MARGIN + 12.0, -32.0);
+        let right = left + vec2(length / world_per_point, 0.0);
+        self.line([left, right], 2.0, self.ink);
+        for end in [left, right] {
+            self.line([end + vec2(0.0, -4.0), end + vec2(0.0, 4.0)], 2.0, self.ink);
+        }
+        self.text(left + vec2(0.0, -8.0), Align2::LEFT_BOTTOM, &text, 13.0, self.ink);
+        let note = "at the centre of rotation; perspective";
+        self.text(left + vec2(0.0, 7.0), Align2::LEFT_TOP, note, 10.0, self.ink.gamma_multiply(0.7));
+    }
+
+    fn draw_center(&self, scene: &Scene<'_>) {
+        let basis = scene.camera.basis();
+        let Some([at, _]) = projected(&basis, scene.rect, scene.center, scene.center) else { return };
+        for arm in [vec2(9.0, 0.0), vec2(0.0, 9.0)] {
+            self.line([at - arm, at + arm], 1.5, Color32::from_rgb(255, 190, 70));
+        }
+    }
+}
+
+/// The twelve edges of a box, by the numbers of its corners.
+fn edges() -> impl Iterator<Item = (usize, usize)> {
+    (0..8usize).flat_map(|a| (0..3).map(move |axis| (a, a | 1 << axis))).filter(|(a, b)| a != b)
+}
+
+/// A line of the world on the screen, cut where it passes the eye.
+fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
+    let (mut a, mut b) = (basis.pixel_from_world(a - basis.eye), basis.pixel_from_world(b - basis.eye));
+    // Homogeneous points: cutting is linear. Nearer than this, pixels are far outside.
+    let least = a.z.abs().max(b.z.abs()) * 1e-3;
+    if a.z.max(b.z) <= least {
+        return None;
+    }
+    if a.z < least {
+        a += (b - a) * ((least - a.z) / (b.z - a.z));
+    } else if b.z < least {
+        b += (a - b) * ((least - b.z) / (a.z - b.z));
+    }
+    let points_per_pixel = vec2(rect.width() / basis.width, rect.height() / basis.height);
+    Some([a, b].map(|h| {
+        let (x, y) = (h.x / h.z, h.y / h.z);
+        rect.min + vec2(x.clamp(-1e5, 1e5), y.clamp(-1e5, 1e5)) * points_per_pixel
+    }))
+}
+
+/// The longest of 1, 2, 5, 10 … of the unit that is no longer than `most`, and how it is written.
+fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
+    if !(most > 0.0 && most.is_finite()) {
+        return None;
+    }
+    let power = 10f32.powf(most.log10().floor());
+    let step = [5.0, 2.0, 1.0].into_iter().find(|s| s * power <= most * 1.0001).unwrap_or(1.0);
+    let length = step * power;
+    if !(length > 0.0 && length.is_finite()) {
+        return None;
+    }
+    let number = if (1e-3..1e5).contains(&length) { format!("{length:.3}") } else { format!("{length:.0e}") };
+    let number =
+        if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { &number };
+    Some((length, format!("{number} {}", unit.unwrap_or("units"))))
+}
+
+const AXES_MARGIN: f32 = 58.0;
+const AXIS_LENGTH: f32 = 32.0;
+const LETTER_GAP: f32 = 10.0;
+/// x, y and z.
+const AXIS_COLORS: [Color32; 3] =
+    [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
+const MAX_SCALE_POINTS: f32 = 150.0;
+
+/// A place in the picture for a point of the screen, pixels.
+pub(crate) fn pixel_at(rect: Rect, camera: &Camera, at: Pos2) -> [f32; 2] {
+    let i = &camera.intrinsics;
+    let at = pos2(at.x - rect.left(), at.y - rect.top());
+    [at.x / rect.width() * i.width as f32, at.y / rect.height() * i.height as f32]
+}
+
+#[cfg(test)]
+mod tests {
+    use isinglass_core::camera::{Intrinsics, Pose};
+
+    use super::*;
+
+    const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+
+    #[test]
+    fn a_box_has_twelve_edges_of_one_side_each() {
+        let all: Vec<_> = edges().collect();
+        assert_eq!(all.len(), 12);
+        assert!(all.iter().all(|(a, b)| (a ^ b).count_ones() == 1));
+    }
+
+    #[test]
+    fn lines_lie_where_the_ray_cast_sees_their_ends_and_pass_behind_the_eye() {
+        let intrinsics = Intrinsics { width: 200, height: 100, fov_y: 0.7 };
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.4, 0.3, 5.0), intrinsics, &BOUNDS);
+        let rect = Rect::from_min_size(pos2(10.0, 20.0), vec2(100.0, 50.0));
+        let basis = camera.basis();
+        let point = |x, y| camera.ray(x, y).0.at(4.0);
+        let ends = projected(&basis, rect, point(40.0, 60.0), point(150.0, 10.0)).unwrap();
+        for (end, expected) in ends.iter().zip([pos2(30.0, 50.0), pos2(85.0, 25.0)]) {
+            // A few roundings of coordinates up to 200.
+            assert!(end.distance(expected) < 1e-3, "{end:?} {expected:?}");
+            let [x, y] = pixel_at(rect, &camera, *end);
+            assert!(
+                (x - 2.0 * (expected.x - 10.0)).abs() < 1e-2 && (y - 2.0 * (expected.y - 20.0)).abs() < 1e-2
+            );
+        }
+        let behind = camera.pose.eye - camera.pose.forward();
+        let ends = projected(&basis, rect, point(40.0, 60.0), behind).unwrap();
+        assert!(ends.iter().all(|p| p.x.is_finite() && p.y.is_finite()));
+        assert!(ends[0].distance(pos2(30.0, 50.0)) < 1e-3, "the end in sight stays");
+        assert_eq!(projected(&basis, rect, behind, behind), None);
+    }
+
+    #[test]
+    fn lengths_are_round_and_not_too_long() {
+        for (most, text) in [
+            (73.0, "50 mm"),
+            (20.0, "20 mm"),
+            (1.99, "1 mm"),
+            (0.5, "0.5 mm"),
+            (1e-7, "1e-7 mm"),
+            (3e8, "2e8 mm"),
+        ] {
+            assert_eq!(round_length(most, Some("mm")).unwrap().1, text, "{most}");
+        }
+        assert_eq!(round_length(2.0, None).unwrap(), (2.0, "2 units".into()));
+        for most in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(round_length(most, None), None);
+        }
+    }
+}
