@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 20] = [
+const SOURCES: [&str; 21] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
@@ -25,6 +25,7 @@ const SOURCES: [&str; 20] = [
     "crates/core/src/codec/blocks/scales.rs",
     "crates/core/src/codec/blocks/steps.rs",
     "crates/core/src/codec/blocks/syntax.rs",
+    "crates/core/src/codec/blocks/trained.rs",
     "crates/core/src/codec/blocks/transform.rs",
     "crates/formats/src/iglf.rs",
 ];

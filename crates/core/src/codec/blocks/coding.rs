@@ -12,7 +12,7 @@ use super::motion::{Motion, Shift};
 use super::reference::{Fetched, Reference};
 use super::steps::Steps;
 use super::syntax::Contexts;
-use depth::bounded;
+use depth::{bounded, continued};
 use layer::{Around, Coded};
 
 pub(super) use depth::PlaneCode;
@@ -156,17 +156,15 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     /// The planes that an origin has for the block at (`x`, `y`); whether there are any.
     fn offer(&self, origin: Origin, x: usize, y: usize, out: &mut Vec<Planes>) -> bool {
         out.clear();
-        let continued = |block: Option<usize>, dx: f32, dy: f32, out: &mut Vec<Planes>| {
+        let mut offer = |block: Option<usize>, step| {
             let Some(block) = block else { return };
-            let move_by = |p: &DepthPlane| bounded(p.z + BLOCK as f32 * (dx * p.dx + dy * p.dy), p.dx, p.dy);
-            out.extend(
-                self.band.planes[self.band.layers(block)].iter().map(|(f, b)| (move_by(f), move_by(b))),
-            );
+            let planes = self.band.planes[self.band.layers(block)].iter();
+            out.extend(planes.map(|(f, b)| (continued(f, step), continued(b, step))));
         };
         match origin {
             Origin::Fresh | Origin::Copied => {}
-            Origin::Left => continued(self.left(x), 1.0, 0.0, out),
-            Origin::Above => continued(self.above(y), 0.0, 1.0, out),
+            Origin::Left => offer(self.left(x), (1.0, 0.0)),
+            Origin::Above => offer(self.above(y), (0.0, 1.0)),
             Origin::Kept => self.kept(x, y, out),
         }
         !out.is_empty()
@@ -252,7 +250,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             return false;
         }
         self.band.copy(band, block);
-        self.layers.resize(self.band.planes.len(), Coded { means: [0.0; 4], classes: [0; 4] });
+        self.layers.resize(self.band.planes.len(), Coded { means: [0.0; 4], classes: [0; 4], mask: 0 });
         self.origins.push(Origin::Copied);
         true
     }

@@ -74,6 +74,11 @@ pub(super) struct Model {
 impl Model {
     pub(super) const START: Self = Self { one: 1 << 15, seen: 0 };
 
+    /// As if it had learnt from `seen` bits.
+    pub(super) const fn trained(one: u16, seen: u16) -> Self {
+        Self { one, seen }
+    }
+
     /// In units of 2⁻¹⁵, away from 0 and 1.
     fn probability(self) -> u32 {
         (u32::from(self.one) >> 1).clamp(LEAST, (1 << PROBABILITY_BITS) - LEAST)
@@ -84,6 +89,24 @@ impl Model {
         let change = ((goal - i32::from(self.one)) * RATES[usize::from(self.seen)]) >> RATE_BITS;
         self.one = (i32::from(self.one) + change) as u16;
         self.seen = (self.seen + 1).min(RATES.len() as u16 - 1);
+    }
+}
+
+/// Models in a fixed order.
+pub(super) trait Models {
+    /// Sets each.
+    fn set(&mut self, next: &mut dyn FnMut() -> Model);
+}
+
+impl Models for Model {
+    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
+        *self = next();
+    }
+}
+
+impl<M: Models, const N: usize> Models for [M; N] {
+    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
+        self.iter_mut().for_each(|models| models.set(next));
     }
 }
 
@@ -99,6 +122,13 @@ impl NumberModels {
         Self { length: [Model::START; NUMBER_BITS], first: [Model::START; NUMBER_BITS] };
 }
 
+impl Models for NumberModels {
+    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
+        self.length.set(next);
+        self.first.set(next);
+    }
+}
+
 /// Of [`Coder::signed`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SignedModels {
@@ -110,6 +140,14 @@ pub(super) struct SignedModels {
 impl SignedModels {
     pub(super) const START: Self =
         Self { is_not_zero: Model::START, is_negative: Model::START, size: NumberModels::START };
+}
+
+impl Models for SignedModels {
+    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
+        self.is_not_zero.set(next);
+        self.is_negative.set(next);
+        self.size.set(next);
+    }
 }
 
 /// Writes.

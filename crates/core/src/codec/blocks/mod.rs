@@ -26,6 +26,7 @@ mod steps;
 mod syntax;
 #[cfg(test)]
 mod tests;
+mod trained;
 mod transform;
 
 use std::sync::Arc;

@@ -105,12 +105,12 @@ const CHROMA: f32 = 16.0;
 /// λ of the layering, steps of depth in pixels, of u, of Y, of the correction, and of colour against brightness. From
 /// the coarsest; measured as the best of their neighbours at the same bytes.
 const FAMILY: [[f32; 6]; 6] = [
-    [4.0, 4.0, 0.5, 0.3, 0.08, 3.0],
-    [2.0, 3.0, 0.4, 0.2, 0.05, 3.0],
-    [1.0, 2.0, 0.3, 0.15, 0.04, 3.0],
-    [0.4, 1.0, 0.2, 0.1, 0.02, 2.0],
-    [0.4, 1.0, 0.1, 0.03, 0.02, 2.0],
-    [0.15, 1.0, 0.06, 0.03, 0.01, 2.0],
+    [26.0, 4.0, 0.45, 0.3, 0.08, 3.5],
+    [11.0, 3.0, 0.36, 0.2, 0.05, 3.5],
+    [4.5, 2.0, 0.26, 0.15, 0.035, 3.0],
+    [1.7, 1.2, 0.17, 0.09, 0.022, 3.0],
+    [0.8, 1.0, 0.1, 0.04, 0.016, 2.5],
+    [0.16, 1.0, 0.055, 0.025, 0.01, 2.5],
 ];
 /// Doublings of the bytes from the least to the best quality.
 const OCTAVES_OF_BYTES: f32 = 3.7;

@@ -1,7 +1,10 @@
 //! How planes, masks and coefficients are said in bits, and with which estimates.
 
-use super::entropy::{Coder, Model, NumberModels, SignedModels};
+use std::sync::LazyLock;
+
+use super::entropy::{Coder, Model, Models, NumberModels, SignedModels};
 use super::model::{BLOCK, BLOCK_LISTS};
+use super::trained::TRAINED;
 
 /// The estimates of a band.
 #[derive(Clone, Debug)]
@@ -29,9 +32,21 @@ pub(super) struct Contexts {
 }
 
 impl Contexts {
+    /// As they begin: with what was learnt from other frames.
     pub(super) fn new() -> Box<Self> {
+        static START: LazyLock<Contexts> = LazyLock::new(|| {
+            let mut states = TRAINED.iter();
+            let mut next = || states.next().map_or(Model::START, |&state| trained(state));
+            let mut contexts = Contexts::UNTRAINED;
+            contexts.set(&mut next);
+            contexts
+        });
+        Box::new(START.clone())
+    }
+
+    const UNTRAINED: Self = {
         let m = Model::START;
-        Box::new(Self {
+        Self {
             has_planes: [[m; 3]; 9],
             is_copied: [m; 9],
             is_kept: [m; 9],
@@ -52,8 +67,8 @@ impl Contexts {
             rest: [[m; 32]; CLASSES],
             size: [[[[m; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
             escape: NumberModels::START,
-        })
-    }
+        }
+    };
 
     /// Quantised coefficients in the order of the zigzag: how many up to the last that is not zero, then their sizes and
     /// signs. `near` are the classes of the layer in front and of the neighbours, [`NO_CLASS`] for none. Returns
@@ -104,12 +119,13 @@ impl Contexts {
     }
 
     /// Which lists of a layer have matter. `before` is the mask of the layer in front, if any; `expected` that of the
-    /// moved reference.
+    /// moved reference, `beside` those of the matching layers on the left and above.
     pub(super) fn mask(
         &mut self,
         coder: &mut impl Coder,
         before: Option<u64>,
         expected: Option<u64>,
+        beside: [Option<u64>; 2],
         mask: u64,
     ) -> u64 {
         let reference = expected.map_or(0, |e| 1 + usize::from(e == u64::MAX));
@@ -123,26 +139,64 @@ impl Contexts {
         {
             return previous;
         }
+        // List (x, y) is bit x + 1 of row y + 1; around the block is what the layers beside have, or for lack of them the
+        // layer in front at the edge.
+        let mut rows = [0u16; BLOCK + 1];
+        let above = beside[1].map_or(previous & 0xff, |m| m >> (BLOCK_LISTS - BLOCK)) as u16;
+        rows[0] = above << 1 | above & 1 | (above & 0x80) << 2;
+        let is_edge = beside.map(|m| usize::from(m.is_none()));
         let mut coded = 0u64;
-        for i in 0..BLOCK_LISTS {
-            let (x, y) = (i % BLOCK, i / BLOCK);
-            let neighbor = |is_inside: bool, back: usize| {
-                usize::from(is_inside && coded >> i.wrapping_sub(back) & 1 == 1)
-            };
-            let context = neighbor(x > 0, 1)
-                | neighbor(y > 0, BLOCK) << 1
-                | neighbor(x > 0 && y > 0, BLOCK + 1) << 2
-                | neighbor(y > 0 && x + 1 < BLOCK, BLOCK - 1) << 3
-                | usize::from(previous >> i & 1 == 1) << 4
-                | usize::from(y == 0) << 5
-                | usize::from(x == 0) << 6
-                | usize::from(before.is_none()) << 7;
-            let reference = expected.map_or(0, |e| 1 + (e >> i & 1) as usize);
-            let bit = coder.bit(&mut self.occupancy[reference][context], mask >> i & 1 == 1);
-            coded |= u64::from(bit) << i;
+        for y in 0..BLOCK {
+            let left = beside[0].map_or(previous >> (y * BLOCK), |m| m >> (y * BLOCK + BLOCK - 1));
+            let mut row = (left & 1) as u16;
+            for x in 0..BLOCK {
+                let i = y * BLOCK + x;
+                let context = usize::from(row >> x & 1)
+                    | usize::from(rows[y] >> x & 7) << 1
+                    | usize::from(previous >> i & 1 == 1) << 4
+                    | (usize::from(y == 0) * is_edge[1]) << 5
+                    | (usize::from(x == 0) * is_edge[0]) << 6
+                    | usize::from(before.is_none()) << 7;
+                let reference = expected.map_or(0, |e| 1 + (e >> i & 1) as usize);
+                let bit = coder.bit(&mut self.occupancy[reference][context], mask >> i & 1 == 1);
+                row |= u16::from(bit) << (x + 1);
+                coded |= u64::from(bit) << i;
+            }
+            rows[y + 1] = row | (row & 0x100) << 1;
         }
         coded
     }
+}
+
+impl Models for Contexts {
+    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
+        self.has_planes.set(next);
+        self.is_copied.set(next);
+        self.is_kept.set(next);
+        self.is_merged.set(next);
+        self.is_above.set(next);
+        self.num_layers.set(next);
+        self.touches.set(next);
+        self.depth.set(next);
+        self.slope.set(next);
+        self.has_matter.set(next);
+        self.is_full.set(next);
+        self.is_same.set(next);
+        self.occupancy.set(next);
+        self.is_inter.set(next);
+        self.has_correction.set(next);
+        self.is_zero.set(next);
+        self.class.set(next);
+        self.rest.set(next);
+        self.size.set(next);
+        self.escape.set(next);
+    }
+}
+
+/// An estimate of [`TRAINED`]: one of 22 probabilities, and one of four weights.
+fn trained(state: u8) -> Model {
+    let state = usize::from(state.saturating_sub(FIRST_STATE));
+    Model::trained(PROBABILITIES[state / SEEN.len() % PROBABILITIES.len()], SEEN[state % SEEN.len()])
 }
 
 /// Quantised coefficients.
@@ -191,6 +245,15 @@ pub(super) const NO_CLASS: u8 = CLASSES as u8;
 pub(super) const COMPONENTS: usize = 8;
 /// Contexts of a depth: how far two predictions differ, or that there are fewer.
 pub(super) const DEPTH_CONTEXTS: usize = 9;
+/// The first character of [`TRAINED`].
+const FIRST_STATE: u8 = b'#';
+/// In units of 2⁻¹⁶: their log-odds are 0.55 apart.
+const PROBABILITIES: [u16; 22] = [
+    203, 351, 606, 1042, 1786, 3035, 5088, 8343, 13226, 19969, 28291, 37245, 45567, 52310, 57193, 60448,
+    62501, 63750, 64494, 64930, 65185, 65333,
+];
+/// So many bits an estimate is worth.
+const SEEN: [u16; 4] = [1, 5, 16, 50];
 const COUNT_CLASSES: usize = 7;
 const CLASSES: usize = 12;
 /// Least number of coefficients of each class.
@@ -247,8 +310,9 @@ mod tests {
         }
         let before = |n: usize| n.checked_sub(1).map(|n| masks[n]);
         let expected = |n: usize| (!n.is_multiple_of(3)).then(|| masks[(n + 1) % 50]);
+        let beside = |n: usize| [2, 3].map(|m| n.is_multiple_of(m).then(|| masks[(n + m) % 50]));
         for (n, &mask) in masks.iter().enumerate() {
-            contexts.mask(&mut encoder, before(n), expected(n), mask);
+            contexts.mask(&mut encoder, before(n), expected(n), beside(n), mask);
         }
         let bytes = encoder.finish();
         let mut decoder = Decoder::new(&bytes);
@@ -260,9 +324,22 @@ mod tests {
             assert_eq!(class, class_of(plane.length));
         }
         for (n, &mask) in masks.iter().enumerate() {
-            assert_eq!(contexts.mask(&mut decoder, before(n), expected(n), 0), mask);
+            assert_eq!(contexts.mask(&mut decoder, before(n), expected(n), beside(n), 0), mask);
         }
         assert!(decoder.is_at_end());
+    }
+
+    #[test]
+    fn every_estimate_has_a_beginning() {
+        let mut count = 0;
+        Contexts::new().set(&mut || {
+            count += 1;
+            Model::START
+        });
+        assert_eq!(count, TRAINED.len());
+        let states = 0..(PROBABILITIES.len() * SEEN.len()) as u8;
+        assert!(TRAINED.iter().all(|s| states.contains(&s.wrapping_sub(FIRST_STATE))));
+        assert_ne!(format!("{:?}", Contexts::new()), format!("{:?}", Contexts::UNTRAINED));
     }
 
     #[test]

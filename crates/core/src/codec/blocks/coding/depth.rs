@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::super::band::Planes;
 use super::super::entropy::Coder;
-use super::super::model::{BlockLayer, DepthPlane, MAX_LAYERS};
+use super::super::model::{BLOCK, BlockLayer, DepthPlane, MAX_LAYERS};
 use super::super::steps::Steps;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
 use super::BandCoder;
@@ -53,8 +53,20 @@ impl<C: Coder> BandCoder<'_, C> {
         otherwise: PlaneCode,
         neighbors: &[Range<usize>; 2],
     ) -> PlaneCode {
-        let next = neighbors.clone().map(|layers| {
-            let planes = self.band.planes[layers].iter().map(|(f, b)| if side == 0 { *f } else { *b });
+        let front = (side == 1).then(|| self.steps.plane(otherwise));
+        let next = [(0, (1.0, 0.0)), (1, (0.0, 1.0))].map(|(neighbor, step)| {
+            let planes = self.band.planes[neighbors[neighbor].clone()].iter().map(|(f, b)| {
+                let (f, b) = (continued(f, step), continued(b, step));
+                match &front {
+                    None => f,
+                    // Half way between the back itself and one that makes the layer as thick.
+                    Some(own) => DepthPlane {
+                        z: b.z + 0.5 * (own.z - f.z),
+                        dx: b.dx + 0.5 * (own.dx - f.dx),
+                        dy: b.dy + 0.5 * (own.dy - f.dy),
+                    },
+                }
+            });
             planes.filter(|p| p.z > behind).min_by(|a, b| a.z.total_cmp(&b.z))
         });
         let (expected, context) = match next {
@@ -80,6 +92,11 @@ impl<C: Coder> BandCoder<'_, C> {
         let (dx, dy) = (slope(wanted.dx, expected.dx), slope(wanted.dy, expected.dy));
         PlaneCode { z, dx, dy }
     }
+}
+
+/// The plane of a neighbour over the next block, `step` blocks rightwards and downwards.
+pub(super) fn continued(p: &DepthPlane, step: (f32, f32)) -> DepthPlane {
+    bounded(p.z + BLOCK as f32 * (step.0 * p.dx + step.1 * p.dy), p.dx, p.dy)
 }
 
 /// A plane with numbers that stay finite whatever is done to them.

@@ -25,6 +25,8 @@ pub(super) struct Around {
 pub(super) struct Coded {
     pub(super) means: [f32; 4],
     pub(super) classes: [u8; 4],
+    /// The lists with matter.
+    pub(super) mask: u64,
 }
 
 impl<C: Coder> BandCoder<'_, C> {
@@ -53,19 +55,25 @@ impl<C: Coder> BandCoder<'_, C> {
             Origin::Left | Origin::Above => 1,
             Origin::Kept | Origin::Copied => 2,
         };
-        let nothing = Coded { means: in_front.map_or([0.0; 4], |l| l.means), classes: [0; 4] };
+        let nothing = Coded { means: in_front.map_or([0.0; 4], |l| l.means), classes: [0; 4], mask: 0 };
         if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
             return nothing;
         }
+        let matches = neighbors.clone().map(|n| self.overlapping(n, &planes));
         let inside = self.place.inside(x, y);
         let said = if wanted_mask == inside { u64::MAX } else { wanted_mask };
-        let mask = self.contexts.mask(&mut self.coder, *mask_before, expected, said) & inside;
+        let mask = self.contexts.mask(
+            &mut self.coder,
+            *mask_before,
+            expected,
+            matches.map(|m| m.map(|m| m.mask)),
+            said,
+        ) & inside;
         if mask == 0 {
             return nothing;
         }
         *mask_before = Some(mask);
 
-        let matches = neighbors.clone().map(|n| self.overlapping(n, &planes));
         let means: [f32; 4] = std::array::from_fn(|c| match matches {
             [Some(a), Some(b)] => 0.5 * (a.means[c] + b.means[c]),
             [Some(a), None] | [None, Some(a)] => a.means[c],
@@ -92,7 +100,7 @@ impl<C: Coder> BandCoder<'_, C> {
         let lists = || (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1);
         let num_lists = mask.count_ones() as f32;
         let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
-        let mut coded = Coded { means, classes: [0; 4] };
+        let mut coded = Coded { means, classes: [0; 4], mask };
         let mut step = self.steps.opacity / kappa.max(KAPPA_FLOOR).sqrt();
         let mut values = [[0.0; BLOCK_LISTS]; 4];
         let mut codes = [0; BLOCK_LISTS];
@@ -258,7 +266,7 @@ const MAX_BRIGHTNESS: f32 = 1.5;
 /// save.
 const ROUNDING: [f32; 2] = [0.5, 0.45];
 /// After a moved reference, which has errors of about half a step itself, they save more than they cost.
-const INTER_ROUNDING: [f32; 2] = [0.4, 0.32];
+const INTER_ROUNDING: [f32; 2] = [0.4, 0.3];
 /// Components from here on are predicted from a reference, but for the last.
 const FIRST_INTER: usize = 4;
 const CORRECTION: usize = 7;
