@@ -4,12 +4,12 @@
 //! integers and doubles become `f32`, and integers that lose digits by that are counted.
 
 use std::collections::TryReserveError;
-use std::io::{self, BufRead, Read};
+use std::io::{self, BufRead};
 
-use flate2::bufread::GzDecoder;
 use isinglass_core::volume::Voxels;
 
 use crate::dtype::{Dtype, Endian};
+use crate::warning::{Warning, WarningKind};
 
 /// Takes voxels in the order of the file.
 pub(crate) struct VoxelSink {
@@ -24,7 +24,7 @@ pub(crate) struct Decoded {
     pub(crate) voxels: Voxels,
     /// Scale and offset from stored numbers to values.
     pub(crate) value_map: (f32, f32),
-    pub(crate) warnings: Vec<String>,
+    pub(crate) warnings: Vec<Warning>,
 }
 
 impl VoxelSink {
@@ -58,6 +58,9 @@ impl VoxelSink {
                 v.extend(words(bytes, endian).map(|w| u16::from_le_bytes(w) ^ 0x8000));
             }
             (Voxels::U16(v), _) => v.extend(words(bytes, endian).map(u16::from_le_bytes)),
+            (Voxels::F32(v), Dtype::Half) => {
+                v.extend(words(bytes, endian).map(|w| f32_from_half(u16::from_le_bytes(w))));
+            }
             (Voxels::F32(v), Dtype::Float) => v.extend(words(bytes, endian).map(f32::from_le_bytes)),
             (Voxels::F32(v), Dtype::Double) => {
                 v.extend(words(bytes, endian).map(|w| f64::from_le_bytes(w) as f32));
@@ -105,12 +108,27 @@ impl VoxelSink {
         true
     }
 
-    /// The voxels, and what their numbers mean.
-    pub(crate) fn finish(self) -> Decoded {
+    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number become the least of the
+    /// others: masks and maps of statistics have them outside of what was measured.
+    pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
         let mut warnings = Vec::new();
+        if let Voxels::F32(v) = &mut self.voxels
+            && has_gaps
+        {
+            let (least, num_nan) = v.iter().fold((f32::INFINITY, 0u64), |(least, n), &x| {
+                if x.is_nan() { (least, n + 1) } else { (least.min(x), n) }
+            });
+            if num_nan > 0 && least.is_finite() {
+                v.iter_mut().filter(|x| x.is_nan()).for_each(|x| *x = least);
+                let text =
+                    format!("{num_nan} voxels are not a number and are shown as the least value, {least}");
+                warnings.push(Warning::new(WarningKind::Values, text));
+            }
+        }
         if self.num_rounded > 0 {
             let (n, name) = (self.num_rounded, self.dtype.name());
-            warnings.push(format!("{n} {name} voxels are beyond 2^24 and were rounded to single precision"));
+            let text = format!("{n} {name} voxels are beyond 2^24 and were rounded to single precision");
+            warnings.push(Warning::new(WarningKind::Values, text));
         }
         let offset = match self.dtype {
             Dtype::Int8 => -128.0,
@@ -119,32 +137,6 @@ impl VoxelSink {
         };
         Decoded { voxels: self.voxels, value_map: (1.0, offset), warnings }
     }
-}
-
-/// Moves up to `num_bytes` from `reader` to `sink` and returns how many came before its end. `tick` hears the count
-/// after each chunk.
-pub(crate) fn pump_bytes(
-    reader: &mut dyn Read,
-    sink: &mut VoxelSink,
-    num_bytes: u64,
-    tick: &mut dyn FnMut(u64),
-) -> (u64, io::Result<()>) {
-    let mut chunk = Vec::with_capacity(num_bytes.min(CHUNK_BYTES) as usize);
-    let mut done = 0;
-    while done < num_bytes {
-        let wanted = (num_bytes - done).min(CHUNK_BYTES);
-        chunk.clear();
-        let result = (&mut *reader).take(wanted).read_to_end(&mut chunk);
-        sink.push_bytes(&chunk);
-        done += chunk.len() as u64;
-        tick(done);
-        match result {
-            Ok(n) if (n as u64) < wanted => break,
-            Ok(_) => {}
-            Err(e) => return (done, Err(e)),
-        }
-    }
-    (done, Ok(()))
 }
 
 /// The next number written as text, between spaces, line breaks or commas; `None` at the end. Never reads further
@@ -175,32 +167,15 @@ pub(crate) fn next_number(reader: &mut dyn BufRead) -> io::Result<Option<Result<
     Ok(Some(text.parse().map_err(|_| text.into_owned())))
 }
 
-/// The members of a gzip file one after the other. What follows them and is not gzip is left alone, as other readers
-/// do.
-pub(crate) struct GzipMembers<R> {
-    member: Option<GzDecoder<R>>,
-}
-
-impl<R: BufRead> GzipMembers<R> {
-    pub(crate) fn new(reader: R) -> Self {
-        Self { member: Some(GzDecoder::new(reader)) }
+/// A half float's value.
+fn f32_from_half(h: u16) -> f32 {
+    let sign = u32::from(h & 0x8000) << 16;
+    let magnitude = u32::from(h & 0x7fff) << 13;
+    if h & 0x7c00 == 0x7c00 {
+        return f32::from_bits(sign | magnitude | 0x7f80_0000);
     }
-}
-
-impl<R: BufRead> Read for GzipMembers<R> {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        while let Some(member) = &mut self.member {
-            let n = member.read(out)?;
-            if n > 0 || out.is_empty() {
-                return Ok(n);
-            }
-            let mut rest = self.member.take().expect("the loop holds a member").into_inner();
-            if matches!(rest.fill_buf()?, [0x1f] | [0x1f, 0x8b, ..]) {
-                self.member = Some(GzDecoder::new(rest));
-            }
-        }
-        Ok(0)
-    }
+    // The product brings the exponent's bias from the half's to the float's; exact for subnormals too.
+    f32::from_bits(sign | (f32::from_bits(magnitude) * f32::from_bits((254 - 15) << 23)).to_bits())
 }
 
 /// The numbers in `bytes` as little-endian words.
@@ -213,13 +188,6 @@ fn words<const N: usize>(bytes: &[u8], endian: Endian) -> impl Iterator<Item = [
         word
     })
 }
-
-/// Deflate cannot pack tighter than 258 bytes in two bits (RFC 1951), so this many times its length is the most that
-/// compressed data can hold.
-pub(crate) const MAX_DEFLATE_RATIO: u64 = 1032;
-
-/// Bytes read at a time: a multiple of every voxel size, small beside a volume, large beside a system call.
-const CHUNK_BYTES: u64 = 256 * 1024;
 
 /// Longest number in text: a double with all its digits has fewer than this.
 const MAX_NUMBER_BYTES: usize = 400;
@@ -234,7 +202,7 @@ mod tests {
 
     /// Values as a reader of the volume would see them.
     fn values(sink: VoxelSink) -> Vec<f32> {
-        let decoded = sink.finish();
+        let decoded = sink.finish(true);
         let (scale, offset) = decoded.value_map;
         (0..decoded.voxels.len()).map(|i| decoded.voxels.get(i) * scale + offset).collect()
     }
@@ -262,13 +230,44 @@ mod tests {
     }
 
     #[test]
+    fn half_floats_have_the_values_of_the_standard() {
+        for (h, x) in [
+            (0, 0.0),
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x7bff, 65504.0),
+            (1, 5.960_464_5e-8),
+            (0x3555, 0.333_251_95),
+        ] {
+            assert_eq!(f32_from_half(h), x, "{h:#x}");
+        }
+        assert!(f32_from_half(0x7e00).is_nan() && f32_from_half(0xfc00) == f32::NEG_INFINITY);
+    }
+
+    #[test]
+    fn what_is_not_a_number_becomes_the_least_value() {
+        let mut s = sink(Dtype::Float, Endian::Little);
+        [3.0, f32::NAN, -2.0].iter().for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
+        let decoded = s.finish(true);
+        assert_eq!(decoded.voxels, Voxels::F32(vec![3.0, -2.0, -2.0]));
+        assert_eq!(
+            decoded.warnings[0].text,
+            "1 voxels are not a number and are shown as the least value, -2"
+        );
+        let mut s = sink(Dtype::Float, Endian::Little);
+        s.push_bytes(&f32::NAN.to_le_bytes());
+        assert!(s.finish(true).voxels.get(0).is_nan(), "without any number there is no volume");
+    }
+
+    #[test]
     fn integers_that_do_not_fit_single_precision_are_counted() {
         let mut s = sink(Dtype::Int32, Endian::Little);
         for x in [1 << 24, (1 << 24) + 1, -(1 << 24) - 1, i32::MAX, 1 << 30] {
             s.push_bytes(&i32::to_le_bytes(x));
         }
         assert_eq!(s.num_rounded, 3);
-        let warnings = s.finish().warnings;
+        let warnings = s.finish(true).warnings;
+        let warnings: Vec<String> = warnings.iter().map(ToString::to_string).collect();
         assert_eq!(warnings, ["3 int32 voxels are beyond 2^24 and were rounded to single precision"]);
     }
 

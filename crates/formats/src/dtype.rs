@@ -21,6 +21,8 @@ pub enum Dtype {
     Int64,
     /// Unsigned, 64 bits.
     Uint64,
+    /// Floating point, 16 bits.
+    Half,
     /// Floating point, 32 bits.
     Float,
     /// Floating point, 64 bits.
@@ -29,7 +31,7 @@ pub enum Dtype {
 
 impl Dtype {
     /// Every type, in the order of their sizes.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Int8,
         Self::Uint8,
         Self::Int16,
@@ -38,11 +40,12 @@ impl Dtype {
         Self::Uint32,
         Self::Int64,
         Self::Uint64,
+        Self::Half,
         Self::Float,
         Self::Double,
     ];
 
-    /// The name used in reports, which is also a name NRRD knows.
+    /// The name used in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Int8 => "int8",
@@ -53,6 +56,7 @@ impl Dtype {
             Self::Uint32 => "uint32",
             Self::Int64 => "int64",
             Self::Uint64 => "uint64",
+            Self::Half => "float16",
             Self::Float => "float",
             Self::Double => "double",
         }
@@ -62,7 +66,7 @@ impl Dtype {
     pub fn num_bytes(self) -> usize {
         match self {
             Self::Int8 | Self::Uint8 => 1,
-            Self::Int16 | Self::Uint16 => 2,
+            Self::Int16 | Self::Uint16 | Self::Half => 2,
             Self::Int32 | Self::Uint32 | Self::Float => 4,
             Self::Int64 | Self::Uint64 | Self::Double => 8,
         }
@@ -70,7 +74,7 @@ impl Dtype {
 
     /// Bytes of one voxel in memory: 8- and 16-bit integers keep their size, everything else becomes `f32`.
     pub fn num_bytes_in_memory(self) -> usize {
-        self.num_bytes().min(4)
+        if self == Self::Half { 4 } else { self.num_bytes().min(4) }
     }
 
     /// Least and greatest integer of the type, `None` for floating point.
@@ -86,13 +90,13 @@ impl Dtype {
             Self::Uint32 => unsigned(32),
             Self::Int64 => signed(64),
             Self::Uint64 => unsigned(64),
-            Self::Float | Self::Double => return None,
+            Self::Half | Self::Float | Self::Double => return None,
         })
     }
 
     /// What [`Dtype::from_str`] takes, for messages.
     pub const EXPECTED: &'static str =
-        "int8, uint8, int16, uint16, int32, uint32, int64, uint64, float or double";
+        "int8, uint8, int16, uint16, int32, uint32, int64, uint64, float16, float or double";
 }
 
 impl FromStr for Dtype {
@@ -120,6 +124,7 @@ impl FromStr for Dtype {
             | "int64"
             | "i64" => Self::Int64,
             "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "u64" => Self::Uint64,
+            "float16" | "f16" => Self::Half,
             "float" | "float32" | "f32" => Self::Float,
             "double" | "float64" | "f64" => Self::Double,
             _ => {

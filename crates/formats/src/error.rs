@@ -37,6 +37,34 @@ pub enum FormatError {
         /// What is wrong.
         cause: HeaderError,
     },
+    /// The header of another file makes no sense, or asks for what is not read here.
+    #[error("{path}: {format}: {problem}")]
+    Malformed {
+        /// The file.
+        path: String,
+        /// The format it was read as.
+        format: String,
+        /// What is wrong, what was found and what was expected.
+        problem: String,
+    },
+    /// What was asked for is not in the file.
+    #[error("{path}: {what} {asked} was asked for, expected 0 to {last}", last = found.saturating_sub(1))]
+    Selection {
+        /// The file.
+        path: String,
+        /// Channel, time, level or series.
+        what: &'static str,
+        /// The one asked for.
+        asked: u64,
+        /// How many there are.
+        found: u64,
+    },
+    /// Reading was cancelled.
+    #[error("{path}: cancelled")]
+    Cancelled {
+        /// The file.
+        path: String,
+    },
     /// There are fewer bytes or numbers than the shape needs.
     #[error("{path}: {shape} needs {expected} {unit}, found {found}")]
     Short {

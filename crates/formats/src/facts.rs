@@ -5,7 +5,9 @@ use std::fmt;
 use isinglass_core::volume::{Histogram, Volume};
 use serde::ser::{SerializeMap, Serializer};
 
-/// Facts of a volume. Serialises to the object of `info --json`; name and unit are for people only.
+use crate::outline::Outline;
+
+/// Facts of a volume. Serialises to the object of `info --json`; the name is for people only.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct VolumeFacts {
     /// File name or name of the built-in volume.
@@ -31,6 +33,9 @@ pub struct VolumeFacts {
     pub bytes_in_memory: u64,
     /// What is odd about the file, one sentence each.
     pub warnings: Vec<String>,
+    /// What else the file holds; none for a built-in volume.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<Outline>,
 }
 
 impl VolumeFacts {
@@ -48,6 +53,7 @@ impl VolumeFacts {
             orientation: volume.info.orientation.clone(),
             bytes_in_memory: volume.bytes_in_memory(),
             warnings: volume.info.warnings.clone(),
+            file: None,
         }
     }
 }
@@ -69,6 +75,9 @@ impl fmt::Display for VolumeFacts {
         let bytes = self.bytes_in_memory as f64;
         let (amount, unit) = if bytes < 1e6 { (bytes / 1e3, "kB") } else { (bytes / 1e6, "MB") };
         writeln!(f, "  memory       {amount:.1} {unit}")?;
+        if let Some(outline) = &self.file {
+            write!(f, "{outline}")?;
+        }
         self.warnings.iter().try_for_each(|warning| writeln!(f, "  note: {warning}"))
     }
 }

@@ -1,31 +1,53 @@
 //! Volume files, transfer functions and presets, to and from the types of `isinglass-core`.
 //!
-//! [`open`] reads NRRD (attached and detached), raw voxels whose shape is told, and the built-in volumes;
-//! [`load_transfer`] reads a preset or a TOML file of control points; [`VolumeFacts`] is what `info` prints. What a
+//! [`open`] reads every format of docs/FORMATS.md, raw voxels whose shape is told, and the built-in volumes; [`outline`] reads
+//! the header alone and tells what [`open`] would need; [`Loading`] opens on a thread of its own. [`load_transfer`] reads a
+//! preset or a TOML file of control points; [`VolumeFacts`] is what `info` prints. What a
 //! file says is never trusted: every length is checked against the file and a memory limit before anything is
 //! allocated, and every error is one line that names the file, what was expected and what was found. This crate
 //! draws nothing and knows no network.
 
+mod axes;
 mod decode;
 mod dtype;
 mod error;
 mod facts;
 pub mod iglf;
+mod loading;
+mod metaimage;
+mod mrc;
+mod nifti;
+mod npy;
 mod nrrd;
+mod outline;
+mod parts;
+mod picker;
+mod plan;
 mod presets;
 mod raw;
+mod select;
+mod sniff;
 mod source;
+mod stream;
+mod taker;
 mod transfer;
 mod transfer_import;
 mod transfer_json;
 mod transfer_maps;
+mod warning;
+mod words;
+mod zip;
 
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};
+pub use loading::{LoadRequest, Loading};
+pub use outline::{Level, Outline};
 pub use presets::{default_preset, preset, preset_names};
 pub use raw::RawShape;
-pub use source::{OpenOptions, open};
+pub use select::{Region, Selection};
+pub use source::{OpenOptions, open, outline};
 pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
 pub use transfer_import::{ImportedTransfer, import_transfers};
 pub use transfer_maps::ColorMap;
+pub use warning::{Warning, WarningKind};

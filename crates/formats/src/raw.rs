@@ -1,16 +1,18 @@
 //! Raw voxels: no header, the shape comes with the request.
 
 use std::fs::File;
-use std::io::{Seek, SeekFrom};
-use std::path::Path;
+use std::io::{BufReader, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use isinglass_core::volume::{Volume, VolumeError, VolumeInfo};
+use isinglass_core::volume::{Volume, VolumeError};
 
-use crate::decode::{VoxelSink, pump_bytes};
+use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
-use crate::source::{OpenOptions, file_name};
+use crate::plan::{Axis, Plan, VolumeFile};
+use crate::taker::Taker;
+use crate::warning::WarningKind;
 
 /// What a raw file does not say of itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,55 +29,59 @@ pub struct RawShape {
     pub offset: u64,
 }
 
-/// Reads the voxels of `file`, the file at `path`. Bytes after the last voxel are ignored with a warning.
-pub(crate) fn read(
-    mut file: File,
-    path: &Path,
-    shape: &RawShape,
-    options: &OpenOptions,
-) -> Result<Volume, FormatError> {
-    let volume_error = |cause| FormatError::Volume { path: shown(path), cause };
-    let RawShape { dims, dtype, spacing, endian, offset } = *shape;
-    if dims.iter().any(|&d| d == 0 || d > Volume::MAX_SIDE) {
-        return Err(volume_error(VolumeError::Dims(dims)));
-    }
-    let num_voxels = dims.iter().map(|&d| u64::from(d)).product::<u64>();
-    options.check_memory(path, num_voxels * dtype.num_bytes_in_memory() as u64)?;
-    let io = io_error(path);
-    let num_bytes = num_voxels * dtype.num_bytes() as u64;
-    let found = file.metadata().map_err(&io)?.len().saturating_sub(offset);
-    let short = |found| {
-        let [x, y, z] = dims;
-        let shape = format!("{x}×{y}×{z} {} from byte {offset}", dtype.name());
-        FormatError::Short { path: shown(path), shape, expected: num_bytes, found, unit: "bytes" }
-    };
-    if found < num_bytes {
-        return Err(short(found));
-    }
-    file.seek(SeekFrom::Start(offset)).map_err(&io)?;
-    let mut sink = VoxelSink::new(dtype, endian, num_voxels as usize)
-        .map_err(|_| io(std::io::ErrorKind::OutOfMemory.into()))?;
-    let mut tick = |done: u64| {
-        if let Some(progress) = options.progress {
-            progress(done as f32 / num_bytes as f32);
+/// A raw file and its shape.
+pub(crate) struct RawFile {
+    file: File,
+    path: PathBuf,
+    plan: Plan,
+    offset: u64,
+}
+
+impl RawFile {
+    /// `file` is the file at `path`. Bytes after the last voxel are ignored with a warning.
+    pub(crate) fn open(file: File, path: &Path, shape: &RawShape) -> Result<Self, FormatError> {
+        let volume_error = |cause| FormatError::Volume { path: shown(path), cause };
+        let RawShape { dims, dtype, spacing, endian, offset } = *shape;
+        if dims.iter().any(|&d| d == 0 || d > Volume::MAX_SIDE) {
+            return Err(volume_error(VolumeError::Dims(dims)));
         }
-    };
-    let (done, result) = pump_bytes(&mut file, &mut sink, num_bytes, &mut tick);
-    result.map_err(&io)?;
-    if done < num_bytes {
-        return Err(short(done));
+        if !(spacing.is_finite() && spacing.min_element() > 0.0) {
+            return Err(volume_error(VolumeError::Spacing(spacing)));
+        }
+        let geometry = Geometry::along_axes(spacing.to_array().map(f64::from), None);
+        let mut plan = Plan::new("raw", dtype, endian, Axis::in_space(dims.map(u64::from)), geometry);
+        plan.has_gaps = false;
+        let found = file.metadata().map_err(io_error(path))?.len().saturating_sub(offset);
+        // At most 2048³ voxels of 8 bytes: no product can overflow.
+        let num_bytes = dims.iter().map(|&d| u64::from(d)).product::<u64>() * dtype.num_bytes() as u64;
+        if found > num_bytes {
+            plan.warn(
+                WarningKind::Data,
+                format!("{} bytes after the last voxel are ignored", found - num_bytes),
+            );
+        }
+        Ok(Self { file, path: path.to_owned(), plan, offset })
     }
-    let decoded = sink.finish();
-    let mut warnings = decoded.warnings;
-    if found > num_bytes {
-        warnings.push(format!("{} bytes after the last voxel are ignored", found - num_bytes));
+}
+
+impl VolumeFile for RawFile {
+    fn plan(&self) -> &Plan {
+        &self.plan
     }
-    let info = VolumeInfo {
-        name: file_name(path),
-        dtype: dtype.name().to_owned(),
-        unit: None,
-        orientation: None,
-        warnings,
-    };
-    Volume::new(dims, spacing, decoded.voxels, decoded.value_map, info).map_err(volume_error)
+
+    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+        let io = io_error(&self.path);
+        let found = self.file.metadata().map_err(&io)?.len().saturating_sub(self.offset);
+        let num_bytes = taker.num_bytes();
+        if found < num_bytes {
+            let mut short = taker.short(&self.path, num_bytes, found, "bytes");
+            if let FormatError::Short { shape, .. } = &mut short {
+                *shape += &format!(" from byte {}", self.offset);
+            }
+            return Err(short);
+        }
+        let mut reader = BufReader::new(&mut self.file);
+        reader.seek(SeekFrom::Start(self.offset)).map_err(&io)?;
+        taker.pump(&mut reader, &self.path, num_bytes)
+    }
 }

@@ -1,30 +1,51 @@
-//! Where a volume comes from: a path or the name of a built-in volume.
+//! Where a volume comes from: a file, a folder, or the name of a built-in volume.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use glam::Vec3;
 use isinglass_core::volume::Volume;
 use isinglass_core::volume::procedural::Builtin;
 
+use crate::axes::Geometry;
+use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, quoted, shown};
+use crate::outline::Outline;
+use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
-use crate::{nrrd, raw};
+use crate::select::Selection;
+use crate::sniff::{self, Kind};
+use crate::{metaimage, mrc, nifti, npy, nrrd, raw};
 
 /// How to open a volume.
 #[derive(Clone, Copy)]
 pub struct OpenOptions<'a> {
     /// The shape of a raw file; without it a file must say its own.
     pub raw: Option<RawShape>,
+    /// Which part of a file with more than one volume.
+    pub selection: Selection,
+    /// Distances between voxels along x, y and z, in place of those that the file knows.
+    pub spacing: Option<Vec3>,
     /// Most bytes of memory the voxels may take, counting the second copy that some files need while reading.
     pub max_bytes: u64,
     /// Told the fraction that was read, 0 to 1, now and then.
     pub progress: Option<&'a dyn Fn(f32)>,
+    /// Reading ends soon after this becomes true.
+    pub cancel: Option<&'a AtomicBool>,
 }
 
 impl Default for OpenOptions<'_> {
     fn default() -> Self {
-        Self { raw: None, max_bytes: DEFAULT_MAX_BYTES, progress: None }
+        Self {
+            raw: None,
+            selection: Selection::default(),
+            spacing: None,
+            max_bytes: DEFAULT_MAX_BYTES,
+            progress: None,
+            cancel: None,
+        }
     }
 }
 
@@ -36,18 +57,54 @@ impl OpenOptions<'_> {
         }
         Ok(())
     }
-}
 
-/// Opens `source`: the path of an NRRD file or of a raw file whose shape the options tell, or
-/// `builtin:cloud|cubus|shells`, optionally with `@N` for N voxels along each side.
-pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
-    match source.strip_prefix("builtin:") {
-        Some(name) => open_builtin(name, options),
-        None => open_path(Path::new(source), options),
+    /// Whether reading may go on.
+    pub(crate) fn check_cancelled(&self, path: &Path) -> Result<(), FormatError> {
+        match self.cancel {
+            Some(cancel) if cancel.load(Ordering::Relaxed) => {
+                Err(FormatError::Cancelled { path: shown(path) })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
+/// Opens `source`: the path of a file or folder in one of the formats of this crate, of a raw file whose shape the options
+/// tell, or `builtin:cloud|cubus|shells`, optionally with `@N` for N voxels along each side.
+pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
+    match source.strip_prefix("builtin:") {
+        Some(name) => open_builtin(name, options),
+        None => {
+            let path = Path::new(source);
+            read_volume(open_path(path, options)?, path, options)
+        }
+    }
+}
+
+/// Reads the header of `source` alone: what there is, what [`open`] would take of it, and how much memory that needs.
+pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
+    let path = Path::new(source);
+    if let Some(name) = source.strip_prefix("builtin:") {
+        let (_, side) = builtin(name)?;
+        let axes = Axis::in_space([u64::from(side); 3]);
+        let spacing = [2.0 / f64::from(side); 3];
+        let geometry = Geometry::along_axes(spacing, None);
+        let plan = Plan::new("built-in volume", Dtype::Uint8, Endian::Little, axes, geometry);
+        return Ok(plan.outline(path, &plan.choose(path, options)?, options));
+    }
+    let file = open_path(path, options)?;
+    let chosen = file.plan().choose(path, options)?;
+    Ok(file.plan().outline(path, &chosen, options))
+}
+
 fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
+    let (builtin, side) = builtin(name)?;
+    options.check_memory(Path::new(&format!("builtin:{name}")), u64::from(side).pow(3))?;
+    Ok(builtin.volume(side))
+}
+
+/// A built-in volume and its side.
+fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
     let (kind, side) = name.split_once('@').map_or((name, None), |(kind, side)| (kind, Some(side)));
     let side = match side {
         Some(text) => text.parse().ok().filter(|n| (MIN_SIDE..=Volume::MAX_SIDE).contains(n)),
@@ -59,25 +116,42 @@ fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError
             format!("{names}, or with @N for N = {MIN_SIDE} to {} voxels a side", Volume::MAX_SIDE);
         return Err(FormatError::Builtin { found: quoted(name), expected });
     };
-    options.check_memory(Path::new(&format!("builtin:{name}")), u64::from(side).pow(3))?;
-    Ok(builtin.volume(side))
+    Ok((builtin, side))
 }
 
-fn open_path(path: &Path, options: &OpenOptions) -> Result<Volume, FormatError> {
+/// Reads the header of the file or folder at `path`.
+fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
+    if path.is_dir() && options.raw.is_none() {
+        return open_folder(path, options);
+    }
     let mut file = open_file(path)?;
     let mut start = Vec::new();
-    (&mut file).take(SNIFFED_BYTES).read_to_end(&mut start).map_err(io_error(path))?;
+    (&mut file).take(sniff::SNIFFED_BYTES).read_to_end(&mut start).map_err(io_error(path))?;
     file.seek(SeekFrom::Start(0)).map_err(io_error(path))?;
+    let kind = sniff::kind_of(&start, path);
     let unsupported = |found, expected| FormatError::Unsupported { path: shown(path), found, expected };
-    match (&options.raw, start.starts_with(b"NRRD")) {
-        (None, true) => nrrd::read(file, path, options),
-        (Some(shape), false) => raw::read(file, path, shape, options),
-        (Some(_), true) => Err(unsupported("an NRRD file", "raw voxels, because a shape was given")),
-        (None, false) => Err(unsupported(
-            kind_of_file(&start),
-            "an NRRD file, or raw voxels with their dimensions and type given",
-        )),
+    if let Some(shape) = &options.raw {
+        return match kind {
+            Kind::Other(_) | Kind::Gzip | Kind::Mrc | Kind::Zip => {
+                Ok(Box::new(raw::RawFile::open(file, path, shape)?))
+            }
+            kind => Err(unsupported(kind.name(), "raw voxels, because a shape was given")),
+        };
     }
+    Ok(match kind {
+        Kind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path)?),
+        Kind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false)?),
+        Kind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true)?),
+        Kind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path)?),
+        Kind::Npy => Box::new(npy::NpyFile::open(file, path)?),
+        Kind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
+        Kind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
+        Kind::Other(found) => return Err(unsupported(found, sniff::EXPECTED)),
+    })
+}
+
+fn open_folder<'a>(path: &Path, _options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
+    Err(FormatError::Unsupported { path: shown(path), found: "a folder", expected: sniff::EXPECTED })
 }
 
 /// Opens a regular file. Pipes and devices are refused: they have no length to check, and may never end.
@@ -95,24 +169,7 @@ pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| shown(path), |name| shown(Path::new(name)))
 }
 
-/// What a file that cannot be read looks like, so that the message helps.
-fn kind_of_file(start: &[u8]) -> &'static str {
-    let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
-    match () {
-        () if start.is_empty() => "an empty file",
-        () if is_at(0, &[0x1f, 0x8b]) => "gzip data",
-        () if is_at(0, b"II*\0") || is_at(0, b"MM\0*") => "a TIFF file",
-        () if is_at(128, b"DICM") => "a DICOM file",
-        () if is_at(344, b"n+1\0") || is_at(344, b"ni1\0") => "a NIfTI file",
-        () if is_at(0, b"ObjectType") => "a MetaImage file",
-        () if is_at(0, b"<?xml") || is_at(0, b"<VTKFile") || is_at(0, b"# vtk") => "a VTK file",
-        () => "no header that is known",
-    }
-}
-
 /// Eight gigabytes: a volume of 2048³ bytes, about what a large GPU can hold.
 const DEFAULT_MAX_BYTES: u64 = 8 << 30;
 /// Fewest voxels along a side of a built-in volume.
 const MIN_SIDE: u32 = 8;
-/// Enough for the magic numbers of the formats that are told apart.
-const SNIFFED_BYTES: u64 = 352;

@@ -17,19 +17,92 @@ use isinglass_core::codec::{Coding, blocks};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::volume::Volume;
-use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape};
+use isinglass_formats::{Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, open, outline};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
 
 /// A volume, and the shape of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A NRRD file, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N
-    /// voxels a side)
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
+    /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
     #[arg(value_name = "VOLUME")]
     pub(crate) volume: String,
     #[command(flatten)]
     pub(crate) raw: RawArgs,
+    #[command(flatten)]
+    pub(crate) part: PartArgs,
+}
+
+impl VolumeArgs {
+    /// Opens the volume, after what is known before; large files show their progress.
+    pub(crate) fn open(&self) -> Result<(Volume, Outline)> {
+        let before = outline(&self.volume, &self.options())?;
+        let volume = show_progress(&before, |progress| {
+            open(&self.volume, &OpenOptions { progress: Some(progress), ..self.options() })
+        })?;
+        Ok((volume, before))
+    }
+
+    /// How to open it.
+    fn options(&self) -> OpenOptions<'static> {
+        let PartArgs { spacing, .. } = self.part;
+        OpenOptions {
+            raw: self.raw.shape(),
+            selection: self.part.selection(),
+            spacing,
+            ..OpenOptions::default()
+        }
+    }
+}
+
+/// Runs `read` with something to tell its progress to, under the size of what is read.
+fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> T {
+    let [x, y, z] = outline.dims;
+    let megabytes = outline.bytes_in_memory as f64 / 1e6;
+    let text = format!("reading {x}×{y}×{z} {}, {megabytes:.1} MB", outline.dtype);
+    let progress = std::cell::RefCell::new(Progress::new(&text, 100));
+    let done = std::cell::Cell::new(0);
+    let report = |fraction: f32| {
+        let percent = (fraction * 100.0) as u64;
+        progress.borrow_mut().advance(percent.saturating_sub(done.get()), "%");
+        done.set(percent.max(done.get()));
+    };
+    let result = read(&report);
+    progress.into_inner().finish();
+    result
+}
+
+/// Which part of a file becomes the volume.
+#[derive(Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Parts of a file")]
+pub(crate) struct PartArgs {
+    /// Channel, component or array of the file, from 0
+    #[arg(long, value_name = "N")]
+    channel: Option<u32>,
+    /// Point in time, from 0
+    #[arg(long, value_name = "N")]
+    time: Option<u32>,
+    /// Level of a pyramid, 0 the finest [default: the finest that fits into memory]
+    #[arg(long, value_name = "N")]
+    level: Option<u32>,
+    /// Series of a folder, from 0 [default: the largest]
+    #[arg(long, value_name = "N")]
+    series: Option<u32>,
+    /// Voxels to take along the axes that `info` shows, the end not included, such as 0:100,50:,:
+    #[arg(long, value_name = "X,Y,Z")]
+    region: Option<Region>,
+    /// Distances between voxels, in place of those of the file
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, allow_hyphen_values = true)]
+    pub(crate) spacing: Option<Vec3>,
+}
+
+impl PartArgs {
+    /// The part.
+    pub(crate) fn selection(&self) -> Selection {
+        let &Self { channel, time, level, series, region, .. } = self;
+        Selection { channel, time, level, series, region }
+    }
 }
 
 /// What a raw file does not say of itself.
@@ -42,9 +115,6 @@ pub(crate) struct RawArgs {
     /// Type of its voxels: uint8, int16, float, …
     #[arg(long, value_name = "TYPE", requires = "dims")]
     dtype: Option<Dtype>,
-    /// Distances between its voxels
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, requires = "dims", allow_hyphen_values = true)]
-    spacing: Option<Vec3>,
     /// Order of its bytes: little or big
     #[arg(long, value_name = "ORDER", requires = "dims")]
     endian: Option<Endian>,
@@ -59,7 +129,7 @@ impl RawArgs {
         Some(RawShape {
             dims: self.dims?,
             dtype: self.dtype?,
-            spacing: self.spacing.unwrap_or(Vec3::ONE),
+            spacing: Vec3::ONE,
             endian: self.endian.unwrap_or_default(),
             offset: self.offset.unwrap_or(0),
         })
@@ -265,16 +335,11 @@ impl LinkArgs {
 
 /// Opens a volume with its look; large files show their progress.
 pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<OpenedScene> {
-    let progress = std::cell::RefCell::new(Progress::new("reading", 100));
-    let done = std::cell::Cell::new(0);
-    let report = |fraction: f32| {
-        let percent = (fraction * 100.0) as u64;
-        progress.borrow_mut().advance(percent.saturating_sub(done.get()), "%");
-        done.set(percent.max(done.get()));
-    };
-    let options = OpenOptions { raw: volume.raw.shape(), progress: Some(&report), ..Default::default() };
-    let opened = open_scene(&volume.volume, look.tf.as_deref(), march_settings(look.is_shaded()), &options);
-    progress.into_inner().finish();
+    let before = outline(&volume.volume, &volume.options())?;
+    let opened = show_progress(&before, |progress| {
+        let options = OpenOptions { progress: Some(progress), ..volume.options() };
+        open_scene(&volume.volume, look.tf.as_deref(), march_settings(look.is_shaded()), &options)
+    });
     Ok(opened?)
 }
 

@@ -45,6 +45,8 @@ fn bad_usage_is_code_2() {
         ("info a.raw --dims 1,2,3", &["--dtype"]),
         ("info a.raw --dims 1,2,3 --dtype word", &["word", "uint8"]),
         ("info a.raw --dims 1,2,3 --dtype uint8 --spacing 1,-1,1", &["1,-1,1"]),
+        ("info a.raw --region 5", &["5", "0:100,50:,:"]),
+        ("info a.raw --region 5:5,:,:", &["5:5 is empty"]),
         ("demo --rtt fast", &["fast", "200ms"]),
         ("demo --rtt -5ms", &["-5"]),
         ("view nothing", &["nothing", "isinglass://"]),

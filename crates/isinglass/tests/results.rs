@@ -126,7 +126,14 @@ fn info_has_the_promised_fields() {
     let facts = bench.json(&format!("info {raw} --json"));
     assert_eq!(facts["dims"], serde_json::json!([2, 3, 4]));
     assert_eq!(facts["spacing"], serde_json::json!([1.0, 1.0, 2.5]));
-    assert!(bench.ok(&format!("info {raw}")).contains("2 × 3 × 4"));
+    assert_has(
+        &facts["file"],
+        "format unit file_axes whole_dims channels num_times levels series bytes_while_reading",
+    );
+    let text = bench.ok(&format!("info {raw}"));
+    assert!(text.contains("2 × 3 × 4") && text.contains("format       raw"), "{text}");
+    let part = bench.json(&format!("info {raw} --region 1:,:2,1:3 --json"));
+    assert_eq!((&part["dims"], &part["file"]["whole_dims"]), (&[1, 2, 2].into(), &[2, 3, 4].into()));
 }
 
 #[test]

@@ -12,12 +12,13 @@ mod script;
 
 use std::path::Path;
 
+use glam::Vec3;
 use isinglass_client::{CameraPath, Foresight};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::look::Look;
-use isinglass_formats::{OpenOptions, RawShape};
+use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
 use isinglass_server::{ServeOptions, start};
@@ -37,6 +38,10 @@ pub struct DemoOptions {
     pub source: String,
     /// The shape of a raw file.
     pub raw: Option<RawShape>,
+    /// Which part of a file.
+    pub selection: Selection,
+    /// Distances between voxels, in place of those of the file.
+    pub spacing: Option<Vec3>,
     /// Preset or file; none: the one that suits the volume.
     pub transfer: Option<String>,
     /// Whether gradients shade.
@@ -72,6 +77,8 @@ impl Default for DemoOptions {
         Self {
             source: DEFAULT_SOURCE.into(),
             raw: None,
+            selection: Selection::default(),
+            spacing: None,
             transfer: None,
             shaded: true,
             layering: Layering::default(),
@@ -102,7 +109,8 @@ pub struct Outcome {
 /// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
 /// which is made if it is not there; without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
-    let open = OpenOptions { raw: options.raw, ..OpenOptions::default() };
+    let &DemoOptions { raw, selection, spacing, .. } = options;
+    let open = OpenOptions { raw, selection, spacing, ..OpenOptions::default() };
     let opened =
         open_scene(&options.source, options.transfer.as_deref(), march_settings(options.shaded), &open)?;
     let backend = Backend::open(options.backend)?;

@@ -61,8 +61,32 @@ pub struct VolumeInfo {
     pub unit: Option<String>,
     /// Where the three axes point, such as `RAS`, if the file knows it.
     pub orientation: Option<String>,
+    /// Where the volume lies in the world of its file, if the file knows it.
+    pub placement: Option<Placement>,
+    /// How the volume was taken, in DICOM's terms (`CT`, `MR`, …), if the file knows it.
+    pub modality: Option<String>,
     /// What was odd about the file, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// Where a volume lies in the world of its file: right-anterior-superior (RAS+) for a body, the file's own axes otherwise.
+/// Lengths are in the unit of the spacing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// The point of the file's world at the origin of world space, which is the centre of the volume's box.
+    pub center: [f64; 3],
+    /// Unit vectors of the file's world along x, y and z of world space.
+    pub axes: [[f64; 3]; 3],
+}
+
+impl Placement {
+    /// The point of the file's world at `world`, a point of world space.
+    pub fn file_from_world(&self, world: Vec3) -> [f64; 3] {
+        let w = world.to_array().map(f64::from);
+        std::array::from_fn(|i| {
+            self.center[i] + self.axes[0][i] * w[0] + self.axes[1][i] * w[1] + self.axes[2][i] * w[2]
+        })
+    }
 }
 
 /// A scalar volume with its physical size. See [`crate::space`] for voxel and world space.

@@ -8,6 +8,6 @@ mod lit;
 pub mod procedural;
 
 pub use bricks::{BRICK, Bricks, Occupancy};
-pub use grid::{Volume, VolumeError, VolumeInfo, Voxels};
+pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::Histogram;
 pub use lit::{LIT_MAX, Lit, Shading};

@@ -6,6 +6,7 @@ use std::io::{BufRead, Read};
 
 use crate::dtype::{Dtype, Endian};
 use crate::error::{HeaderError, quoted};
+use crate::parts::{MAX_DATA_FILES, numbered_names};
 
 /// The fields that matter here. What describes axes has one entry for each axis, fastest first.
 #[derive(Debug, PartialEq)]
@@ -18,6 +19,8 @@ pub(super) struct Header {
     /// Step of one voxel along each axis, in `space`; `None` for axes without direction.
     pub(super) directions: Option<Vec<Option<[f64; 3]>>>,
     pub(super) space: Space,
+    /// Centre of the first voxel in `space`.
+    pub(super) origin: Option<[f64; 3]>,
     pub(super) kinds: Option<Vec<String>>,
     /// Units along the axes, for volumes without directions.
     pub(super) units: Option<Vec<String>>,
@@ -118,11 +121,11 @@ fields! {
     Type "type", Dimension "dimension", Sizes "sizes", Encoding "encoding", Endian "endian",
     DataFile "data file", LineSkip "line skip", ByteSkip "byte skip", Spacings "spacings", Kinds "kinds",
     Units "units", Space "space", SpaceDimension "space dimension", SpaceUnits "space units",
-    SpaceDirections "space directions",
+    SpaceDirections "space directions", SpaceOrigin "space origin",
 }
 
 /// Fields of the format that say nothing about where voxels are or which values they have.
-const IGNORED_FIELDS: [&str; 17] = [
+const IGNORED_FIELDS: [&str; 16] = [
     "block size",
     "content",
     "old min",
@@ -137,7 +140,6 @@ const IGNORED_FIELDS: [&str; 17] = [
     "centers",
     "centerings",
     "labels",
-    "space origin",
     "measurement frame",
     "description",
 ];
@@ -267,6 +269,7 @@ impl Fields {
             spacings: self.numbers(Field::Spacings, dimension, "numbers")?,
             directions: self.directions(dimension, space_dimension)?,
             space,
+            origin: self.get(Field::SpaceOrigin).and_then(vector),
             kinds: self.names(Field::Kinds, dimension)?,
             units: self.names(Field::Units, dimension)?,
             space_units: match space_dimension {
@@ -369,19 +372,10 @@ impl Fields {
             [pattern, first, last, step, ref sub @ ..] if pattern.contains('%') && sub.len() < 2 => {
                 let number = |w: &str| w.parse::<i64>().map_err(|_| bad());
                 let (first, last, step) = (number(first)?, number(last)?, number(step)?);
-                if step == 0 || !sub.iter().all(|w| is_subdimension(w)) {
+                if !sub.iter().all(|w| is_subdimension(w)) {
                     return Err(bad());
                 }
-                let mut names = Vec::new();
-                let mut i = first;
-                while (step > 0 && i <= last) || (step < 0 && i >= last) {
-                    if names.len() == MAX_DATA_FILES {
-                        return Err(bad());
-                    }
-                    names.push(numbered(pattern, i).ok_or_else(bad)?);
-                    i = i.checked_add(step).ok_or_else(bad)?;
-                }
-                names
+                numbered_names(pattern, first, last, step).ok_or_else(bad)?
             }
             _ => vec![text.to_owned()],
         };
@@ -392,17 +386,12 @@ impl Fields {
     }
 }
 
-/// `pattern` with its one `%d`, `%3d`, `%03d` or `%u` replaced by `number`.
-fn numbered(pattern: &str, number: i64) -> Option<String> {
-    let (before, rest) = pattern.split_once('%')?;
-    let end = rest.find(|c: char| !c.is_ascii_digit())?;
-    let (width, after) = (&rest[..end], rest[end..].strip_prefix(['d', 'u', 'i'])?);
-    if after.contains('%') || width.len() > 3 {
-        return None;
-    }
-    let (is_zero_padded, columns) = (width.starts_with('0'), width.parse().unwrap_or(0));
-    let digits = if is_zero_padded { format!("{number:0columns$}") } else { format!("{number:columns$}") };
-    Some(format!("{before}{digits}{after}"))
+/// A vector like `(0,0,1)`; a component that is missing is 0.
+fn vector(text: &str) -> Option<[f64; 3]> {
+    let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?;
+    let numbers: Vec<f64> = inner.split(',').map(|n| n.trim().parse().ok()).collect::<Option<_>>()?;
+    let is_good = numbers.len() <= MAX_SPACE_DIMENSION && numbers.iter().all(|x| x.is_finite());
+    is_good.then(|| std::array::from_fn(|i| numbers.get(i).copied().unwrap_or(0.0)))
 }
 
 /// Lines of a header, without their ends, never more than [`MAX_HEADER_BYTES`] in all.
@@ -433,8 +422,6 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 const MAX_DIMENSION: usize = 16;
 /// Three directions and time.
 const MAX_SPACE_DIMENSION: usize = 4;
-/// Files that one header may name.
-const MAX_DATA_FILES: usize = 65_536;
 /// Remarks kept about one header.
 const MAX_WARNINGS: usize = 8;
 

@@ -16,8 +16,8 @@ use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PathArgs, RawArgs, VolumeArgs,
-    open_volume, parse_duration, parse_fov, parse_size,
+    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, RawArgs,
+    VolumeArgs, open_volume, parse_duration, parse_fov, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -28,6 +28,8 @@ pub(crate) struct DemoArgs {
     volume: Option<String>,
     #[command(flatten)]
     raw: RawArgs,
+    #[command(flatten)]
+    part: PartArgs,
     /// Round-trip time between server and viewer
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "200ms")]
     rtt: Duration,
@@ -93,6 +95,8 @@ pub(crate) fn run(args: DemoArgs) -> Result<()> {
 fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
     let mut options = DemoOptions {
         raw: args.raw.shape(),
+        selection: args.part.selection(),
+        spacing: args.part.spacing,
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),
         layering: args.layering.layering,
@@ -123,7 +127,11 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
 }
 
 fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
-    let volume = VolumeArgs { volume: args.volume.unwrap_or_else(|| DEFAULT_SOURCE.into()), raw: args.raw };
+    let volume = VolumeArgs {
+        volume: args.volume.unwrap_or_else(|| DEFAULT_SOURCE.into()),
+        raw: args.raw,
+        part: args.part,
+    };
     let opened = open_volume(&volume, &args.look)?;
     let look = Look {
         transfer: opened.transfer,

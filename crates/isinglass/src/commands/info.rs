@@ -7,11 +7,10 @@ use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
-use isinglass_bench::progress::Progress;
 use isinglass_core::codec;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::{OpenOptions, VolumeFacts, iglf, open};
+use isinglass_formats::{VolumeFacts, iglf};
 use serde_json::{Map, json};
 
 use crate::args::VolumeArgs;
@@ -31,12 +30,9 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     if args.volume.raw.shape().is_none() && is_stored_frame(path) {
         return frame(path, args.json);
     }
-    let progress = Progress::new("reading", 1);
-    let options = OpenOptions { raw: args.volume.raw.shape(), ..Default::default() };
-    let volume = open(&args.volume.volume, &options);
-    progress.finish();
-    let volume = volume?;
-    let facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
+    let (volume, outline) = args.volume.open()?;
+    let mut facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
+    facts.file = (!args.volume.volume.starts_with("builtin:")).then_some(outline);
     if args.json { print_json(&facts) } else { print(&facts.to_string()) }
 }
 

@@ -1,0 +1,327 @@
+//! From the axes of a file to the axes of a volume: three of them, pointing right, to the front and up where the file
+//! knows a body, or along +x, +y, +z of its space, so that nothing is shown mirrored or on its side.
+//!
+//! World space has the volume's own axes, so a turn that is not a multiple of 90° is not shown; it is reported, and kept
+//! as the volume's [`Placement`].
+
+use std::ops::Range;
+
+use glam::{DVec3, Vec3};
+use isinglass_core::volume::{Placement, Volume, Voxels};
+
+use crate::select::Region;
+use crate::warning::{Warning, WarningKind};
+
+/// How the three axes of a file lie in its world, which is RAS+ for a body: towards the right, the front and the top.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Geometry {
+    /// Step of one voxel along each axis.
+    pub(crate) steps: [DVec3; 3],
+    /// Centre of the first voxel, if known.
+    pub(crate) origin: Option<DVec3>,
+    /// Whether the world is that of a body.
+    pub(crate) is_body: bool,
+    /// Unit of length, if known.
+    pub(crate) unit: Option<String>,
+}
+
+impl Geometry {
+    /// Axes along those of a space without a body.
+    pub(crate) fn along_axes(spacing: [f64; 3], unit: Option<String>) -> Self {
+        let steps = std::array::from_fn(|i| DVec3::AXES[i] * spacing[i]);
+        Self { steps, origin: None, is_body: false, unit }
+    }
+
+    /// The same directions with these distances along x, y and z of the volume.
+    pub(crate) fn with_spacing(&self, spacing: Vec3) -> Result<Self, String> {
+        let mut geometry = self.clone();
+        for (k, (axis, _)) in order(self.steps)?.into_iter().enumerate() {
+            geometry.steps[axis] = self.steps[axis].normalize() * f64::from(spacing[k]);
+        }
+        Ok(geometry)
+    }
+}
+
+/// From LPS, the frame of DICOM and ITK, to RAS or back.
+pub(crate) fn ras_from_lps(v: DVec3) -> DVec3 {
+    DVec3::new(-v.x, -v.y, v.z)
+}
+
+/// The grid of a volume, and how the voxels of its file must be reordered.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Grid {
+    /// Voxels along the axes of the file, of which `ranges` are taken.
+    pub(crate) file_dims: [u64; 3],
+    /// What is taken along the axes of the file.
+    pub(crate) ranges: [Range<u64>; 3],
+    /// Which axis of the file becomes x, y and z, and whether it is reversed.
+    pub(crate) order: [(usize, bool); 3],
+    /// Distances along x, y and z.
+    pub(crate) spacing: Vec3,
+    pub(crate) orientation: Option<String>,
+    pub(crate) placement: Option<Placement>,
+    pub(crate) warnings: Vec<Warning>,
+}
+
+impl Grid {
+    /// The grid of `region`, or of all, of a file with `file_dims` voxels along its axes. The error says what is wrong.
+    pub(crate) fn arrange(
+        file_dims: [u64; 3],
+        geometry: &Geometry,
+        region: Option<&Region>,
+    ) -> Result<Self, String> {
+        let steps = geometry.steps;
+        if !steps.iter().all(|v| v.length().is_finite() && v.length() > 0.0) {
+            return Err(format!("steps between voxels are {steps:?}, expected finite lengths above zero"));
+        }
+        let order = order(steps)?;
+        let ranges = ranges(file_dims, order, region)?;
+        for (axis, range) in ranges.iter().enumerate() {
+            let (n, max) = (range.end - range.start, u64::from(Volume::MAX_SIDE));
+            if !(1..=max).contains(&n) {
+                let advice = if region.is_none() && n > max { "; a region can be taken of it" } else { "" };
+                return Err(format!("axis {axis} has {n} voxels, expected 1 to {max}{advice}"));
+            }
+        }
+        let axes =
+            order.map(|(axis, is_reversed)| steps[axis].normalize() * if is_reversed { -1.0 } else { 1.0 });
+        let placement = geometry.origin.map(|origin| {
+            let center = (0..3)
+                .fold(origin, |p, i| p + steps[i] * ((ranges[i].start + ranges[i].end - 1) as f64 / 2.0));
+            Placement { center: center.to_array(), axes: axes.map(|a| a.to_array()) }
+        });
+        let warnings = warnings(order, axes, geometry.is_body);
+        Ok(Self {
+            file_dims,
+            ranges,
+            order,
+            spacing: Vec3::from_array(order.map(|(axis, _)| steps[axis].length() as f32)),
+            orientation: geometry.is_body.then(|| "RAS".to_owned()),
+            placement: placement.filter(|p| p.center.iter().all(|c| c.is_finite())),
+            warnings,
+        })
+    }
+
+    /// Dimensions after reordering.
+    pub(crate) fn dims(&self) -> [u32; 3] {
+        self.order.map(|(axis, _)| (self.ranges[axis].end - self.ranges[axis].start) as u32)
+    }
+
+    /// Dimensions after reordering of the whole, of which the grid may be a part.
+    pub(crate) fn whole_dims(&self) -> [u64; 3] {
+        self.order.map(|(axis, _)| self.file_dims[axis])
+    }
+
+    /// Where the axes of the file point, such as `LPS` or `+x-y+z`.
+    pub(crate) fn file_axes(&self) -> String {
+        file_axes(self.order, self.orientation.is_some())
+    }
+
+    /// Whether reordering needs a second copy of the voxels.
+    pub(crate) fn is_permuted(&self) -> bool {
+        self.order.map(|o| o.0) != FILE_ORDER.map(|o| o.0)
+    }
+
+    /// The voxels in the order of the volume.
+    pub(crate) fn reorder(&self, voxels: Voxels) -> Voxels {
+        match voxels {
+            Voxels::U8(v) => Voxels::U8(self.reorder_vec(v)),
+            Voxels::U16(v) => Voxels::U16(self.reorder_vec(v)),
+            Voxels::F32(v) => Voxels::F32(self.reorder_vec(v)),
+        }
+    }
+
+    fn reorder_vec<T: Copy>(&self, mut voxels: Vec<T>) -> Vec<T> {
+        let [nx, ny, nz] = self.dims().map(|d| d as usize);
+        if self.is_permuted() {
+            let file = [0, 1, 2].map(|i| (self.ranges[i].end - self.ranges[i].start) as usize);
+            let file_strides = [1, file[0], file[0] * file[1]];
+            let strides = self.order.map(|(axis, _)| file_strides[axis]);
+            voxels = (0..nz)
+                .flat_map(|z| (0..ny).map(move |y| y * strides[1] + z * strides[2]))
+                .flat_map(|start| (0..nx).map(move |x| start + x * strides[0]))
+                .map(|i| voxels[i])
+                .collect();
+        }
+        let [flip_x, flip_y, flip_z] = self.order.map(|o| o.1);
+        if flip_x {
+            voxels.chunks_exact_mut(nx).for_each(<[T]>::reverse);
+        }
+        if flip_y {
+            voxels.chunks_exact_mut(nx * ny).for_each(|slice| reverse_blocks(slice, nx));
+        }
+        if flip_z {
+            reverse_blocks(&mut voxels, nx * ny);
+        }
+        voxels
+    }
+}
+
+/// What is taken along the axes of the file.
+fn ranges(
+    file_dims: [u64; 3],
+    order: [(usize, bool); 3],
+    region: Option<&Region>,
+) -> Result<[Range<u64>; 3], String> {
+    let mut ranges = file_dims.map(|n| 0..n);
+    let Some(region) = region else { return Ok(ranges) };
+    for (k, (axis, is_reversed)) in order.into_iter().enumerate() {
+        let n = file_dims[axis];
+        let (from, to) = (u64::from(region.min[k]), region.max[k].map_or(n, u64::from));
+        if from >= to || to > n {
+            let name = ["x", "y", "z"][k];
+            return Err(format!("region {from}:{to} along {name}, expected a part of 0:{n}"));
+        }
+        ranges[axis] = if is_reversed { n - to..n - from } else { from..to };
+    }
+    Ok(ranges)
+}
+
+fn file_axes(order: [(usize, bool); 3], is_body: bool) -> String {
+    let letters = if is_body { BODY_LETTERS } else { SPACE_LETTERS };
+    let letter = |axis: usize| {
+        let target = order.iter().position(|o| o.0 == axis).unwrap_or(axis);
+        letters[target][usize::from(order[target].1)]
+    };
+    (0..3).map(letter).collect()
+}
+
+/// What the grid cannot show of the axes, whose unit vectors along x, y and z are `axes`.
+fn warnings(order: [(usize, bool); 3], axes: [DVec3; 3], is_body: bool) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut warn = |text: String| warnings.push(Warning::new(WarningKind::Geometry, text));
+    if order != FILE_ORDER {
+        let (from, to) = (file_axes(order, is_body), file_axes(FILE_ORDER, is_body));
+        warn(format!("the axes of the file point to {from}; the voxels were reordered to {to}"));
+    }
+    let tilt = axes.iter().zip(DVec3::AXES).map(|(a, e)| a.dot(e).clamp(-1.0, 1.0).acos().to_degrees());
+    let tilt = tilt.fold(0.0, f64::max);
+    if tilt > MAX_TILT_DEG {
+        warn(format!("the axes are turned by up to {tilt:.1}° from their space, which is not shown"));
+    }
+    let [x, y, z] = axes;
+    let shear = [x.dot(y), y.dot(z), z.dot(x)].map(f64::abs).into_iter().fold(0.0, f64::max);
+    let shear = shear.min(1.0).asin().to_degrees();
+    if shear > MAX_TILT_DEG {
+        warn(format!("the axes are {shear:.1}° away from right angles, which is not shown"));
+    }
+    warnings
+}
+
+/// Reverses the order of blocks of `n`, not what is in them.
+fn reverse_blocks<T>(list: &mut [T], n: usize) {
+    let num_blocks = list.len() / n;
+    for i in 0..num_blocks / 2 {
+        let (head, tail) = list.split_at_mut((num_blocks - 1 - i) * n);
+        head[i * n..(i + 1) * n].swap_with_slice(&mut tail[..n]);
+    }
+}
+
+/// For x, y and z the axis of the file that points nearest to it or away from it: of the six assignments the one
+/// with the largest sum of cosines.
+fn order(steps: [DVec3; 3]) -> Result<[(usize, bool); 3], String> {
+    let units = steps.map(DVec3::normalize);
+    let volume = units[0].dot(units[1].cross(units[2])).abs();
+    // A length whose square is not finite makes no unit vector.
+    if volume.is_nan() || volume < MIN_BOX_VOLUME {
+        return Err("the directions of the axes lie in one plane, expected three independent ones".into());
+    }
+    let score = |p: &[usize; 3]| (0..3).map(|k| units[p[k]][k].abs()).sum::<f64>();
+    // The order of the file comes last: of equal scores `max_by` takes the last.
+    const ASSIGNMENTS: [[usize; 3]; 6] = [[2, 1, 0], [2, 0, 1], [1, 2, 0], [1, 0, 2], [0, 2, 1], [0, 1, 2]];
+    let best = ASSIGNMENTS.iter().max_by(|a, b| score(a).total_cmp(&score(b))).expect("there are six");
+    Ok(std::array::from_fn(|k| (best[k], units[best[k]][k] < 0.0)))
+}
+
+const FILE_ORDER: [(usize, bool); 3] = [(0, false), (1, false), (2, false)];
+const BODY_LETTERS: [[&str; 2]; 3] = [["R", "L"], ["A", "P"], ["S", "I"]];
+const SPACE_LETTERS: [[&str; 2]; 3] = [["+x", "-x"], ["+y", "-y"], ["+z", "-z"]];
+/// Below one degree a turn cannot be seen, and many scanners report such.
+const MAX_TILT_DEG: f64 = 1.0;
+/// Directions whose unit box is flatter than this are taken for dependent.
+const MIN_BOX_VOLUME: f64 = 0.01;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn geometry(steps: [DVec3; 3], is_body: bool) -> Geometry {
+        Geometry { steps, origin: Some(DVec3::new(10.0, -20.0, 30.0)), is_body, unit: None }
+    }
+
+    /// The six orders of three axes and the eight signs, as steps of a file.
+    fn every_orientation(lengths: [f64; 3]) -> impl Iterator<Item = ([usize; 3], [bool; 3], [DVec3; 3])> {
+        let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+        orders.into_iter().flat_map(move |p| {
+            (0..8).map(move |signs| {
+                let negative = [0, 1, 2].map(|k| signs >> k & 1 == 1);
+                let step =
+                    |k: usize| DVec3::AXES[p[k]] * lengths[p[k]] * if negative[k] { -1.0 } else { 1.0 };
+                (p, negative, [step(0), step(1), step(2)])
+            })
+        })
+    }
+
+    /// The law: a voxel keeps its place in space. Each is looked up by the position it had in the file, for the whole
+    /// and for a part.
+    #[test]
+    fn every_assignment_of_axes_keeps_every_voxel_in_place() {
+        let lengths = [1.5, 2.0, 3.0];
+        let file = [4u64, 3, 2];
+        let part = Region { min: [1, 0, 0], max: [None, Some(2), None] };
+        for (p, _, steps) in every_orientation(lengths) {
+            for region in [None, Some(&part)] {
+                let g = Grid::arrange(file, &geometry(steps, true), region).unwrap();
+                assert_eq!(g.spacing.to_array(), lengths.map(|l| l as f32), "{steps:?}");
+                let placement = g.placement.unwrap();
+                let axes: Vec<(u64, Range<u64>)> = file.into_iter().zip(g.ranges.clone()).collect();
+                let mut picker = crate::picker::Picker::new(&axes);
+                let mut voxels = Vec::new();
+                picker.take(24, |range| voxels.extend(range.map(|i| i as u8)));
+                let voxels = g.reorder_vec(voxels);
+                let dims = g.dims();
+                for (i, &voxel) in voxels.iter().enumerate() {
+                    let i = i as u32;
+                    let at = [i % dims[0], i / dims[0] % dims[1], i / dims[0] / dims[1]];
+                    let world = Vec3::from_array(
+                        [0, 1, 2].map(|k| (at[k] as f32 - (dims[k] - 1) as f32 / 2.0) * g.spacing[k]),
+                    );
+                    let n = u64::from(voxel);
+                    let file_at = [n % file[0], n / file[0] % file[1], n / file[0] / file[1]];
+                    let expected =
+                        (0..3).fold(DVec3::new(10.0, -20.0, 30.0), |s, k| s + steps[k] * file_at[k] as f64);
+                    // Halves of small whole numbers: no rounding.
+                    assert_eq!(placement.file_from_world(world), expected.to_array(), "{p:?} {steps:?}");
+                }
+                let mut seen = voxels.clone();
+                seen.sort_unstable();
+                seen.dedup();
+                assert_eq!(seen.len(), voxels.len());
+            }
+        }
+    }
+
+    #[test]
+    fn the_axes_of_a_file_have_letters() {
+        for (p, negative, steps) in every_orientation([1.0; 3]) {
+            let g = Grid::arrange([2; 3], &geometry(steps, true), None).unwrap();
+            let letters: String = (0..3).map(|k| BODY_LETTERS[p[k]][usize::from(negative[k])]).collect();
+            assert_eq!(g.file_axes(), letters);
+            assert_eq!(g.warnings.is_empty(), letters == "RAS");
+        }
+    }
+
+    #[test]
+    fn regions_outside_and_sides_beyond_the_limit_are_refused() {
+        let g = geometry([DVec3::X, DVec3::Y, DVec3::Z], false);
+        let region = Region { min: [0, 0, 1], max: [None, Some(4), None] };
+        let e = Grid::arrange([9, 3, 2], &g, Some(&region)).unwrap_err();
+        assert_eq!(e, "region 0:4 along y, expected a part of 0:3");
+        let region = Region { min: [0, 0, 2], max: [None; 3] };
+        assert!(Grid::arrange([9, 3, 2], &g, Some(&region)).unwrap_err().contains("2:2 along z"));
+        let e = Grid::arrange([9, 3000, 2], &g, None).unwrap_err();
+        assert_eq!(e, "axis 1 has 3000 voxels, expected 1 to 2048; a region can be taken of it");
+        let region = Region { min: [0, 2000, 0], max: [None; 3] };
+        assert_eq!(Grid::arrange([9, 3000, 2], &g, Some(&region)).unwrap().dims(), [9, 1000, 2]);
+    }
+}

@@ -1,0 +1,129 @@
+//! Opens a volume on a thread of its own, so that a window never waits.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, mpsc};
+use std::thread;
+
+use glam::Vec3;
+use isinglass_core::volume::Volume;
+
+use crate::error::FormatError;
+use crate::raw::RawShape;
+use crate::select::Selection;
+use crate::source::{OpenOptions, open};
+
+/// What to open.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadRequest {
+    /// As for [`open`].
+    pub source: String,
+    /// The shape of a raw file.
+    pub raw: Option<RawShape>,
+    /// Which part of it.
+    pub selection: Selection,
+    /// Distances between voxels, in place of those of the file.
+    pub spacing: Option<Vec3>,
+    /// Most bytes of memory.
+    pub max_bytes: u64,
+}
+
+impl LoadRequest {
+    /// All of `source`, within the usual limit of memory.
+    pub fn new(source: impl Into<String>) -> Self {
+        let OpenOptions { raw, selection, spacing, max_bytes, .. } = OpenOptions::default();
+        Self { source: source.into(), raw, selection, spacing, max_bytes }
+    }
+}
+
+/// A volume that is being opened. Dropping it cancels.
+#[derive(Debug)]
+pub struct Loading {
+    shared: Arc<Shared>,
+    result: mpsc::Receiver<Result<Volume, FormatError>>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    /// Bits of the fraction that was read.
+    progress: AtomicU32,
+    cancel: AtomicBool,
+}
+
+impl Loading {
+    /// Begins to open what is asked for. `wake` is called on the thread that opens, once, when [`Loading::poll`] has an answer.
+    pub fn start(request: LoadRequest, wake: impl FnOnce() + Send + 'static) -> Self {
+        let shared = Arc::new(Shared::default());
+        let (sender, result) = mpsc::sync_channel(1);
+        let theirs = Arc::clone(&shared);
+        thread::spawn(move || {
+            let LoadRequest { source, raw, selection, spacing, max_bytes } = request;
+            let progress = |fraction: f32| theirs.progress.store(fraction.to_bits(), Ordering::Relaxed);
+            let cancel = Some(&theirs.cancel);
+            let options =
+                OpenOptions { raw, selection, spacing, max_bytes, progress: Some(&progress), cancel };
+            // Nobody listens once it was dropped.
+            let _ = sender.send(open(&source, &options));
+            wake();
+        });
+        Self { shared, result }
+    }
+
+    /// The fraction that was read, 0 to 1.
+    pub fn progress(&self) -> f32 {
+        f32::from_bits(self.shared.progress.load(Ordering::Relaxed))
+    }
+
+    /// Ends it soon; [`Loading::poll`] then tells [`FormatError::Cancelled`].
+    pub fn cancel(&self) {
+        self.shared.cancel.store(true, Ordering::Relaxed);
+    }
+
+    /// The volume or the error, once, as soon as there is one. Never waits.
+    pub fn poll(&self) -> Option<Result<Volume, FormatError>> {
+        self.result.try_recv().ok()
+    }
+}
+
+impl Drop for Loading {
+    fn drop(&mut self) {
+        self.cancel();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a start ends with, and the progress by then.
+    fn finished(loading: &Loading, woken: &mpsc::Receiver<()>) -> (Result<Volume, FormatError>, f32) {
+        woken.recv().expect("it always wakes");
+        (loading.poll().expect("there is an answer when it wakes"), loading.progress())
+    }
+
+    #[test]
+    fn a_volume_comes_from_a_thread_and_can_be_cancelled() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("a.raw");
+        std::fs::write(&path, vec![7; 64 * 64 * 64]).unwrap();
+        let raw = RawShape {
+            dims: [64; 3],
+            dtype: crate::Dtype::Uint8,
+            spacing: Vec3::ONE,
+            endian: crate::Endian::Little,
+            offset: 0,
+        };
+        let request = LoadRequest { raw: Some(raw), ..LoadRequest::new(path.to_str().unwrap()) };
+        let (wake, woken) = mpsc::sync_channel(1);
+        let loading = Loading::start(request.clone(), move || wake.send(()).unwrap());
+        let (volume, progress) = finished(&loading, &woken);
+        assert_eq!((volume.unwrap().dims(), progress), ([64; 3], 1.0));
+        assert!(loading.poll().is_none());
+        let options =
+            OpenOptions { raw: request.raw, cancel: Some(&AtomicBool::new(true)), ..Default::default() };
+        let e = open(&request.source, &options).unwrap_err();
+        assert!(matches!(e, FormatError::Cancelled { .. }) && e.to_string().ends_with("a.raw: cancelled"));
+        let (wake, woken) = mpsc::sync_channel(1);
+        let loading = Loading::start(LoadRequest::new("nowhere.nrrd"), move || wake.send(()).unwrap());
+        assert!(finished(&loading, &woken).0.unwrap_err().to_string().contains("nowhere.nrrd"));
+    }
+}

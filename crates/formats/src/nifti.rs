@@ -1,0 +1,310 @@
+//! NIfTI-1 and NIfTI-2 (nifti.nimh.nih.gov): one file, plain or in gzip, or a header beside an image.
+//!
+//! World space of the format is RAS+. The sform is used if there is one, else the qform; a file with neither has no known
+//! place in a body.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+
+use crate::axes::Geometry;
+use crate::dtype::{Dtype, Endian};
+use crate::error::{FormatError, io_error, shown};
+use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::sniff::EXPECTED;
+use crate::source::open_file;
+use crate::stream::{Packing, Unpacked};
+use crate::taker::Taker;
+use crate::warning::WarningKind;
+use crate::words::Words;
+
+/// A file whose header was read.
+pub(crate) struct NiftiFile {
+    plan: Plan,
+    /// The file with the voxels.
+    data: PathBuf,
+    packing: Packing,
+    /// Bytes before the first voxel, unpacked.
+    skip: u64,
+}
+
+/// Whether `start`, unpacked, begins a header.
+pub(crate) fn is_header(start: &[u8]) -> bool {
+    version(start).is_some()
+}
+
+/// Version, byte order, and whether the voxels are in a file of their own.
+fn version(start: &[u8]) -> Option<(u8, Endian, bool)> {
+    let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
+    for endian in [Endian::Little, Endian::Big] {
+        match (Words { bytes: start, endian }).i32(0) {
+            348 if is_at(344, b"n+1\0") => return Some((1, endian, false)),
+            348 if is_at(344, b"ni1\0") => return Some((1, endian, true)),
+            540 if is_at(4, b"n+2\0") => return Some((2, endian, false)),
+            540 if is_at(4, b"ni2\0") => return Some((2, endian, true)),
+            _ => {}
+        }
+    }
+    None
+}
+
+impl NiftiFile {
+    /// `file` is the file at `path`, which is a gzip file if `is_packed`.
+    pub(crate) fn open(file: File, path: &Path, is_packed: bool) -> Result<Self, FormatError> {
+        let packing = if is_packed { Packing::Gzip } else { Packing::Plain };
+        let mut bytes = Vec::new();
+        let start = Unpacked::open(file, path, 0, None, packing)?;
+        start.take_start(HEADER_2_BYTES).read_to_end(&mut bytes).map_err(io_error(path))?;
+        let bad = |problem: &str| FormatError::Malformed {
+            path: shown(path),
+            format: "NIfTI header".into(),
+            problem: problem.into(),
+        };
+        let Some((version, endian, is_pair)) = version(&bytes) else {
+            let (path, found) = (shown(path), "gzip data that is no NIfTI file");
+            return Err(FormatError::Unsupported { path, found, expected: EXPECTED });
+        };
+        let words = Words { bytes: &bytes, endian };
+        let header_bytes = if version == 1 { HEADER_1_BYTES } else { HEADER_2_BYTES };
+        if (bytes.len() as u64) < header_bytes {
+            return Err(bad(&format!("{} bytes, expected {header_bytes}", bytes.len())));
+        }
+        let header = if version == 1 { Header::of_version_1(words) } else { Header::of_version_2(words) };
+        let name = format!("NIfTI-{version}{}", if is_packed { ", gzip" } else { "" });
+        let plan = header.plan(&name, endian).map_err(|problem| bad(&problem))?;
+        let least = if is_pair { 0 } else { header_bytes + 4 };
+        let skip = header.vox_offset;
+        if !(skip.is_finite() && (0.0..=MAX_SKIP).contains(&skip)) {
+            return Err(bad(&format!("vox_offset is {skip}, expected a place in the file")));
+        }
+        let (data, packing) = if is_pair {
+            image_of(path).ok_or_else(|| bad("there is no .img file beside it"))?
+        } else {
+            (path.to_owned(), packing)
+        };
+        Ok(Self { plan, data, packing, skip: (skip as u64).max(least) })
+    }
+}
+
+impl VolumeFile for NiftiFile {
+    fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+        let data = Unpacked::open(open_file(&self.data)?, &self.data, 0, None, self.packing)?;
+        let num_bytes = taker.num_bytes();
+        data.take(taker, &self.data, self.skip, num_bytes)
+    }
+}
+
+/// The image beside a header: the same name with `.img`, plain or in gzip.
+fn image_of(header: &Path) -> Option<(PathBuf, Packing)> {
+    let name = header.to_str()?;
+    let stem = name.strip_suffix(".gz").unwrap_or(name);
+    let stem = stem.get(..stem.len().checked_sub(4)?)?;
+    let found = |end: &str| Some(PathBuf::from(format!("{stem}{end}"))).filter(|p| p.is_file());
+    let plain = found(".img").or_else(|| found(".IMG")).map(|p| (p, Packing::Plain));
+    plain.or_else(|| found(".img.gz").map(|p| (p, Packing::Gzip)))
+}
+
+/// The fields that matter, of either version.
+struct Header {
+    dim: [i64; 8],
+    datatype: i16,
+    pixdim: [f64; 8],
+    vox_offset: f64,
+    slope: f64,
+    intercept: f64,
+    units: i32,
+    qform_code: i32,
+    sform_code: i32,
+    quatern: [f64; 3],
+    qoffset: [f64; 3],
+    srow: [[f64; 4]; 3],
+}
+
+impl Header {
+    fn of_version_1(w: Words) -> Self {
+        let f = |at: usize| f64::from(w.f32(at));
+        Self {
+            dim: std::array::from_fn(|i| w.i16(40 + 2 * i).into()),
+            datatype: w.i16(70),
+            pixdim: std::array::from_fn(|i| f(76 + 4 * i)),
+            vox_offset: f(108),
+            slope: f(112),
+            intercept: f(116),
+            units: i32::from(w.array::<1>(123)[0]),
+            qform_code: w.i16(252).into(),
+            sform_code: w.i16(254).into(),
+            quatern: std::array::from_fn(|i| f(256 + 4 * i)),
+            qoffset: std::array::from_fn(|i| f(268 + 4 * i)),
+            srow: std::array::from_fn(|r| std::array::from_fn(|c| f(280 + 16 * r + 4 * c))),
+        }
+    }
+
+    fn of_version_2(w: Words) -> Self {
+        Self {
+            dim: std::array::from_fn(|i| w.i64(16 + 8 * i)),
+            datatype: w.i16(12),
+            pixdim: std::array::from_fn(|i| w.f64(104 + 8 * i)),
+            vox_offset: w.i64(168) as f64,
+            slope: w.f64(176),
+            intercept: w.f64(184),
+            units: w.i32(500),
+            qform_code: w.i32(344),
+            sform_code: w.i32(348),
+            quatern: std::array::from_fn(|i| w.f64(352 + 8 * i)),
+            qoffset: std::array::from_fn(|i| w.f64(376 + 8 * i)),
+            srow: std::array::from_fn(|r| std::array::from_fn(|c| w.f64(400 + 32 * r + 8 * c))),
+        }
+    }
+
+    fn plan(&self, format: &str, endian: Endian) -> Result<Plan, String> {
+        let num_axes = self.dim[0];
+        if !(1..=7).contains(&num_axes) {
+            return Err(format!("dim[0] is {num_axes}, expected 1 to 7"));
+        }
+        let mut sizes = [1u64; 7];
+        for (i, size) in sizes.iter_mut().enumerate().take(num_axes as usize) {
+            let found = self.dim[i + 1];
+            *size = u64::try_from(found)
+                .ok()
+                .filter(|&n| n > 0)
+                .ok_or_else(|| format!("dim[{}] is {found}, expected a number of voxels", i + 1))?;
+        }
+        if sizes[5] > 1 || sizes[6] > 1 {
+            return Err(format!("dim[6] and dim[7] are {} and {}, expected 1", sizes[5], sizes[6]));
+        }
+        let (dtype, colors) = self.dtype()?;
+        let mut axes = Axis::in_space([sizes[0], sizes[1], sizes[2]]);
+        axes.push(Axis { size: sizes[3], role: Role::Time });
+        match (colors, sizes[4]) {
+            (0, size) => axes.push(Axis { size, role: Role::Channel }),
+            (colors, 1) => axes.insert(0, Axis { size: colors, role: Role::Channel }),
+            (_, more) => return Err(format!("dim[5] of a colour image is {more}, expected 1")),
+        }
+        let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
+        if colors > 0 {
+            plan.channel_names =
+                ["red", "green", "blue", "alpha"][..colors as usize].iter().map(|&s| s.into()).collect();
+        } else if self.slope != 0.0 && self.slope.is_finite() && self.intercept.is_finite() {
+            plan.value_map = (self.slope, self.intercept);
+        } else if !self.slope.is_finite() || !self.intercept.is_finite() {
+            plan.warn(
+                WarningKind::Values,
+                "scl_slope or scl_inter is not a number; values are taken as they are",
+            );
+        }
+        plan.geometry = self.geometry(&mut plan);
+        Ok(plan)
+    }
+
+    /// Type of a number, and the colours of a voxel if there are some.
+    fn dtype(&self) -> Result<(Dtype, u64), String> {
+        Ok(match self.datatype {
+            2 => (Dtype::Uint8, 0),
+            4 => (Dtype::Int16, 0),
+            8 => (Dtype::Int32, 0),
+            16 => (Dtype::Float, 0),
+            64 => (Dtype::Double, 0),
+            128 => (Dtype::Uint8, 3),
+            256 => (Dtype::Int8, 0),
+            512 => (Dtype::Uint16, 0),
+            768 => (Dtype::Uint32, 0),
+            1024 => (Dtype::Int64, 0),
+            1280 => (Dtype::Uint64, 0),
+            2304 => (Dtype::Uint8, 4),
+            other => {
+                let name = match other {
+                    1 => " (single bits)",
+                    32 | 1792 | 2048 => " (complex numbers)",
+                    1536 => " (128-bit floating point)",
+                    _ => "",
+                };
+                return Err(format!(
+                    "datatype is {other}{name}, expected integers of 8 to 64 bits, floating point of 32 or 64, RGB24 or RGBA32"
+                ));
+            }
+        })
+    }
+
+    fn geometry(&self, plan: &mut Plan) -> Geometry {
+        let (mm, is_named) = match self.units & 7 {
+            1 => (1e3, true),
+            2 => (1.0, true),
+            3 => (1e-3, true),
+            _ => (1.0, false),
+        };
+        let spacing: [f64; 3] = std::array::from_fn(|i| self.pixdim[i + 1].abs());
+        let is_good = spacing.iter().all(|s| s.is_finite() && *s > 0.0);
+        let qform = (self.qform_code > 0 && is_good).then(|| self.qform(spacing)).filter(is_usable);
+        let sform = (self.sform_code > 0).then(|| self.sform()).filter(is_usable);
+        if self.sform_code > 0 && sform.is_none() {
+            plan.warn(WarningKind::Geometry, "the sform makes no volume and was ignored");
+        }
+        if let (Some(q), Some(s)) = (&qform, &sform) {
+            // A tenth of a voxel over a hundred voxels.
+            let differs = q.0.iter().zip(&s.0).any(|(a, b)| (*a - *b).length() > 1e-3 * b.length());
+            if differs {
+                plan.warn(WarningKind::Geometry, "qform and sform differ; the sform is used");
+            }
+        }
+        let unit = is_named.then(|| "mm".to_owned());
+        match sform.or(qform) {
+            Some((steps, origin)) => {
+                let steps = steps.map(|s| s * mm);
+                Geometry { steps, origin: Some(origin * mm), is_body: true, unit }
+            }
+            None => {
+                if !is_good {
+                    plan.spacing_guess =
+                        Some("pixdim has no lengths above zero; the spacing was taken as 1".into());
+                }
+                let text = "neither qform nor sform says where the axes point; they were taken as +x+y+z";
+                plan.warn(WarningKind::Guess, text);
+                let spacing = if is_good { spacing } else { [1.0; 3] };
+                Geometry::along_axes(spacing.map(|s| s * mm), unit)
+            }
+        }
+    }
+
+    fn sform(&self) -> ([DVec3; 3], DVec3) {
+        let column = |c: usize| DVec3::from_array([0, 1, 2].map(|r| self.srow[r][c]));
+        ([column(0), column(1), column(2)], column(3))
+    }
+
+    /// A rotation by a unit quaternion whose first part is left out (nifti1.h, "METHOD 2").
+    fn qform(&self, spacing: [f64; 3]) -> ([DVec3; 3], DVec3) {
+        let [mut b, mut c, mut d] = self.quatern;
+        let mut square = 1.0 - (b * b + c * c + d * d);
+        if square < 1e-7 {
+            // A half turn: rounding may have left nothing for the first part.
+            let scale = 1.0 / (b * b + c * c + d * d).sqrt();
+            (b, c, d) = (b * scale, c * scale, d * scale);
+            square = 0.0;
+        }
+        let a = square.sqrt();
+        let qfac = if self.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
+        let steps = [
+            DVec3::new(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d), 2.0 * (b * d - a * c)),
+            DVec3::new(2.0 * (b * c - a * d), a * a + c * c - b * b - d * d, 2.0 * (c * d + a * b)),
+            DVec3::new(2.0 * (b * d + a * c), 2.0 * (c * d - a * b), a * a + d * d - c * c - b * b) * qfac,
+        ];
+        (std::array::from_fn(|i| steps[i] * spacing[i]), DVec3::from_array(self.qoffset))
+    }
+}
+
+/// Whether steps are independent and all is finite.
+fn is_usable((steps, origin): &([DVec3; 3], DVec3)) -> bool {
+    let volume = steps[0].dot(steps[1].cross(steps[2])).abs();
+    let lengths = steps.iter().map(|s| s.length()).product::<f64>();
+    origin.is_finite() && lengths.is_finite() && lengths > 0.0 && volume >= lengths * 0.01
+}
+
+const HEADER_1_BYTES: u64 = 348;
+const HEADER_2_BYTES: u64 = 540;
+/// Extensions before the voxels are smaller than this.
+const MAX_SKIP: f64 = 1e12;

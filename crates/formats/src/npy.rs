@@ -1,0 +1,227 @@
+//! NumPy arrays: `.npy`, and `.npz`, whose arrays are the channels.
+//!
+//! An array names neither its axes nor distances. The axis that is fastest in memory is taken as x, the next as y and z; of
+//! more, an axis of three or four entries that is fastest holds colours, and the slower ones channels and time.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::axes::Geometry;
+use crate::dtype::{Dtype, Endian};
+use crate::error::{FormatError, io_error, quoted, shown};
+use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::source::{OpenOptions, open_file};
+use crate::stream::{Packing, Unpacked};
+use crate::taker::Taker;
+use crate::warning::WarningKind;
+use crate::zip::Archive;
+
+/// The first bytes of an array.
+pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// An array whose header was read.
+pub(crate) struct NpyFile {
+    plan: Plan,
+    path: PathBuf,
+    /// Where the array is in the file.
+    place: Place,
+    /// Bytes before the first number.
+    skip: u64,
+}
+
+/// A part of a file.
+#[derive(Clone, Copy)]
+struct Place {
+    offset: u64,
+    length: Option<u64>,
+    packing: Packing,
+}
+
+impl NpyFile {
+    /// `file` is the array at `path`.
+    pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
+        let place = Place { offset: 0, length: None, packing: Packing::Plain };
+        let mut stream = Unpacked::open(file, path, 0, None, Packing::Plain)?;
+        let (plan, skip) = header(&mut stream, path, "NumPy array")?;
+        Ok(Self { plan, path: path.to_owned(), place, skip })
+    }
+
+    /// `file` is the archive at `path`, of which the options choose an array.
+    pub(crate) fn open_archive(
+        mut file: File,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Self, FormatError> {
+        let bad = |problem: String| FormatError::Malformed {
+            path: shown(path),
+            format: "NumPy archive".into(),
+            problem,
+        };
+        let archive = Archive::read(&mut file, path)?;
+        let mut arrays = Vec::new();
+        let mut first_problem = None;
+        for entry in archive.entries.iter().filter(|e| e.name.ends_with(".npy")).take(MAX_ARRAYS) {
+            options.check_cancelled(path)?;
+            let packing = match entry.method {
+                0 => Packing::Plain,
+                8 => Packing::Deflate,
+                other => {
+                    let problem =
+                        format!("{} is packed by method {other}, expected 0 or 8", quoted(&entry.name));
+                    first_problem.get_or_insert(bad(problem));
+                    continue;
+                }
+            };
+            let offset = entry.data_offset(&mut file, path)?;
+            let place = Place { offset, length: Some(entry.packed_bytes), packing };
+            let mut stream = Unpacked::open(open_file(path)?, path, offset, place.length, packing)?;
+            match header(&mut stream, path, "NumPy archive") {
+                Ok((plan, skip)) => {
+                    let name = entry.name.trim_end_matches(".npy");
+                    arrays.push((quoted(name).trim_matches('"').to_owned(), plan, place, skip));
+                }
+                Err(e) => {
+                    first_problem.get_or_insert(e);
+                }
+            }
+        }
+        let names: Vec<String> = arrays.iter().map(|a| a.0.clone()).collect();
+        let index = options.selection.channel.unwrap_or(0) as usize;
+        let Some((_, mut plan, place, skip)) = arrays.into_iter().nth(index) else {
+            let what = "channel";
+            return Err(match (names.len() as u64, first_problem) {
+                (0, Some(problem)) => problem,
+                (0, None) => bad("no array was found in it".into()),
+                (found, _) => FormatError::Selection { path: shown(path), what, asked: index as u64, found },
+            });
+        };
+        let has_channels = plan.axes.iter().any(|a| a.role == Role::Channel && a.size > 1);
+        if names.len() > 1 && has_channels {
+            return Err(bad("an array with channels beside other arrays, expected one or the other".into()));
+        }
+        if !has_channels {
+            plan.num_channels = names.len() as u64;
+            plan.channel_names = names;
+        }
+        Ok(Self { plan, path: path.to_owned(), place, skip })
+    }
+}
+
+impl VolumeFile for NpyFile {
+    fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+        let Place { offset, length, packing } = self.place;
+        let data = Unpacked::open(open_file(&self.path)?, &self.path, offset, length, packing)?;
+        let num_bytes = taker.num_bytes();
+        data.take(taker, &self.path, self.skip, num_bytes)
+    }
+}
+
+/// The header of an array and its length in bytes.
+fn header(stream: &mut dyn Read, path: &Path, format: &str) -> Result<(Plan, u64), FormatError> {
+    let bad = |problem: String| FormatError::Malformed { path: shown(path), format: format.into(), problem };
+    let io = io_error(path);
+    let mut start = Vec::new();
+    stream.take(8).read_to_end(&mut start).map_err(&io)?;
+    let &[0x93, b'N', b'U', b'M', b'P', b'Y', version, _] = &start[..] else {
+        return Err(bad("found no header of an array".into()));
+    };
+    let length_bytes = match version {
+        1 => 2,
+        2 | 3 => 4,
+        _ => return Err(bad(format!("version is {version}, expected 1 to 3"))),
+    };
+    let mut length = [0; 4];
+    stream.read_exact(&mut length[..length_bytes]).map_err(&io)?;
+    let length = u32::from_le_bytes(length);
+    if length > MAX_HEADER_BYTES {
+        return Err(bad(format!("its header has {length} bytes, expected at most {MAX_HEADER_BYTES}")));
+    }
+    let mut text = Vec::new();
+    stream.take(length.into()).read_to_end(&mut text).map_err(&io)?;
+    let text = String::from_utf8_lossy(&text);
+    let plan = plan(&text, format).map_err(bad)?;
+    Ok((plan, 8 + length_bytes as u64 + u64::from(length)))
+}
+
+/// What the dictionary in `text` says.
+fn plan(text: &str, format: &str) -> Result<Plan, String> {
+    // After the key: the value, and what follows.
+    let value = |key: &str| {
+        let quoted_key = [format!("'{key}'"), format!("\"{key}\"")];
+        let after = quoted_key.iter().find_map(|k| text.split_once(k.as_str()));
+        let after = after.and_then(|(_, rest)| rest.trim_start().strip_prefix(':'));
+        after.map(str::trim_start).ok_or_else(|| format!("{key:?} is missing from {}", quoted(text.trim())))
+    };
+    let descr = value("descr")?;
+    let descr = descr
+        .strip_prefix(['\'', '"'])
+        .and_then(|d| d.split(['\'', '"']).next())
+        .ok_or_else(|| format!("the type is {}, expected one number a voxel", quoted(descr)))?;
+    let (endian, kind) = match descr.split_at_checked(1) {
+        Some(("<" | "|" | "=", kind)) => (Endian::Little, kind),
+        Some((">", kind)) => (Endian::Big, kind),
+        _ => (Endian::Little, descr),
+    };
+    let dtype = match kind {
+        "b1" | "u1" => Dtype::Uint8,
+        "i1" => Dtype::Int8,
+        "u2" => Dtype::Uint16,
+        "i2" => Dtype::Int16,
+        "u4" => Dtype::Uint32,
+        "i4" => Dtype::Int32,
+        "u8" => Dtype::Uint64,
+        "i8" => Dtype::Int64,
+        "f2" => Dtype::Half,
+        "f4" => Dtype::Float,
+        "f8" => Dtype::Double,
+        _ => {
+            return Err(format!(
+                "the type is {}, expected b1, i1 to i8, u1 to u8, or f2 to f8",
+                quoted(descr)
+            ));
+        }
+    };
+    let is_fortran = value("fortran_order")?.starts_with("True");
+    let shape = value("shape")?;
+    let bad = || format!("the shape is {}, expected two to five numbers of voxels", quoted(shape));
+    let inner = shape.strip_prefix('(').and_then(|s| s.split_once(')')).ok_or_else(bad)?.0;
+    let words = inner.split(',').map(|w| w.trim().trim_end_matches('L')).filter(|w| !w.is_empty());
+    let sizes: Option<Vec<u64>> = words.map(|w| w.parse().ok().filter(|n| *n > 0)).collect();
+    let mut sizes = sizes.filter(|s| s.len() <= 8).ok_or_else(bad)?;
+    if !is_fortran {
+        sizes.reverse();
+    }
+    // Axes of one entry beyond the third say nothing.
+    while sizes.len() > 3 && sizes.last() == Some(&1) {
+        sizes.pop();
+    }
+    if !(2..=5).contains(&sizes.len()) {
+        return Err(bad());
+    }
+    if sizes.len() == 2 {
+        sizes.push(1);
+    }
+    let is_color = sizes.len() > 3 && matches!(sizes[0], 3 | 4) && sizes[1..].iter().all(|&n| n > 4);
+    let mut axes = Vec::new();
+    let mut rest = sizes.into_iter();
+    if is_color {
+        axes.extend(rest.next().map(|size| Axis { size, role: Role::Channel }));
+    }
+    axes.extend(rest.by_ref().take(3).enumerate().map(|(i, size)| Axis { size, role: Role::Space(i) }));
+    let roles = if is_color { [Role::Time, Role::Time] } else { [Role::Channel, Role::Time] };
+    axes.extend(rest.zip(roles).map(|(size, role)| Axis { size, role }));
+    let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
+    plan.spacing_guess = Some("an array has no spacing; it was taken as 1".into());
+    plan.warn(WarningKind::Guess, "an array does not name its axes; the fastest was taken as x");
+    Ok(plan)
+}
+
+/// Headers of arrays with many fields are larger, but those are not read.
+const MAX_HEADER_BYTES: u32 = 1 << 16;
+/// Arrays of an archive that are looked at.
+const MAX_ARRAYS: usize = 256;

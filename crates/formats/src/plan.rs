@@ -1,0 +1,282 @@
+//! What a header says, in the terms of all formats, and what of it becomes the volume.
+
+use std::ops::Range;
+use std::path::Path;
+
+use isinglass_core::volume::{Volume, VolumeInfo};
+
+use crate::axes::{Geometry, Grid};
+use crate::dtype::{Dtype, Endian};
+use crate::error::{FormatError, shown};
+use crate::outline::{Level, Outline};
+use crate::source::{OpenOptions, file_name};
+use crate::taker::Taker;
+use crate::warning::{Warning, WarningKind};
+
+/// An axis of the numbers in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Axis {
+    pub(crate) size: u64,
+    pub(crate) role: Role,
+}
+
+/// What an axis runs along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// The first, second or third axis in space, the fastest first, as [`Geometry`] counts them. Each occurs once.
+    Space(usize),
+    Channel,
+    Time,
+    /// Nothing: it has one entry.
+    Single,
+}
+
+impl Axis {
+    /// Three axes in space, fastest first.
+    pub(crate) fn in_space(dims: [u64; 3]) -> Vec<Self> {
+        dims.into_iter().enumerate().map(|(i, size)| Self { size, role: Role::Space(i) }).collect()
+    }
+}
+
+/// What a header says.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    /// Name of the format and what matters of its kind, such as `NIfTI-1, gzip`.
+    pub(crate) format: String,
+    pub(crate) dtype: Dtype,
+    pub(crate) endian: Endian,
+    /// The axes of the numbers, fastest first. A channel or time that the reader has chosen on its own is none.
+    pub(crate) axes: Vec<Axis>,
+    pub(crate) geometry: Geometry,
+    /// Slope and intercept: from numbers to values.
+    pub(crate) value_map: (f64, f64),
+    /// Names of the channels, as far as they have some.
+    pub(crate) channel_names: Vec<String>,
+    /// Number of channels if they are no axis.
+    pub(crate) num_channels: u64,
+    /// Number of points in time if they are no axis.
+    pub(crate) num_times: u64,
+    /// Levels of a pyramid, finest first; empty if there is one.
+    pub(crate) levels: Vec<Level>,
+    /// The level that is taken.
+    pub(crate) level: usize,
+    /// Series of a folder, each in words; empty if there is one.
+    pub(crate) series: Vec<String>,
+    pub(crate) modality: Option<String>,
+    /// What to say of the spacing if the file does not know it, and the options neither.
+    pub(crate) spacing_guess: Option<String>,
+    /// Whether a float that is not a number stands for a voxel without a value. In a file without a header it stands for a
+    /// wrong guess.
+    pub(crate) has_gaps: bool,
+    pub(crate) warnings: Vec<Warning>,
+}
+
+impl Plan {
+    /// A plan of one channel at one time with values as they are.
+    pub(crate) fn new(
+        format: impl Into<String>,
+        dtype: Dtype,
+        endian: Endian,
+        axes: Vec<Axis>,
+        geometry: Geometry,
+    ) -> Self {
+        Self {
+            format: format.into(),
+            dtype,
+            endian,
+            axes,
+            geometry,
+            value_map: (1.0, 0.0),
+            channel_names: Vec::new(),
+            num_channels: 1,
+            num_times: 1,
+            levels: Vec::new(),
+            level: 0,
+            series: Vec::new(),
+            modality: None,
+            spacing_guess: None,
+            has_gaps: true,
+            warnings: Vec::new(),
+        }
+    }
+
+    pub(crate) fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.warnings.push(Warning::new(kind, text));
+    }
+
+    /// Entries along the axis of this role; 1 if there is none.
+    fn size(&self, role: Role) -> u64 {
+        self.axes.iter().find(|a| a.role == role).map_or(1, |a| a.size)
+    }
+
+    fn channels(&self) -> u64 {
+        self.size(Role::Channel).max(self.num_channels)
+    }
+
+    fn times(&self) -> u64 {
+        self.size(Role::Time).max(self.num_times)
+    }
+
+    /// Names of all channels that a list can show.
+    fn names(&self) -> Vec<String> {
+        let num_shown = self.channels().min(MAX_LISTED) as usize;
+        (0..num_shown)
+            .map(|i| {
+                self.channel_names.get(i).filter(|n| !n.is_empty()).cloned().unwrap_or_else(|| i.to_string())
+            })
+            .collect()
+    }
+
+    /// How many numbers the file holds, if that can be counted.
+    fn num_elements(&self) -> Option<u64> {
+        let count = self.axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.size))?;
+        count.checked_mul(self.dtype.num_bytes() as u64).map(|_| count)
+    }
+
+    /// What the options take of it.
+    pub(crate) fn choose(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
+        let bad =
+            |problem| FormatError::Malformed { path: shown(path), format: self.format.clone(), problem };
+        let selection = options.selection;
+        let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
+        let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
+            let sizes: Vec<String> = self.axes.iter().map(|a| a.size.to_string()).collect();
+            bad(format!("sizes {} are none or too many to count", sizes.join(" ")))
+        })?;
+        let geometry = match options.spacing {
+            Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
+            None => self.geometry.clone(),
+        };
+        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref()).map_err(bad)?;
+        let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
+        if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
+            warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
+        }
+        let mut pick = |what: &'static str, found: u64, asked: Option<u32>, names: &[String]| {
+            let index = u64::from(asked.unwrap_or(0));
+            if index >= found {
+                return Err(FormatError::Selection { path: shown(path), what, asked: index, found });
+            }
+            if asked.is_none() && found > 1 {
+                let listed = names.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join(", ");
+                let listed = if names.is_empty() { String::new() } else { format!(" ({listed})") };
+                let text = format!("the file has {found} {what}s{listed}, of which the first is shown");
+                warnings.push(Warning::new(WarningKind::Choice, text));
+            }
+            Ok(index)
+        };
+        let channel = pick("channel", self.channels(), selection.channel, &self.channel_names)?;
+        let time = pick("time", self.times(), selection.time, &[])?;
+        if let Some(level) = selection.level {
+            pick("level", self.levels.len().max(1) as u64, Some(level), &[])?;
+        }
+        if let Some(series) = selection.series {
+            pick("series", self.series.len().max(1) as u64, Some(series), &[])?;
+        }
+        let ranges = self.axes.iter().map(|axis| match axis.role {
+            Role::Space(i) => grid.ranges[i].clone(),
+            Role::Channel => channel..channel + 1,
+            Role::Time => time..time + 1,
+            Role::Single => 0..axis.size,
+        });
+        let ranges: Vec<Range<u64>> = ranges.collect();
+        // At most 2048³: no product can overflow.
+        let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
+        let chosen = Chosen { grid, ranges, num_voxels, in_file, warnings };
+        options.check_memory(path, chosen.bytes_while_reading(self.dtype))?;
+        Ok(chosen)
+    }
+
+    /// What there is, and what would be taken.
+    pub(crate) fn outline(&self, path: &Path, chosen: &Chosen, options: &OpenOptions) -> Outline {
+        let grid = &chosen.grid;
+        Outline {
+            name: file_name(path),
+            format: self.format.clone(),
+            dtype: self.dtype.name().to_owned(),
+            dims: grid.dims(),
+            spacing: grid.spacing.to_array(),
+            unit: self.geometry.unit.clone(),
+            orientation: grid.orientation.clone(),
+            file_axes: grid.file_axes(),
+            whole_dims: grid.whole_dims(),
+            channels: if self.channels() > 1 || !self.channel_names.is_empty() {
+                self.names()
+            } else {
+                Vec::new()
+            },
+            num_channels: self.channels(),
+            num_times: self.times(),
+            levels: self.levels.clone(),
+            level: options.selection.level.unwrap_or(self.level as u32),
+            series: self.series.clone(),
+            modality: self.modality.clone(),
+            center: grid.placement.map(|p| p.center),
+            directions: grid.placement.map(|p| p.axes),
+            // One more byte for the brightness of each voxel, as `Volume::bytes_in_memory` counts.
+            bytes_in_memory: chosen.num_voxels * (self.dtype.num_bytes_in_memory() as u64 + 1),
+            bytes_while_reading: chosen.bytes_while_reading(self.dtype),
+            warnings: chosen.warnings.clone(),
+        }
+    }
+}
+
+/// What is taken of a file.
+#[derive(Debug)]
+pub(crate) struct Chosen {
+    pub(crate) grid: Grid,
+    /// Along each axis of the plan.
+    pub(crate) ranges: Vec<Range<u64>>,
+    pub(crate) num_voxels: u64,
+    /// Numbers in the whole file; their bytes can be counted too.
+    pub(crate) in_file: u64,
+    pub(crate) warnings: Vec<Warning>,
+}
+
+impl Chosen {
+    fn bytes_while_reading(&self, dtype: Dtype) -> u64 {
+        self.num_voxels * dtype.num_bytes_in_memory() as u64 * if self.grid.is_permuted() { 2 } else { 1 }
+    }
+}
+
+/// A file whose header was read.
+pub(crate) trait VolumeFile {
+    fn plan(&self) -> &Plan;
+
+    /// Gives the voxels that are wanted to `taker`, in the order of the file.
+    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError>;
+}
+
+/// Reads what the options take of `file`, the file at `path`.
+pub(crate) fn read_volume(
+    mut file: Box<dyn VolumeFile + '_>,
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Volume, FormatError> {
+    let chosen = file.plan().choose(path, options)?;
+    let mut taker = Taker::new(file.plan(), &chosen, path, options);
+    file.read(&mut taker)?;
+    let decoded = taker.finish()?;
+    let plan = file.plan();
+    let mut warnings = chosen.warnings;
+    warnings.extend(decoded.warnings);
+    let info = VolumeInfo {
+        name: file_name(path),
+        dtype: plan.dtype.name().to_owned(),
+        unit: plan.geometry.unit.clone(),
+        orientation: chosen.grid.orientation.clone(),
+        placement: chosen.grid.placement,
+        modality: plan.modality.clone(),
+        warnings: warnings.into_iter().map(|w| w.text).collect(),
+    };
+    let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
+    let value_map = (slope as f32, (slope * offset + intercept) as f32);
+    let grid = &chosen.grid;
+    Volume::new(grid.dims(), grid.spacing, grid.reorder(decoded.voxels), value_map, info)
+        .map_err(|cause| FormatError::Volume { path: shown(path), cause })
+}
+
+/// Channels that are listed at all.
+const MAX_LISTED: u64 = 256;
+/// Channels that a sentence names.
+const MAX_NAMED: usize = 8;

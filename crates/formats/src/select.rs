@@ -1,0 +1,66 @@
+//! Which part of a file with more than three axes, or more voxels than wanted, becomes the volume.
+
+use std::str::FromStr;
+
+/// What to take of a file; what is not named is the first channel and time, the finest level that fits into memory, the
+/// largest series, and the whole of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// Channel, component or array, from 0.
+    pub channel: Option<u32>,
+    /// Point in time, from 0.
+    pub time: Option<u32>,
+    /// Level of a pyramid, 0 the finest.
+    pub level: Option<u32>,
+    /// Series of a folder, from 0.
+    pub series: Option<u32>,
+    /// Part of the volume.
+    pub region: Option<Region>,
+}
+
+/// A box of voxels, counted along the axes of the volume as it is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// First voxel along x, y, z.
+    pub min: [u32; 3],
+    /// Voxel after the last; `None`: to the end.
+    pub max: [Option<u32>; 3],
+}
+
+impl FromStr for Region {
+    type Err = String;
+
+    /// `FROM:TO,FROM:TO,FROM:TO`, the end not included; a missing number is the first or the last voxel.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let bad = || "expected FROM:TO along x, y and z, such as 0:100,50:,:".to_owned();
+        let number = |word: &str| match word.trim() {
+            "" => Ok(None),
+            word => word.parse().map(Some).map_err(|_| bad()),
+        };
+        let mut ranges = Vec::new();
+        for part in text.split(',') {
+            let (from, to) = part.split_once(':').ok_or_else(bad)?;
+            let (from, to): (Option<u32>, Option<u32>) = (number(from)?, number(to)?);
+            if to.is_some_and(|to| to <= from.unwrap_or(0)) {
+                return Err(format!("{part} is empty; {}", bad()));
+            }
+            ranges.push((from.unwrap_or(0), to));
+        }
+        let ranges: [_; 3] = ranges.try_into().map_err(|_| bad())?;
+        Ok(Self { min: ranges.map(|r| r.0), max: ranges.map(|r| r.1) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regions_are_read_and_nonsense_is_refused() {
+        let region = Region { min: [1, 0, 7], max: [Some(5), None, None] };
+        assert_eq!("1:5,:,7:".parse(), Ok(region));
+        for bad in ["", "1:5", "1:5,:,:,:", "5:5,:,:", "5:1,:,:", ":0,:,:", "a:b,:,:", "1,2,3", "-1:2,:,:"] {
+            assert!(bad.parse::<Region>().is_err(), "{bad}");
+        }
+    }
+}

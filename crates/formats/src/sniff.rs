@@ -1,0 +1,76 @@
+//! Tells formats apart by their first bytes, and by the end of the name where they have no mark of their own.
+
+use std::path::Path;
+
+use crate::{metaimage, mrc, nifti, npy};
+
+/// A format, as far as the first bytes tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Nrrd,
+    Nifti,
+    /// A NIfTI file, or anything else, in gzip.
+    Gzip,
+    MetaImage,
+    Npy,
+    Zip,
+    Mrc,
+    /// None that is read here; what it looks like.
+    Other(&'static str),
+}
+
+impl Kind {
+    /// What a file of this kind is called in a message.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Nrrd => "an NRRD file",
+            Self::Nifti => "a NIfTI file",
+            Self::Gzip => "gzip data",
+            Self::MetaImage => "a MetaImage file",
+            Self::Npy => "a NumPy array",
+            Self::Zip => "a ZIP archive",
+            Self::Mrc => "an MRC file",
+            Self::Other(name) => name,
+        }
+    }
+}
+
+/// The kind of the file at `path` that begins with `start`.
+pub(crate) fn kind_of(start: &[u8], path: &Path) -> Kind {
+    let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
+    match () {
+        () if start.is_empty() => Kind::Other("an empty file"),
+        () if is_at(0, b"NRRD") => Kind::Nrrd,
+        () if is_at(0, &[0x1f, 0x8b]) => Kind::Gzip,
+        () if nifti::is_header(start) => Kind::Nifti,
+        () if metaimage::is_header(start) => Kind::MetaImage,
+        () if is_at(0, npy::MAGIC) => Kind::Npy,
+        () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => Kind::Zip,
+        () if mrc::is_header(start, path) => Kind::Mrc,
+        () => Kind::Other(other_name(start)),
+    }
+}
+
+/// What a file that is not read here looks like, so that the message helps.
+fn other_name(start: &[u8]) -> &'static str {
+    let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
+    match () {
+        () if is_at(0, b"II*\0") || is_at(0, b"MM\0*") => "a TIFF file",
+        () if is_at(128, b"DICM") => "a DICOM file",
+        () if is_at(0, b"<?xml") || is_at(0, b"<VTKFile") || is_at(0, b"# vtk") => "a VTK file",
+        () if is_at(0, b"IGLF") => "a stored layered frame",
+        () if is_at(0, b"\x89HDF") => "an HDF5 file",
+        () if is_at(0, b"\x89PNG") => "a PNG picture",
+        () if is_at(0, &[0xff, 0xd8, 0xff]) => "a JPEG picture",
+        () if is_at(0, b"CDF") => "a netCDF file",
+        () if is_at(0, b"BZh") || is_at(0, b"\xfd7zXZ") || is_at(0, b"\x28\xb5\x2f\xfd") => "compressed data",
+        () if is_at(0, &[0x5c, 1, 0, 0]) || is_at(0, &[0, 0, 1, 0x5c]) => "an Analyze header",
+        () => "no header that is known",
+    }
+}
+
+/// What could be read.
+pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTI, MRC, NumPy or OME-Zarr, or raw voxels with their dimensions and type given";
+
+/// Enough for the marks of the formats that are told apart.
+pub(crate) const SNIFFED_BYTES: u64 = 1024;

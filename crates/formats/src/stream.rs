@@ -1,0 +1,181 @@
+//! Streams of voxels from plain and compressed files.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use flate2::bufread::{DeflateDecoder, GzDecoder, ZlibDecoder};
+
+use crate::error::{FormatError, io_error, shown};
+use crate::source::file_name;
+use crate::taker::Taker;
+use crate::warning::WarningKind;
+
+/// How bytes are packed in a part of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Packing {
+    Plain,
+    Gzip,
+    Zlib,
+    Deflate,
+}
+
+/// A part of a file, unpacked.
+pub(crate) struct Unpacked {
+    stream: Box<dyn Stream>,
+    packing: Packing,
+    /// Most bytes it can give.
+    most: u64,
+}
+
+impl Unpacked {
+    /// The part of `file`, the file at `path`, from byte `offset`, `length` bytes or to its end.
+    pub(crate) fn open(
+        mut file: File,
+        path: &Path,
+        offset: u64,
+        length: Option<u64>,
+        packing: Packing,
+    ) -> Result<Self, FormatError> {
+        let io = io_error(path);
+        let rest = file.metadata().map_err(&io)?.len().saturating_sub(offset);
+        let length = length.unwrap_or(rest).min(rest);
+        if rest > 0 {
+            file.seek(SeekFrom::Start(offset)).map_err(&io)?;
+        }
+        let reader = BufReader::new(file);
+        let most = if packing == Packing::Plain { length } else { length.saturating_mul(MAX_DEFLATE_RATIO) };
+        let stream: Box<dyn Stream> = match packing {
+            Packing::Plain => Box::new(reader),
+            Packing::Gzip => Box::new(GzipMembers::new(reader.take(length))),
+            Packing::Zlib => Box::new(ZlibDecoder::new(reader.take(length))),
+            Packing::Deflate => Box::new(DeflateDecoder::new(reader.take(length))),
+        };
+        Ok(Self { stream, packing, most })
+    }
+
+    /// Gives the next bytes to `taker`, as many as its file holds, or `num_bytes`; `path` is for messages. The checksum of
+    /// what was read to its end is verified, and more data is noted.
+    pub(crate) fn take(
+        mut self,
+        taker: &mut Taker,
+        path: &Path,
+        skip: u64,
+        num_bytes: u64,
+    ) -> Result<(), FormatError> {
+        taker.check_length(path, num_bytes.saturating_add(skip), self.most)?;
+        let damaged = |e: io::Error| {
+            let problem = format!("compressed data is damaged or cut: {e}");
+            FormatError::Data { path: shown(path), problem }
+        };
+        self.stream.pass(skip).map_err(damaged)?;
+        let before = taker.position();
+        taker.pump(&mut self.stream, path, num_bytes)?;
+        let is_all = taker.position() - before == num_bytes / taker.bytes_per_number();
+        let is_more = match self.packing {
+            Packing::Plain => self.most > num_bytes + skip,
+            _ => is_all && self.stream.read(&mut [0]).map_err(damaged)? > 0,
+        };
+        if is_more {
+            let text = format!("{} has more data than its shape needs; the rest is ignored", file_name(path));
+            taker.warn(WarningKind::Data, text);
+        }
+        Ok(())
+    }
+}
+
+impl Unpacked {
+    /// The first `num_bytes` bytes.
+    pub(crate) fn take_start(self, num_bytes: u64) -> impl Read {
+        self.stream.take(num_bytes)
+    }
+}
+
+impl Read for Unpacked {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        self.stream.read(out)
+    }
+}
+
+/// A stream of bytes of which some may not be wanted.
+pub(crate) trait Stream: Read {
+    /// Passes `num_bytes` bytes, or to the end.
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()>;
+}
+
+impl<R: Read + Seek> Stream for BufReader<R> {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        match i64::try_from(num_bytes) {
+            Ok(n) => self.seek_relative(n),
+            Err(_) => Err(io::ErrorKind::UnexpectedEof.into()),
+        }
+    }
+}
+
+impl<R: BufRead> Stream for GzipMembers<R> {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        read_past(self, num_bytes)
+    }
+}
+
+impl<R: BufRead> Stream for ZlibDecoder<R> {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        read_past(self, num_bytes)
+    }
+}
+
+impl<R: BufRead> Stream for DeflateDecoder<R> {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        read_past(self, num_bytes)
+    }
+}
+
+impl Stream for Box<dyn Stream> {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        (**self).pass(num_bytes)
+    }
+}
+
+impl Stream for &[u8] {
+    fn pass(&mut self, num_bytes: u64) -> io::Result<()> {
+        *self = self.get(usize::try_from(num_bytes).unwrap_or(usize::MAX)..).unwrap_or_default();
+        Ok(())
+    }
+}
+
+/// Passes bytes by reading them.
+pub(crate) fn read_past(reader: &mut dyn Read, num_bytes: u64) -> io::Result<()> {
+    io::copy(&mut reader.take(num_bytes), &mut io::sink()).map(drop)
+}
+
+/// The members of a gzip file one after the other. What follows them and is not gzip is left alone, as other readers
+/// do.
+pub(crate) struct GzipMembers<R> {
+    member: Option<GzDecoder<R>>,
+}
+
+impl<R: BufRead> GzipMembers<R> {
+    pub(crate) fn new(reader: R) -> Self {
+        Self { member: Some(GzDecoder::new(reader)) }
+    }
+}
+
+impl<R: BufRead> Read for GzipMembers<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while let Some(member) = &mut self.member {
+            let n = member.read(out)?;
+            if n > 0 || out.is_empty() {
+                return Ok(n);
+            }
+            let mut rest = self.member.take().expect("the loop holds a member").into_inner();
+            if matches!(rest.fill_buf()?, [0x1f] | [0x1f, 0x8b, ..]) {
+                self.member = Some(GzDecoder::new(rest));
+            }
+        }
+        Ok(0)
+    }
+}
+
+/// Deflate cannot pack tighter than 258 bytes in two bits (RFC 1951), so this many times its length is the most that
+/// compressed data can hold.
+pub(crate) const MAX_DEFLATE_RATIO: u64 = 1032;

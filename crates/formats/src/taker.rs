@@ -1,0 +1,225 @@
+//! Takes the voxels that are wanted out of what a file gives, in the order of the file, and tells how far it is.
+
+use std::io;
+use std::ops::Range;
+use std::path::Path;
+
+use crate::decode::{Decoded, VoxelSink};
+use crate::dtype::Dtype;
+use crate::error::{FormatError, io_error, quoted, shown};
+use crate::picker::Picker;
+use crate::plan::{Chosen, Plan};
+use crate::source::OpenOptions;
+use crate::stream::Stream;
+use crate::warning::{Warning, WarningKind};
+
+/// Where voxels go. Nothing is allocated before the first of them has been found, so a reader checks lengths first.
+pub(crate) struct Taker<'a> {
+    plan_format: String,
+    /// Shape of the file for messages, such as `256×256×128 uint8`.
+    shape: String,
+    dtype: Dtype,
+    endian: crate::dtype::Endian,
+    path: &'a Path,
+    options: &'a OpenOptions<'a>,
+    chosen: &'a Chosen,
+    picker: Picker,
+    sink: Option<VoxelSink>,
+    has_gaps: bool,
+    warnings: Vec<Warning>,
+}
+
+impl<'a> Taker<'a> {
+    pub(crate) fn new(plan: &Plan, chosen: &'a Chosen, path: &'a Path, options: &'a OpenOptions<'a>) -> Self {
+        let sizes: Vec<String> = plan.axes.iter().map(|a| a.size.to_string()).collect();
+        let axes: Vec<(u64, Range<u64>)> =
+            plan.axes.iter().map(|a| a.size).zip(chosen.ranges.iter().cloned()).collect();
+        Self {
+            plan_format: plan.format.clone(),
+            shape: format!("{} {}", sizes.join("×"), plan.dtype.name()),
+            dtype: plan.dtype,
+            endian: plan.endian,
+            path,
+            options,
+            chosen,
+            picker: Picker::new(&axes),
+            sink: None,
+            has_gaps: plan.has_gaps,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Numbers in the whole file.
+    pub(crate) fn num_elements(&self) -> u64 {
+        self.chosen.in_file
+    }
+
+    /// Bytes of all numbers in the file.
+    pub(crate) fn num_bytes(&self) -> u64 {
+        self.chosen.in_file * self.dtype.num_bytes() as u64
+    }
+
+    /// Bytes of a number in the file.
+    pub(crate) fn bytes_per_number(&self) -> u64 {
+        self.dtype.num_bytes() as u64
+    }
+
+    /// Numbers of the file that have passed.
+    pub(crate) fn position(&self) -> u64 {
+        self.picker.position()
+    }
+
+    /// Numbers that may pass before the next that is wanted.
+    pub(crate) fn gap(&self) -> u64 {
+        self.picker.gap()
+    }
+
+    /// Whether all that is wanted was taken.
+    pub(crate) fn is_done(&self) -> bool {
+        self.picker.is_done()
+    }
+
+    /// Lets `count` numbers pass that are not wanted.
+    pub(crate) fn pass(&mut self, count: u64) {
+        self.picker.pass(count);
+    }
+
+    /// Takes what is wanted of `bytes`, which hold whole numbers.
+    pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
+        self.sink()?;
+        let size = self.dtype.num_bytes();
+        let count = (bytes.len() / size) as u64;
+        if let Some(sink) = &mut self.sink {
+            self.picker.take(count, |range| sink.push_bytes(&bytes[range.start * size..range.end * size]));
+        }
+        self.tick()
+    }
+
+    /// Takes one number that was written as text, if it is wanted.
+    pub(crate) fn push_number(
+        &mut self,
+        path: &Path,
+        number: Result<f64, String>,
+    ) -> Result<(), FormatError> {
+        let (index, name) = (self.picker.position(), self.dtype.name());
+        let mut is_good = number.is_ok();
+        self.sink()?;
+        if let (Some(sink), Ok(x)) = (&mut self.sink, &number) {
+            self.picker.take(1, |_| is_good = sink.push_number(*x));
+        }
+        if !is_good {
+            let found = number.map_or_else(|text| quoted(&text), |x| x.to_string());
+            let problem = format!("number {index} is {found}, expected one of type {name}");
+            return Err(FormatError::Data { path: shown(path), problem });
+        }
+        if index.is_multiple_of(TEXT_TICK) { self.tick() } else { Ok(()) }
+    }
+
+    /// Moves `num_bytes` bytes of `stream`, which is read from `path`, or as many of them as can be wanted.
+    pub(crate) fn pump(
+        &mut self,
+        stream: &mut dyn Stream,
+        path: &Path,
+        num_bytes: u64,
+    ) -> Result<(), FormatError> {
+        let size = self.dtype.num_bytes() as u64;
+        let mut done = 0;
+        let mut chunk = Vec::with_capacity(num_bytes.min(CHUNK_BYTES) as usize);
+        while done < num_bytes && !self.is_done() {
+            self.tick()?;
+            let damaged = |done: u64, e: io::Error| {
+                let problem = format!("damaged or cut after {done} of {num_bytes} bytes: {e}");
+                FormatError::Data { path: shown(path), problem }
+            };
+            let gap = self.gap().saturating_mul(size).min(num_bytes - done);
+            if gap >= WORTH_PASSING {
+                // In steps, so that it can be cancelled.
+                let step = gap.min(PASS_BYTES) / size * size;
+                stream.pass(step).map_err(|e| damaged(done, e))?;
+                self.pass(step / size);
+                done += step;
+                continue;
+            }
+            let wanted = (num_bytes - done).min(CHUNK_BYTES);
+            chunk.clear();
+            let result = io::Read::read_to_end(&mut io::Read::take(&mut *stream, wanted), &mut chunk);
+            self.push(&chunk)?;
+            done += chunk.len() as u64;
+            result.map_err(|e| damaged(done, e))?;
+            if (chunk.len() as u64) < wanted {
+                return Err(self.short(path, num_bytes, done, "bytes"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Tells the progress and hears whether it was cancelled.
+    pub(crate) fn tick(&self) -> Result<(), FormatError> {
+        if let Some(progress) = self.options.progress {
+            let taken = self.sink.as_ref().map_or(0, VoxelSink::len);
+            progress((taken as f64 / self.chosen.num_voxels as f64) as f32);
+        }
+        self.options.check_cancelled(self.path)
+    }
+
+    /// The error of too little data.
+    pub(crate) fn short(&self, path: &Path, expected: u64, found: u64, unit: &'static str) -> FormatError {
+        FormatError::Short { path: shown(path), shape: self.shape.clone(), expected, found, unit }
+    }
+
+    /// Checks that `found` bytes are as many as are needed.
+    pub(crate) fn check_length(&self, path: &Path, expected: u64, found: u64) -> Result<(), FormatError> {
+        if found < expected { Err(self.short(path, expected, found, "bytes")) } else { Ok(()) }
+    }
+
+    /// The error of a file that is damaged.
+    pub(crate) fn data_error(&self, path: &Path, problem: impl Into<String>) -> FormatError {
+        FormatError::Data { path: shown(path), problem: problem.into() }
+    }
+
+    /// Notes something odd, once.
+    pub(crate) fn warn(&mut self, kind: WarningKind, text: String) {
+        let warning = Warning::new(kind, text);
+        if !self.warnings.contains(&warning) && self.warnings.len() < MAX_WARNINGS {
+            self.warnings.push(warning);
+        }
+    }
+
+    /// The sink, made when it is first needed.
+    fn sink(&mut self) -> Result<&mut VoxelSink, FormatError> {
+        if self.sink.is_none() {
+            let sink = VoxelSink::new(self.dtype, self.endian, self.chosen.num_voxels as usize);
+            self.sink = Some(sink.map_err(|_| io_error(self.path)(io::ErrorKind::OutOfMemory.into()))?);
+        }
+        Ok(self.sink.as_mut().expect("it was made above"))
+    }
+
+    /// The voxels.
+    pub(crate) fn finish(mut self) -> Result<Decoded, FormatError> {
+        let taken = self.sink()?.len() as u64;
+        if taken != self.chosen.num_voxels {
+            return Err(self.short(self.path, self.chosen.num_voxels, taken, "voxels"));
+        }
+        self.tick()?;
+        let mut decoded = self.sink.take().map(|sink| sink.finish(self.has_gaps)).ok_or_else(|| {
+            FormatError::Malformed {
+                path: shown(self.path),
+                format: self.plan_format,
+                problem: "no voxels".into(),
+            }
+        })?;
+        decoded.warnings.splice(0..0, self.warnings);
+        Ok(decoded)
+    }
+}
+
+/// Bytes read at a time: a multiple of every voxel size, small beside a volume, large beside a system call.
+const CHUNK_BYTES: u64 = 256 * 1024;
+/// Fewer unwanted bytes are read with the others.
+const WORTH_PASSING: u64 = 64 * 1024;
+/// Most unwanted bytes passed without a look at whether it was cancelled.
+const PASS_BYTES: u64 = 16 << 20;
+/// Numbers in text between two looks at progress.
+const TEXT_TICK: u64 = 1 << 16;
+/// Remarks kept about the data of one file.
+const MAX_WARNINGS: usize = 16;

@@ -1,0 +1,183 @@
+//! Files with more than one volume: is the part that was asked for what comes, in every format, and is what is not there
+//! refused?
+
+#![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use isinglass_core::volume::Volume;
+use isinglass_formats::{FormatError, OpenOptions, Region, Selection, WarningKind, open, outline};
+use tempfile::TempDir;
+
+/// Sizes along x, y, z, channels and times.
+const SIZES: [usize; 5] = [5, 4, 3, 3, 2];
+
+/// The value of a voxel, different for each.
+fn value(at: [usize; 5]) -> u16 {
+    (at[0] + 5 * at[1] + 20 * at[2] + 100 * at[3] + 1000 * at[4]) as u16
+}
+
+/// All numbers, little-endian, with these axes from fast to slow.
+fn numbers(order: [usize; 5]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut at = [0; 5];
+    for i in 0..SIZES.iter().product() {
+        let mut rest = i;
+        for axis in order {
+            at[axis] = rest % SIZES[axis];
+            rest /= SIZES[axis];
+        }
+        bytes.extend(value(at).to_le_bytes());
+    }
+    bytes
+}
+
+fn nifti(folder: &Path) -> PathBuf {
+    let mut header = vec![0; 352];
+    let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &348i32.to_le_bytes());
+    for (i, dim) in [5i16, 5, 4, 3, 2, 3, 1, 1].iter().enumerate() {
+        put(40 + 2 * i, &dim.to_le_bytes());
+    }
+    put(70, &512i16.to_le_bytes());
+    for i in 0..5 {
+        put(76 + 4 * i, &1f32.to_le_bytes());
+    }
+    put(108, &352f32.to_le_bytes());
+    put(344, b"n+1\0");
+    let path = folder.join("a.nii");
+    fs::write(&path, [header, numbers([0, 1, 2, 4, 3])].concat()).unwrap();
+    path
+}
+
+fn numpy(folder: &Path) -> PathBuf {
+    let header = format!("{:<117}\n", "{'descr': '<u2', 'fortran_order': False, 'shape': (2, 3, 3, 4, 5)}");
+    let path = folder.join("a.npy");
+    let start = [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes()];
+    fs::write(&path, [&start.concat(), &numbers([0, 1, 2, 3, 4])[..]].concat()).unwrap();
+    path
+}
+
+fn nrrd(folder: &Path) -> PathBuf {
+    let header = "NRRD0004\ntype: ushort\ndimension: 5\nsizes: 3 5 4 3 2\nspacings: nan 1 1 1 nan\nendian: little\n\
+                  kinds: RGB-color domain domain domain time\nencoding: raw\n\n";
+    let path = folder.join("a.nrrd");
+    fs::write(&path, [header.as_bytes(), &numbers([3, 0, 1, 2, 4])].concat()).unwrap();
+    path
+}
+
+fn meta_image(folder: &Path) -> PathBuf {
+    let header = "ObjectType = Image\nNDims = 4\nDimSize = 5 4 3 2\nElementSpacing = 1 1 1 1\n\
+                  ElementNumberOfChannels = 3\nElementType = MET_USHORT\nElementDataFile = LOCAL\n";
+    let path = folder.join("a.mha");
+    fs::write(&path, [header.as_bytes(), &numbers([3, 0, 1, 2, 4])].concat()).unwrap();
+    path
+}
+
+fn open_part(path: &Path, selection: Selection) -> Result<Volume, FormatError> {
+    open(path.to_str().unwrap(), &OpenOptions { selection, ..OpenOptions::default() })
+}
+
+#[test]
+fn channel_time_and_region_choose_the_voxels() {
+    let folder = TempDir::new().unwrap();
+    for path in [nifti, numpy, nrrd, meta_image].map(|write| write(folder.path())) {
+        let before = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
+        assert_eq!((before.num_channels, before.num_times), (3, 2), "{path:?}");
+        let choices = before.warnings.iter().filter(|w| w.kind == WarningKind::Choice).count();
+        assert_eq!(choices, 2, "{path:?}: {:?}", before.warnings);
+        for (channel, time, region) in [
+            (None, None, None),
+            (Some(2), Some(1), None),
+            (Some(1), Some(0), Some("1:4,2:,:2")),
+            (Some(0), Some(1), Some(":,:,1:2")),
+        ] {
+            let region: Option<Region> = region.map(|r| r.parse().unwrap());
+            let selection = Selection { channel, time, region, ..Selection::default() };
+            let volume = open_part(&path, selection).unwrap_or_else(|e| panic!("{e}"));
+            let from = region.map_or([0; 3], |r| r.min.map(|n| n as usize));
+            let to =
+                region.map_or([5, 4, 3], |r| [0, 1, 2].map(|k| r.max[k].map_or(SIZES[k], |n| n as usize)));
+            let dims = [0, 1, 2].map(|k| to[k] - from[k]);
+            assert_eq!(volume.dims(), dims.map(|n| n as u32), "{path:?} {selection:?}");
+            for i in 0..dims.iter().product() {
+                let at = [i % dims[0], i / dims[0] % dims[1], i / dims[0] / dims[1]];
+                let expected = value([
+                    from[0] + at[0],
+                    from[1] + at[1],
+                    from[2] + at[2],
+                    channel.unwrap_or(0) as usize,
+                    time.unwrap_or(0) as usize,
+                ]);
+                assert_eq!(volume.voxels().get(i), f32::from(expected), "{path:?} {selection:?} {at:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_not_there_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let path = numpy(folder.path());
+    let part = Selection::default();
+    for (selection, what) in [
+        (Selection { channel: Some(3), ..part }, "channel 3 was asked for, expected 0 to 2"),
+        (Selection { time: Some(2), ..part }, "time 2 was asked for, expected 0 to 1"),
+        (Selection { level: Some(1), ..part }, "level 1 was asked for, expected 0 to 0"),
+        (Selection { series: Some(1), ..part }, "series 1 was asked for, expected 0 to 0"),
+        (
+            Selection { region: Some(":,:,2:4".parse().unwrap()), ..part },
+            "region 2:4 along z, expected a part of 0:3",
+        ),
+    ] {
+        let message = open_part(&path, selection).unwrap_err().to_string();
+        assert!(message.contains(what) && message.contains("a.npy"), "{message}");
+    }
+}
+
+#[test]
+fn spacing_can_be_told_where_the_file_is_silent() {
+    let folder = TempDir::new().unwrap();
+    let path = numpy(folder.path());
+    let options = OpenOptions { spacing: Some(Vec3::new(0.5, 1.0, 2.0)), ..OpenOptions::default() };
+    let volume = open(path.to_str().unwrap(), &options).unwrap();
+    assert_eq!(volume.spacing(), Vec3::new(0.5, 1.0, 2.0));
+    assert!(volume.info.warnings.iter().all(|w| !w.contains("spacing")), "{:?}", volume.info.warnings);
+    let control = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
+    assert!(control.info.warnings.iter().any(|w| w.contains("spacing")));
+    let nonsense = OpenOptions { spacing: Some(Vec3::new(0.5, -1.0, f32::NAN)), ..OpenOptions::default() };
+    assert!(
+        open(path.to_str().unwrap(), &nonsense).unwrap_err().to_string().contains("steps between voxels")
+    );
+}
+
+/// A part of a large file needs the memory of the part.
+#[test]
+fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("a.npy");
+    let header =
+        format!("{:<117}\n", "{'descr': '<u2', 'fortran_order': False, 'shape': (4000, 3000, 2000)}");
+    let start =
+        [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
+    fs::write(&path, &start).unwrap();
+    let region = Some("0:100,2900:3000,:50".parse().unwrap());
+    let options =
+        OpenOptions { selection: Selection { region, ..Selection::default() }, ..OpenOptions::default() };
+    let before = outline(path.to_str().unwrap(), &options).unwrap();
+    assert_eq!((before.dims, before.whole_dims), ([100, 100, 50], [2000, 3000, 4000]));
+    assert_eq!((before.bytes_in_memory, before.bytes_while_reading), (1_500_000, 1_000_000));
+    // The whole is beyond what a texture holds, and the file has no voxels at all.
+    let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
+    assert!(
+        message.contains("axis 1 has 3000 voxels, expected 1 to 2048; a region can be taken"),
+        "{message}"
+    );
+    let message = open(path.to_str().unwrap(), &options).unwrap_err().to_string();
+    assert!(message.contains("needs 48000000128 bytes, found 128"), "{message}");
+    // With room for them (a file with a hole) the part is read by passing over the rest.
+    fs::File::options().write(true).open(&path).unwrap().set_len(48_000_000_128).unwrap();
+    assert_eq!(open(path.to_str().unwrap(), &options).unwrap().value_range(), (0.0, 0.0));
+}
