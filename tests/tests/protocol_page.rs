@@ -12,6 +12,7 @@ const SOURCES: [&str; 21] = [
     "crates/core/src/codec/planes.rs",
     "crates/core/src/codec/scale.rs",
     "crates/core/src/codec/predict.rs",
+    "crates/core/src/codec/rows.rs",
     "crates/core/src/codec/contexts.rs",
     "crates/core/src/codec/rans.rs",
     "crates/core/src/codec/blocks/band.rs",

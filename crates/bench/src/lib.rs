@@ -18,6 +18,7 @@ pub mod quality;
 pub mod rivals;
 pub mod scenes;
 pub mod speed;
+pub mod subject;
 pub mod view;
 
 pub use error::BenchError;

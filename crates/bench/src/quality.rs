@@ -17,44 +17,29 @@ use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_formats::OpenOptions;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_gpu::Backend;
 use serde::Serialize;
 
 use crate::choices::{MethodChoice, Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::rivals::Method;
-use crate::scenes::{SceneSource, open_scene};
-use crate::view::Orbit;
+use crate::scenes::SceneSource;
+use crate::subject::{Subject, SubjectConditions};
 
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct QualityOptions {
-    /// The scenes, see [`crate::scenes::select`].
-    pub scenes: Vec<SceneSource>,
-    /// Preset or file for all scenes; none: the one that suits each.
-    pub transfer: Option<String>,
+    /// What is looked at; turns are to either side.
+    pub subject: Subject,
     /// How frames are made.
     pub rules: Vec<Rule>,
     /// How frames become pictures. [`Method::LastImage`] is measured in any case, once a scene.
     pub methods: Vec<MethodChoice>,
     /// How the ray cast reads lists.
     pub reconstructions: Vec<Reconstruction>,
-    /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
-    pub ks: Vec<u8>,
-    /// Turns of azimuth, degrees, each to either side. 0 is the generating camera itself.
-    pub angles_degrees: Vec<f32>,
-    /// The generating camera.
-    pub orbit: Orbit,
-    /// Picture size, field of view.
-    pub intrinsics: Intrinsics,
     /// Frame size: columns and rows of lists. The field of view is that of the pictures.
     pub frame_intrinsics: Intrinsics,
-    /// Whether gradients shade.
-    pub shaded: bool,
-    /// Where the kernels run.
-    pub backend: BackendChoice,
     /// How frames are encoded.
     pub codec: codec::Settings,
     /// Whether frames are also measured as they are after encoding and decoding.
@@ -73,26 +58,13 @@ pub struct QualityReport {
 /// What holds for all rows of a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct Conditions {
-    /// Version of this program.
-    pub version: &'static str,
-    /// Columns and rows of the pictures.
-    pub size: [u32; 2],
+    /// What holds for any table of pictures.
+    #[serde(flatten)]
+    pub subject: SubjectConditions,
     /// Columns and rows of lists.
     pub frame_size: [u32; 2],
-    /// Vertical field of view, degrees.
-    pub fov_deg: f32,
-    /// Azimuth and elevation of the generating camera, degrees.
-    pub orbit_deg: [f32; 2],
-    /// Its distance in radii of the bounding sphere.
-    pub distance_radii: f32,
-    /// Where the kernels ran.
-    pub backend: String,
-    /// Whether gradients shade.
-    pub shading: bool,
     /// Bits of a colour channel on the wire.
     pub color_bits: u8,
-    /// Threads of the CPU.
-    pub threads: usize,
     /// Background of the pictures compared.
     pub background: &'static str,
 }
@@ -140,12 +112,12 @@ pub struct QualityRow {
 
 /// Measures. Takes minutes for the default scenes on the CPU.
 pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
-    let backend = Backend::open(options.backend)?;
+    let backend = Backend::open(options.subject.backend)?;
     let of_rules = methods_by_rule(&options.rules, &options.methods);
-    let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.ks).len()).sum();
-    let mut progress = Progress::new("quality", (options.scenes.len() * (1 + frames)) as u64);
+    let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.subject.ks).len()).sum();
+    let mut progress = Progress::new("quality", (options.subject.scenes.len() * (1 + frames)) as u64);
     let mut rows = Vec::new();
-    for source in &options.scenes {
+    for source in &options.subject.scenes {
         measure_scene(&backend, options, source, &mut rows, &mut progress)?;
     }
     progress.finish();
@@ -226,18 +198,10 @@ pub fn timed<T>(mut body: impl FnMut() -> Result<T, BenchError>) -> Result<(T, f
 }
 
 fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
-    let Intrinsics { width, height, fov_y } = options.intrinsics;
     Conditions {
-        version: env!("CARGO_PKG_VERSION"),
-        size: [width, height],
+        subject: options.subject.conditions(backend, rayon::current_num_threads()),
         frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
-        fov_deg: fov_y.to_degrees(),
-        orbit_deg: [options.orbit.azimuth_degrees, options.orbit.elevation_degrees],
-        distance_radii: options.orbit.distance_in_radii.unwrap_or_else(|| options.intrinsics.fit_distance()),
-        backend: backend.description(),
-        shading: options.shaded,
         color_bits: options.codec.color_bits,
-        threads: rayon::current_num_threads(),
         background: "#000000",
     }
 }
@@ -250,36 +214,38 @@ fn measure_scene(
     progress: &mut Progress,
 ) -> Result<(), BenchError> {
     progress.begin(&format!("{}: opening", source.name));
-    let opened = open_scene(
-        &source.source,
-        options.transfer.as_deref(),
-        march_settings(options.shaded),
-        &OpenOptions::default(),
-    )?;
+    let opened = options.subject.open(source)?;
     let bounds = opened.scene.volume.bounds();
     let mut renderer = backend.renderer(opened.scene)?;
-    let camera_at = |degrees: f32| options.orbit.turned(degrees).camera(options.intrinsics, &bounds);
+    let camera_at =
+        |degrees: f32| options.subject.orbit.turned(degrees).camera(options.subject.intrinsics, &bounds);
 
     // The truth, by the bits of the angle.
     let mut truth = BTreeMap::new();
-    let angles: BTreeSet<u32> =
-        options.angles_degrees.iter().flat_map(|&a| sides(a)).chain([0.0]).map(f32::to_bits).collect();
+    let angles: BTreeSet<u32> = options
+        .subject
+        .angles_degrees
+        .iter()
+        .flat_map(|&a| sides(a))
+        .chain([0.0])
+        .map(f32::to_bits)
+        .collect();
     for angle in angles {
         truth.insert(angle, black_srgb8(&renderer.render(&camera_at(f32::from_bits(angle)))?));
     }
     progress.advance(1, &format!("{}: truth rendered", source.name));
-    for &angle in options.angles_degrees.iter().filter(|a| **a != 0.0) {
+    for &angle in options.subject.angles_degrees.iter().filter(|a| **a != 0.0) {
         let mut mean = Mean::default();
         for side in sides(angle) {
-            mean.add(&errors(&truth[&0f32.to_bits()], &truth[&side.to_bits()], &options.intrinsics)?);
+            mean.add(&errors(&truth[&0f32.to_bits()], &truth[&side.to_bits()], &options.subject.intrinsics)?);
         }
         rows.push(mean.row(source, Method::LastImage.name(), 0, angle));
     }
 
     let truth = Truth { camera_at: &camera_at, pictures: &truth, bounds: &bounds };
     for (rule, methods) in methods_by_rule(&options.rules, &options.methods) {
-        for k in rule.ks(&options.ks) {
-            let camera = options.orbit.camera(options.frame_intrinsics, &bounds);
+        for k in rule.ks(&options.subject.ks) {
+            let camera = options.subject.orbit.camera(options.frame_intrinsics, &bounds);
             let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, header(camera, k)))?;
             let made = Made::new(options, rule, k, frame, generate_ms)?;
             for &method in methods.iter().filter(|m| **m != Method::LastImage) {
@@ -354,17 +320,17 @@ fn measure_method(
     for reconstruction in reconstructions {
         let cast =
             CastOptions { reconstruction: reconstruction.unwrap_or_default(), ..CastOptions::default() };
-        for &angle in &options.angles_degrees {
+        for &angle in &options.subject.angles_degrees {
             let (mut mean, mut wire) = (Mean::default(), Mean::default());
             let (mut ms_sum, mut num) = (0.0, 0.0);
             for side in sides(angle) {
                 let camera = (truth.camera_at)(side);
                 let (view, ms) = timed(|| exact.view_with(&camera, &cast))?;
                 let truth = &truth.pictures[&side.to_bits()];
-                mean.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                mean.add(&errors(&black_srgb8(&view), truth, &options.subject.intrinsics)?);
                 if let Some(decoded) = &mut decoded {
                     let view = decoded.view_with(&camera, &cast)?;
-                    wire.add(&errors(&black_srgb8(&view), truth, &options.intrinsics)?);
+                    wire.add(&errors(&black_srgb8(&view), truth, &options.subject.intrinsics)?);
                 }
                 (ms_sum, num) = (ms_sum + ms, num + 1.0);
             }

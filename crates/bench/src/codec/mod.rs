@@ -30,11 +30,9 @@ mod webp;
 
 use std::collections::BTreeMap;
 
-use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::LayeredFrame;
-use isinglass_formats::OpenOptions;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_gpu::Backend;
 use rayon::ThreadPool;
 use serde::Serialize;
 
@@ -43,9 +41,9 @@ use self::contenders::{Contender, PUBLISHED};
 use self::measure::{Judge, Measured};
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::quality::{black_srgb8, header, march_settings};
-use crate::scenes::{SceneSource, open_scene};
-use crate::view::Orbit;
+use crate::quality::{black_srgb8, header};
+use crate::scenes::SceneSource;
+use crate::subject::{Subject, SubjectConditions};
 
 pub use self::measure::Distortion;
 pub use self::plot::svg;
@@ -55,26 +53,12 @@ pub use self::table::table;
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct CodecOptions {
-    /// The scenes, see [`crate::scenes::select`].
-    pub scenes: Vec<SceneSource>,
-    /// Preset or file for all scenes; none: the one that suits each.
-    pub transfer: Option<String>,
+    /// What is looked at.
+    pub subject: Subject,
     /// Names out of [`codec_names`]; none: all.
     pub codecs: Vec<String>,
     /// The codec that others are compared with; none: JPEG 2000 as published where it is measured.
     pub anchor: Option<String>,
-    /// List lengths.
-    pub ks: Vec<u8>,
-    /// Turns of azimuth, degrees; 0 is the generating camera itself.
-    pub angles_degrees: Vec<f32>,
-    /// The generating camera.
-    pub orbit: Orbit,
-    /// Size and field of view of pictures and frames.
-    pub intrinsics: Intrinsics,
-    /// Whether gradients shade.
-    pub shaded: bool,
-    /// Where the kernels run.
-    pub backend: BackendChoice,
     /// Also code a moving camera; none: only stills.
     pub sequence: Option<SequenceOptions>,
 }
@@ -99,22 +83,9 @@ pub struct CodecReport {
 /// What holds for all points of a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct Conditions {
-    /// Version of this program.
-    pub version: &'static str,
-    /// Columns and rows of pictures and frames.
-    pub size: [u32; 2],
-    /// Vertical field of view, degrees.
-    pub fov_deg: f32,
-    /// Azimuth and elevation of the generating camera, degrees.
-    pub orbit_deg: [f32; 2],
-    /// Turns, degrees.
-    pub angles_deg: Vec<f32>,
-    /// Where the kernels ran.
-    pub backend: String,
-    /// Whether gradients shade.
-    pub shading: bool,
-    /// Threads that code.
-    pub threads: usize,
+    /// What holds for any table of pictures; the threads are those that code.
+    #[serde(flatten)]
+    pub subject: SubjectConditions,
     /// Clock of the processor by which cycles are counted, megahertz; none where the system does not tell.
     pub clock_mhz: Option<f64>,
     /// The codec that others are compared with.
@@ -161,6 +132,10 @@ pub struct Point {
     pub encode_ms: f64,
     /// Time to decode; none where the encoder tells what a decoder gets.
     pub decode_ms: Option<f64>,
+    /// The same for each pixel, nanoseconds.
+    pub encode_ns_per_pixel: f64,
+    /// Time to decode a pixel.
+    pub decode_ns_per_pixel: Option<f64>,
     /// Cycles to encode a pixel at the clock of the conditions.
     pub encode_cycles_per_pixel: Option<f64>,
     /// Cycles to decode a pixel.
@@ -216,13 +191,13 @@ pub fn codec_names() -> Vec<&'static str> {
 pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
     let contenders = contenders::select(&options.codecs)?;
     let anchor = anchor(options, &contenders)?;
-    let backend = Backend::open(options.backend)?;
+    let backend = Backend::open(options.subject.backend)?;
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(1)
+        .num_threads(THREADS)
         .build()
         .map_err(|e| BenchError::Rival { codec: "threads", cause: e.to_string() })?;
-    let steps = 1 + options.ks.len() * (1 + contenders.len());
-    let mut progress = Progress::new("codec", (options.scenes.len() * steps) as u64);
+    let steps = 1 + options.subject.ks.len() * (1 + contenders.len());
+    let mut progress = Progress::new("codec", (options.subject.scenes.len() * steps) as u64);
     let mut run = Run {
         options,
         backend: &backend,
@@ -233,23 +208,16 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
         points: Vec::new(),
         sequences: Vec::new(),
     };
-    for source in &options.scenes {
+    for source in &options.subject.scenes {
         run.measure_scene(source, &mut progress)?;
     }
     progress.finish();
     let Run { uncoded, mut points, sequences, clock_mhz, .. } = run;
-    mark_fronts(&mut points, &options.angles_degrees);
+    mark_fronts(&mut points, &options.subject.angles_degrees);
     let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
     let bd_means = means(&bd_rates);
     let conditions = Conditions {
-        version: env!("CARGO_PKG_VERSION"),
-        size: [options.intrinsics.width, options.intrinsics.height],
-        fov_deg: options.intrinsics.fov_y.to_degrees(),
-        orbit_deg: [options.orbit.azimuth_degrees, options.orbit.elevation_degrees],
-        angles_deg: options.angles_degrees.clone(),
-        backend: backend.description(),
-        shading: options.shaded,
-        threads: 1,
+        subject: options.subject.conditions(&backend, THREADS),
         clock_mhz,
         anchor: anchor.map(str::to_owned),
     };
@@ -283,23 +251,18 @@ impl Run<'_> {
     fn measure_scene(&mut self, source: &SceneSource, progress: &mut Progress) -> Result<(), BenchError> {
         let options = self.options;
         progress.begin(&format!("{}: opening", source.name));
-        let opened = open_scene(
-            &source.source,
-            options.transfer.as_deref(),
-            march_settings(options.shaded),
-            &OpenOptions::default(),
-        )?;
+        let opened = options.subject.open(source)?;
         let bounds = opened.scene.volume.bounds();
         let mut renderer = self.backend.renderer(opened.scene)?;
-        let mut truths = Vec::with_capacity(options.angles_degrees.len());
-        for &angle in &options.angles_degrees {
-            let camera = options.orbit.turned(angle).camera(options.intrinsics, &bounds);
+        let mut truths = Vec::with_capacity(options.subject.angles_degrees.len());
+        for &angle in &options.subject.angles_degrees {
+            let camera = options.subject.orbit.turned(angle).camera(options.subject.intrinsics, &bounds);
             truths.push((angle, camera, black_srgb8(&renderer.render(&camera)?)));
         }
         let judge = Judge { backend: self.backend, bounds, truths, pool: self.pool };
         progress.advance(1, &format!("{}: truth rendered", source.name));
-        for &k in &options.ks {
-            let camera = options.orbit.camera(options.intrinsics, &bounds);
+        for &k in &options.subject.ks {
+            let camera = options.subject.orbit.camera(options.subject.intrinsics, &bounds);
             let mut frames: Vec<(Layering, LayeredFrame)> = Vec::new();
             for contender in self.contenders {
                 let layering = contender.layering();
@@ -341,7 +304,8 @@ impl Run<'_> {
     }
 
     fn point(&self, source: &SceneSource, k: u8, contender: &Contender, measured: Measured) -> Point {
-        let pixels = self.options.intrinsics.num_pixels() as f64;
+        let pixels = self.options.subject.intrinsics.num_pixels() as f64;
+        let nanoseconds = |ms: f64| ms * 1e6 / pixels;
         // Milliseconds times megahertz are thousands of cycles.
         let cycles = |ms: f64| self.clock_mhz.map(|mhz| ms * mhz * 1e3 / pixels);
         let bits = measured.bytes as f64 * 8.0;
@@ -357,6 +321,8 @@ impl Run<'_> {
             mbit_s_at_30_hz: bits * FRAME_RATE_HZ * 1e-6,
             encode_ms: measured.encode_ms,
             decode_ms: measured.decode_ms,
+            encode_ns_per_pixel: nanoseconds(measured.encode_ms),
+            decode_ns_per_pixel: measured.decode_ms.map(nanoseconds),
             encode_cycles_per_pixel: cycles(measured.encode_ms),
             decode_cycles_per_pixel: measured.decode_ms.and_then(cycles),
             distortion: measured.distortion,
@@ -396,10 +362,10 @@ fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow>
             codecs.push(p.codec);
         }
     }
-    let best_k = (options.ks.len() > 1).then_some(None);
+    let best_k = (options.subject.ks.len() > 1).then_some(None);
     let mut rows = Vec::new();
-    for source in &options.scenes {
-        for k in options.ks.iter().copied().map(Some).chain(best_k) {
+    for source in &options.subject.scenes {
+        for k in options.subject.ks.iter().copied().map(Some).chain(best_k) {
             let curve = |codec: &str, turn: usize| -> Vec<RatePoint> {
                 points
                     .iter()
@@ -408,7 +374,7 @@ fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow>
                     .collect()
             };
             for &codec in &codecs {
-                for (turn, &angle_deg) in options.angles_degrees.iter().enumerate() {
+                for (turn, &angle_deg) in options.subject.angles_degrees.iter().enumerate() {
                     let result = bd_rate(&curve(anchor, turn), &curve(codec, turn));
                     rows.push(BdRow {
                         scene: source.name.clone(),
@@ -453,3 +419,5 @@ fn means(rows: &[BdRow]) -> Vec<BdMean> {
 
 /// Frames a second that rates are given for.
 const FRAME_RATE_HZ: f64 = 30.0;
+/// That code: of the codecs of others not all can use more.
+const THREADS: usize = 1;

@@ -25,7 +25,7 @@ struct Series {
 }
 
 fn draw(text: &mut String, report: &CodecReport) -> Result<(), String> {
-    let angles = &report.conditions.angles_deg;
+    let angles = &report.conditions.subject.angles_deg;
     let mut scenes: Vec<&str> = Vec::new();
     for p in &report.points {
         if !scenes.contains(&&p.scene[..]) {

@@ -142,8 +142,8 @@ pub(super) fn measure(
     }
     let sequence = scene.sequence;
     let camera_at = |i: u32| -> Camera {
-        let orbit = scene.options.orbit.turned(sequence.turn(i));
-        orbit.camera(scene.options.intrinsics, &scene.judge.bounds)
+        let orbit = scene.options.subject.orbit.turned(sequence.turn(i));
+        orbit.camera(scene.options.subject.intrinsics, &scene.judge.bounds)
     };
     let mut truths = BTreeMap::new();
     for i in 0..sequence.frames {
@@ -182,7 +182,7 @@ fn row(
     coded: CodedSequence,
     truths: &BTreeMap<u32, Vec<u8>>,
 ) -> Result<SequenceRow, BenchError> {
-    let size = scene.options.intrinsics;
+    let size = scene.options.subject.intrinsics;
     let (mut dssim, mut psnr_db) = (Vec::new(), Vec::new());
     for (i, frame) in coded.kept {
         let Some(truth) = truths.get(&i) else { continue };

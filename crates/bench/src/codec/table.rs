@@ -4,11 +4,11 @@ use super::{CodecReport, Distortion, Point};
 
 /// Tables of the points on a front, of BD-rates and of sequences.
 pub fn table(report: &CodecReport) -> String {
-    let angles = &report.conditions.angles_deg;
+    let angles = &report.conditions.subject.angles_deg;
     let turns =
         |name: &str| angles.iter().map(|a| format!(" {:>9}", format!("{name} {a}°"))).collect::<String>();
     let mut text = format!(
-        "{:<12} {:>2} {:<18} {:<36} {:>9} {:>7} {:>8}{}{} {:>8} {:>8} {:>8} {:>8}\n",
+        "{:<12} {:>2} {:<18} {:<36} {:>9} {:>7} {:>8}{}{} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n",
         "scene",
         "k",
         "codec",
@@ -20,6 +20,8 @@ pub fn table(report: &CodecReport) -> String {
         turns("psnr"),
         "enc ms",
         "dec ms",
+        "enc ns/p",
+        "dec ns/p",
         "enc c/px",
         "dec c/px"
     );
@@ -39,6 +41,13 @@ pub fn table(report: &CodecReport) -> String {
     for p in report.points.iter().filter(|p| !p.on_front_deg.is_empty()) {
         text += &row(p);
     }
+    let threads = match report.conditions.subject.threads {
+        1 => "one thread".to_owned(),
+        threads => format!("{threads} threads"),
+    };
+    let clock =
+        report.conditions.clock_mhz.map_or_else(String::new, |mhz| format!(", cycles at {mhz:.0} MHz"));
+    text += &format!("\ntimes are those of {threads}{clock}\n");
     if let Some(anchor) = &report.conditions.anchor {
         text += &format!(
             "\nBD-rate over DSSIM against {anchor}, percent of bytes at the same picture\n{:<12} {:>4} {:<18}{}\n",
@@ -104,7 +113,7 @@ pub fn table(report: &CodecReport) -> String {
 fn row(p: &Point) -> String {
     let number = |x: Option<f64>, digits| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"));
     format!(
-        "{:<12} {:>2} {:<18} {:<36} {:>9} {:>7.3} {:>8.2}{} {:>8.1} {:>8} {:>8} {:>8}\n",
+        "{:<12} {:>2} {:<18} {:<36} {:>9} {:>7.3} {:>8.2}{} {:>8.1} {:>8} {:>8.1} {:>8} {:>8} {:>8}\n",
         p.scene,
         p.k,
         p.codec,
@@ -115,6 +124,8 @@ fn row(p: &Point) -> String {
         seen(&p.distortion),
         p.encode_ms,
         number(p.decode_ms, 1),
+        p.encode_ns_per_pixel,
+        number(p.decode_ns_per_pixel, 1),
         number(p.encode_cycles_per_pixel, 0),
         number(p.decode_cycles_per_pixel, 0)
     )

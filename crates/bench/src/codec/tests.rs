@@ -8,6 +8,7 @@ use isinglass_formats::{OpenOptions, load_transfer, open};
 use isinglass_gpu::BackendChoice;
 
 use super::*;
+use crate::view::Orbit;
 
 fn intrinsics() -> Intrinsics {
     Intrinsics { width: 48, height: 40, fov_y: 0.7 }
@@ -22,17 +23,20 @@ pub(super) fn frame(layering: Layering, k: u8) -> LayeredFrame {
 }
 
 fn options(codecs: &[&str]) -> CodecOptions {
-    CodecOptions {
+    let subject = Subject {
         scenes: vec![SceneSource { name: "shells".into(), source: "builtin:shells@32".into() }],
         transfer: None,
-        codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
-        anchor: Some(codecs[0].to_owned()),
         ks: vec![2, 4],
         angles_degrees: vec![0.0, 10.0],
         orbit: Orbit::default(),
         intrinsics: intrinsics(),
         shaded: true,
         backend: BackendChoice::Cpu,
+    };
+    CodecOptions {
+        subject,
+        codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
+        anchor: Some(codecs[0].to_owned()),
         sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
     }
 }
@@ -78,7 +82,9 @@ fn what_loses_nothing_leaves_the_picture_of_the_frame_and_what_loses_does_not() 
 
 #[test]
 fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves() {
-    let report = run(&CodecOptions { ks: vec![4], ..options(&["blocks", "raw-zstd"]) }).unwrap();
+    let mut options = options(&["blocks", "raw-zstd"]);
+    options.subject.ks = vec![4];
+    let report = run(&options).unwrap();
     let points: Vec<&Point> = report.points.iter().filter(|p| p.codec == "blocks").collect();
     let (first, last) = (points[0], points[points.len() - 1]);
     assert!(first.bytes < last.bytes && first.distortion[0].dssim > last.distortion[0].dssim);
@@ -121,7 +127,9 @@ fn means_are_over_the_scenes_that_have_one() {
 #[test]
 fn rivals_approach_the_uncoded_frame_as_they_spend() {
     let names = ["jpeg2000-published", "jpeg2000-planes", "avif-planes"];
-    let report = run(&CodecOptions { ks: vec![4], sequence: None, ..options(&names) }).unwrap();
+    let mut options = CodecOptions { sequence: None, ..options(&names) };
+    options.subject.ks = vec![4];
+    let report = run(&options).unwrap();
     let uncoded = report.uncoded.iter().find(|u| u.layering == "equal-transmittance").unwrap();
     for name in names {
         for turn in 0..2 {

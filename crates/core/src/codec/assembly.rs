@@ -132,15 +132,26 @@ impl Band {
             (None, Some(refinement)) => (refinement, None),
             (None, None) => return ends.fill(offset),
         };
+        let Some(other) = other else {
+            depth.copy_from_slice(&one.depth);
+            c_rg.copy_from_slice(&one.c_rg);
+            c_b_tau.copy_from_slice(&one.c_b_tau);
+            let mut last = offset;
+            for (end, &count) in ends.iter_mut().zip(&one.counts) {
+                last += u32::from(count);
+                *end = last;
+            }
+            return;
+        };
         let mut to = 0;
         let mut from = [0, 0];
         for (list, end) in ends.iter_mut().enumerate() {
-            let mut left = [one.counts[list], other.map_or(0, |o| o.counts[list])];
-            while let Some((chunk, side)) = match (left, other) {
-                ([0, 0], _) | ([0, _], None) => None,
-                ([_, 0], _) | (_, None) => Some((one, 0)),
-                ([0, _], Some(other)) => Some((other, 1)),
-                ([_, _], Some(other)) => {
+            let mut left = [one.counts[list], other.counts[list]];
+            while let Some((chunk, side)) = match left {
+                [0, 0] => None,
+                [_, 0] => Some((one, 0)),
+                [0, _] => Some((other, 1)),
+                [_, _] => {
                     // Fronts are in the low bits; segments are disjoint, so their fronts give the order.
                     let is_nearer = one.depth[from[0]] as u16 > other.depth[from[1]] as u16;
                     Some(if is_nearer { (other, 1) } else { (one, 0) })

@@ -1,49 +1,53 @@
-//! The planes of a chunk and their contexts, and the two sides of coding a number in one: [`Recorder`] and [`Reader`].
+//! The planes of a chunk and their contexts, and the two sides of coding a number in one: [`PlaneRecorder`] and [`PlaneReader`].
 
 use super::rans::{
-    BitReader, BitWriter, Counts, DecodeTable, EncodeTable, Frequencies, Stream, TOKENS, TokenWriter,
+    BitReader, BitWriter, Counts, DecodeTable, EncodeTables, Frequencies, Stream, TOKENS, TokenWriter,
     frequencies, frequency_bits, token,
 };
 
-/// One side of coding: walks over the segments call this for every number, in the same order on both sides.
-pub(super) trait Coder {
-    /// Codes a number of a plane in one of the plane's contexts. An encoder asks for it, a decoder tells it.
-    fn code(&mut self, plane: usize, context: usize, given: impl FnOnce() -> u32) -> u32;
+/// One side of coding a plane: walks over the segments call this for every number, in the same order on both sides.
+pub(super) trait Plane: Default {
+    /// Codes a number in a context. An encoder asks for it, a decoder tells it. `IS_SMALL` says that most are below 16.
+    fn code<const IS_SMALL: bool>(&mut self, context: usize, given: impl FnOnce() -> u32) -> u32;
 }
 
-/// Notes down numbers until the statistics of all are known.
+/// Notes down the numbers of all planes until their statistics are known.
 pub(super) struct Recorder {
-    counts: Vec<Counts>,
-    /// Context and token of each number.
-    symbols: [Vec<u16>; NUM_PLANES],
-    raw: [BitWriter; NUM_PLANES],
+    pub(super) planes: [PlaneRecorder; NUM_PLANES],
+    tables: EncodeTables,
     writers: [TokenWriter; NUM_PLANES],
-    tables: Vec<EncodeTable>,
 }
 
 impl Default for Recorder {
     fn default() -> Self {
         Self {
-            counts: vec![[0; TOKENS]; NUM_CONTEXTS],
-            symbols: Default::default(),
-            raw: Default::default(),
+            planes: CONTEXTS.map(|contexts| PlaneRecorder {
+                counts: vec![[0; TOKENS]; contexts],
+                ..PlaneRecorder::default()
+            }),
+            tables: EncodeTables::default(),
             writers: Default::default(),
-            tables: vec![],
         }
     }
 }
 
-impl Coder for Recorder {
+/// The numbers of a plane.
+#[derive(Default)]
+pub(super) struct PlaneRecorder {
+    counts: Vec<Counts>,
+    /// Context and token of each number.
+    symbols: Vec<u16>,
+    raw: BitWriter,
+}
+
+impl Plane for PlaneRecorder {
     #[inline(always)]
-    fn code(&mut self, plane: usize, context: usize, given: impl FnOnce() -> u32) -> u32 {
+    fn code<const IS_SMALL: bool>(&mut self, context: usize, given: impl FnOnce() -> u32) -> u32 {
         let number = given();
-        let context = FIRST_CONTEXT[plane] + context;
         let (token, bits, rest) = token(number);
-        self.counts[context][usize::from(token)] += 1;
-        self.symbols[plane].push((context << TOKEN_BITS) as u16 | u16::from(token));
-        if bits > 0 {
-            self.raw[plane].push(rest, bits);
-        }
+        self.counts[context][usize::from(token) % TOKENS] += 1;
+        self.symbols.push((context << TOKEN_BITS) as u16 | u16::from(token));
+        self.raw.push(rest, bits);
         number
     }
 }
@@ -61,71 +65,65 @@ impl Recorder {
             number += 1;
             from = bytes.len();
         };
-        let table_of = self.write_tables(bytes);
+        self.write_tables(bytes);
         close(bytes);
 
-        // From the last number to the first, as decoding goes the other way; the planes of segments side by side, since
-        // each state waits for itself alone.
-        let mut push = |plane: usize, number: usize| {
-            let symbol = self.symbols[plane][number];
-            let table = &self.tables[usize::from(table_of[usize::from(symbol >> TOKEN_BITS)])];
-            self.writers[plane].push(table, symbol as u8 & (TOKENS - 1) as u8);
-        };
-        for list in (0..self.symbols[LENGTHS].len()).rev() {
-            push(LENGTHS, list);
-        }
-        for segment in (0..self.symbols[FRONT].len()).rev() {
-            for plane in FRONT..NUM_PLANES {
-                push(plane, segment);
-            }
-        }
-        for plane in 0..NUM_PLANES {
-            self.writers[plane].finish(bytes);
+        let Self { planes, tables, writers } = self;
+        let [lists, segments @ ..] = planes;
+        let [of_lists, of_segments @ ..] = writers;
+        // The planes of segments side by side, since each state waits for itself alone.
+        let first = |plane: usize| FIRST_CONTEXT[plane] << TOKEN_BITS;
+        tables.push([of_lists], [(&lists.symbols, first(LENGTHS))]);
+        let first = std::array::from_fn(|plane| first(FRONT + plane));
+        let mut number = 0;
+        let symbols = segments.each_ref().map(|plane| {
+            number += 1;
+            (&plane.symbols[..], first[number - 1])
+        });
+        let _: [usize; NUM_PLANES - 1] = first;
+        tables.push(of_segments.each_mut(), symbols);
+        for (plane, writer) in planes.iter_mut().zip(writers) {
+            writer.finish(bytes);
             close(bytes);
-            self.raw[plane].finish(bytes);
+            plane.raw.finish(bytes);
             close(bytes);
-            self.symbols[plane].clear();
+            plane.symbols.clear();
+            plane.counts.fill([0; TOKENS]);
         }
-        self.counts.fill([0; TOKENS]);
     }
 
-    /// Appends the tables, and fills `self.tables`; says which is whose. Neighbouring contexts share a table where two
-    /// would take more bits than they save.
-    fn write_tables(&mut self, bytes: &mut Vec<u8>) -> [u8; NUM_CONTEXTS] {
-        let mut table_of = [0; NUM_CONTEXTS];
+    /// Appends the tables, and fills `self.tables`. Neighbouring contexts share a table where two would take more bits than
+    /// they save.
+    fn write_tables(&mut self, bytes: &mut Vec<u8>) {
         let mut bits = BitWriter::default();
         self.tables.clear();
-        for plane in 0..NUM_PLANES {
-            let mut sharing = Sharing::new(self.counts[FIRST_CONTEXT[plane]]);
+        for plane in &self.planes {
+            let (first, others) = plane.counts.split_first().expect("a plane has contexts");
+            let mut sharing = Sharing::new(*first);
+            let mut num_sharing = 1;
             let mut shared = vec![];
-            for context in FIRST_CONTEXT[plane] + 1..FIRST_CONTEXT[plane + 1] {
-                let alone = Sharing::new(self.counts[context]);
+            for counts in others {
+                let alone = Sharing::new(*counts);
                 let together = Sharing::new(sum(&sharing.counts, &alone.counts));
                 if together.bits <= sharing.bits + alone.bits {
                     sharing = together;
                 } else {
-                    shared.push((context, std::mem::replace(&mut sharing, alone)));
+                    shared.push((num_sharing, std::mem::replace(&mut sharing, alone)));
+                    num_sharing = 0;
                 }
+                num_sharing += 1;
             }
-            shared.push((FIRST_CONTEXT[plane + 1], sharing));
-            let mut context = FIRST_CONTEXT[plane];
-            for (end, Sharing { frequencies, .. }) in shared {
-                let table = self.tables.len() as u8;
-                self.tables.push(EncodeTable::new(&frequencies));
-                for (number, table_of) in table_of[context..end].iter_mut().enumerate() {
-                    *table_of = table;
-                    if context + number > FIRST_CONTEXT[plane] {
-                        bits.push(u32::from(number > 0), 1);
-                    }
-                    if number == 0 {
-                        bits.frequencies(&frequencies);
-                    }
+            shared.push((num_sharing, sharing));
+            for (number, (num_contexts, Sharing { frequencies, .. })) in shared.into_iter().enumerate() {
+                if number > 0 {
+                    bits.push(0, 1);
                 }
-                context = end;
+                bits.frequencies(&frequencies);
+                (1..num_contexts).for_each(|_| bits.push(1, 1));
+                self.tables.add(&frequencies, num_contexts);
             }
         }
         bits.finish(bytes);
-        table_of
     }
 }
 
@@ -153,53 +151,48 @@ fn sum(a: &Counts, b: &Counts) -> Counts {
     std::array::from_fn(|i| a[i] + b[i])
 }
 
-/// Reads numbers back.
-pub(super) struct Reader<'a> {
-    tables: Box<[DecodeTable; MAX_CONTEXTS]>,
-    streams: [Stream<'a>; NUM_PLANES],
+/// Reads the numbers of a plane back.
+#[derive(Default)]
+pub(super) struct PlaneReader<'a> {
+    tables: Vec<DecodeTable>,
+    stream: Stream<'a>,
 }
 
-impl Coder for Reader<'_> {
+impl Plane for PlaneReader<'_> {
     #[inline(always)]
-    fn code(&mut self, plane: usize, context: usize, _: impl FnOnce() -> u32) -> u32 {
-        let table = &self.tables[(FIRST_CONTEXT[plane] + context) % MAX_CONTEXTS];
-        // Most numbers of these planes are small: a branch then costs less than reading no bits.
-        if plane == FRONT || plane == TAU {
-            self.streams[plane].next_small(table)
-        } else {
-            self.streams[plane].next(table)
-        }
+    fn code<const IS_SMALL: bool>(&mut self, context: usize, _: impl FnOnce() -> u32) -> u32 {
+        let table = &self.tables[context];
+        // A branch then costs less than reading no bits.
+        if IS_SMALL { self.stream.next_small(table) } else { self.stream.next(table) }
     }
 }
 
-impl<'a> Reader<'a> {
-    /// From what [`Recorder::finish`] has appended, split by [`parts`].
-    pub(super) fn new(parts: &[&'a [u8]; NUM_PARTS]) -> Result<Self, &'static str> {
-        let mut bits = BitReader::new(parts[0]);
-        let mut tables = Vec::with_capacity(MAX_CONTEXTS);
-        for plane in 0..NUM_PLANES {
-            for context in FIRST_CONTEXT[plane]..FIRST_CONTEXT[plane + 1] {
-                let shared = context > FIRST_CONTEXT[plane] && bits.take(1) == 1;
-                let table = match tables.last() {
-                    Some(last) if shared => DecodeTable::clone(last),
-                    _ => DecodeTable::new(&bits.frequencies()?),
-                };
-                tables.push(table);
-            }
-        }
-        if !bits.ended() {
-            return Err("too long or too short");
-        }
-        tables.resize(MAX_CONTEXTS, DecodeTable::EMPTY);
-        let tables = tables.into_boxed_slice().try_into().map_err(|_| "too many")?;
-        let streams = std::array::from_fn(|plane| Stream::new(parts[1 + 2 * plane], parts[2 + 2 * plane]));
-        Ok(Self { tables, streams })
+impl PlaneReader<'_> {
+    /// Whether the stream ends here as an encoder's would.
+    pub(super) fn ended(&self) -> bool {
+        self.stream.ended()
     }
+}
 
-    /// The first plane in use whose stream does not end where an encoder's would.
-    pub(super) fn unended(&self) -> Option<usize> {
-        self.streams.iter().position(|stream| !stream.ended())
+/// Readers of what [`Recorder::finish`] has appended, split by [`parts`].
+pub(super) fn readers<'a>(
+    parts: &[&'a [u8]; NUM_PARTS],
+) -> Result<[PlaneReader<'a>; NUM_PLANES], &'static str> {
+    let mut bits = BitReader::new(parts[0]);
+    let mut readers: [PlaneReader<'a>; NUM_PLANES] = Default::default();
+    for (plane, reader) in readers.iter_mut().enumerate() {
+        reader.tables.reserve_exact(CONTEXTS[plane]);
+        for context in 0..CONTEXTS[plane] {
+            let shared = context > 0 && bits.take(1) == 1;
+            let table = match reader.tables.last() {
+                Some(last) if shared => DecodeTable::clone(last),
+                _ => DecodeTable::new(&bits.frequencies()?),
+            };
+            reader.tables.push(table);
+        }
+        reader.stream = Stream::new(parts[1 + 2 * plane], parts[2 + 2 * plane]);
     }
+    if bits.ended() { Ok(readers) } else { Err("too long or too short") }
 }
 
 /// Splits what [`Recorder::finish`] has appended: the tables, then tokens and raw bits of every plane. The error is the
@@ -217,13 +210,8 @@ pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; NUM_PARTS], (usize, usize, u
 }
 
 pub(super) const LENGTHS: usize = 0;
-pub(super) const FRONT: usize = 1;
-pub(super) const BACK: usize = 2;
-pub(super) const TAU: usize = 3;
-pub(super) const GREEN: usize = 4;
-pub(super) const RED: usize = 5;
-pub(super) const BLUE: usize = 6;
-/// Planes that are coded: one number a list in the first, one a segment in the others.
+const FRONT: usize = 1;
+/// Planes that are coded: lengths with one number a list; front, back, τ, green, red and blue with one a segment.
 pub(super) const NUM_PLANES: usize = 7;
 /// Tables, and tokens and raw bits of each plane.
 pub(super) const NUM_PARTS: usize = 1 + 2 * NUM_PLANES;
@@ -242,10 +230,4 @@ const FIRST_CONTEXT: [usize; NUM_PLANES + 1] = {
     }
     first
 };
-const NUM_CONTEXTS: usize = FIRST_CONTEXT[NUM_PLANES];
 const TOKEN_BITS: u32 = TOKENS.ilog2();
-
-/// Room for tables: a power of two, so that no place is outside.
-const MAX_CONTEXTS: usize = 256;
-
-const _: () = assert!(NUM_CONTEXTS <= MAX_CONTEXTS && MAX_CONTEXTS <= 256, "a table's number is a byte");

@@ -21,6 +21,7 @@ mod planes;
 mod predict;
 mod quantize;
 mod rans;
+mod rows;
 mod scale;
 #[cfg(test)]
 mod tests;

@@ -4,11 +4,13 @@
 use std::cell::RefCell;
 
 use super::contexts::{
-    Coder, DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, Reader, Recorder, parts,
+    DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, Plane, PlaneReader, Recorder, parts,
+    readers,
 };
 use super::header::{ChunkHeader, HEADER_BYTES, num_tiles, peek};
-use super::predict::{self, Misordered, Row};
-use super::quantize::{Code, Lists};
+use super::predict::{self, Misordered};
+use super::quantize::Lists;
+use super::rows::Rows;
 use super::scale::{self, Scale};
 use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
 
@@ -42,14 +44,15 @@ pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<V
         return Ok(payload);
     }
     RECORDER.with_borrow_mut(|recorder| {
-        walk_lengths(recorder, &tiles, counts, width);
-        let mut above = Row { counts: &[], codes: &[] };
-        let mut rest = &mut codes[..];
+        walk_lengths(&mut recorder.planes[LENGTHS], &tiles, counts, width);
+        let mut rows = Rows::new(scale, counts, width);
+        let mut rest = &codes[..];
         for counts in counts.chunks_exact(width) {
-            let (codes, below) = std::mem::take(&mut rest).split_at_mut(num_segments(counts));
+            rows.advance(counts);
+            let (codes, below) = rest.split_at(num_segments(counts));
             rest = below;
-            predict::row(recorder, scale, above, counts, codes).map_err(misordered)?;
-            above = Row { counts, codes };
+            rows.fill(counts, codes);
+            predict::row(&mut recorder.planes, scale, &mut rows, counts).map_err(misordered)?;
         }
         recorder.finish(&mut payload);
         Ok(payload)
@@ -67,9 +70,9 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     }
     let scale = scale::of(header.color_bits)?;
     let parts = split_parts(streams)?;
-    let mut reader = Reader::new(&parts).map_err(|problem| damaged(TABLES, problem))?;
+    let mut readers = readers(&parts).map_err(|problem| damaged(TABLES, problem))?;
     let width = intrinsics.width as usize;
-    walk_lengths(&mut reader, &tiles, &mut counts, width);
+    walk_lengths(&mut readers[LENGTHS], &tiles, &mut counts, width);
     let limit = header.frame.k;
     if let Some(count) = counts.iter().find(|&&count| count > limit) {
         let problem = format!("a list of {count} segments, expected at most {limit}");
@@ -83,20 +86,17 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     let mut depth = Vec::with_capacity(num_segments);
     let mut c_rg = Vec::with_capacity(num_segments);
     let mut c_b_tau = Vec::with_capacity(num_segments);
-    // Predictions look one row back, so no more is kept in the form they need.
-    let (mut above, mut codes): (Vec<Code>, Vec<Code>) = Default::default();
-    let mut counts_above = &[][..];
+    let mut rows = Rows::new(scale, &counts, width);
     for counts in counts.chunks_exact(width) {
-        codes.resize(self::num_segments(counts), Code::default());
-        let row = Row { counts: counts_above, codes: &above };
-        predict::row(&mut reader, scale, row, counts, &mut codes).map_err(misordered)?;
-        depth.extend(codes.iter().map(|s| u32::from(s.front) | u32::from(s.back) << 16));
-        c_rg.extend(codes.iter().map(|s| half_c(s.c[0]) | half_c(s.c[1]) << 16));
-        c_b_tau.extend(codes.iter().map(|s| half_c(s.c[2]) | half_tau(s.tau) << 16));
-        std::mem::swap(&mut above, &mut codes);
-        counts_above = counts;
+        rows.advance(counts);
+        predict::row(&mut readers, scale, &mut rows, counts).map_err(misordered)?;
+        let slots = rows.links.iter().map(|link| link.slot as usize);
+        depth.extend(slots.clone().map(|slot| rows.depths[slot]));
+        let matters = slots.map(|slot| &rows.matters[slot]);
+        c_rg.extend(matters.clone().map(|m| half_c(m.c[0]) | half_c(m.c[1]) << 16));
+        c_b_tau.extend(matters.map(|m| half_c(m.c[2]) | half_tau(m.tau) << 16));
     }
-    match reader.unended() {
+    match readers.iter().position(|plane| !PlaneReader::ended(plane)) {
         Some(plane) => Err(damaged(PLANE_NAMES[plane], "its stream does not end with its last number")),
         None => Ok(DecodedChunk { header, counts, depth, c_rg, c_b_tau }),
     }
@@ -179,7 +179,7 @@ impl Tiles {
 }
 
 /// Codes the lengths of the lists, `width` to a row, of all tiles that hold any; a decoder fills them in.
-fn walk_lengths<C: Coder>(coder: &mut C, tiles: &Tiles, counts: &mut [u8], width: usize) {
+fn walk_lengths<P: Plane>(plane: &mut P, tiles: &Tiles, counts: &mut [u8], width: usize) {
     for y in 0..counts.len() / width {
         let (above, row) = counts.split_at_mut(y * width);
         let above = above.len().checked_sub(width).map_or(&[][..], |start| &above[start..]);
@@ -188,7 +188,7 @@ fn walk_lengths<C: Coder>(coder: &mut C, tiles: &Tiles, counts: &mut [u8], width
                 let left = if x > 0 { row[x - 1] } else { 0 };
                 let context = predict::length_context(left, above.get(x).copied().unwrap_or(0));
                 let given = row[x];
-                row[x] = coder.code(LENGTHS, context, || given.into()).min(u8::MAX.into()) as u8;
+                row[x] = plane.code::<false>(context, || given.into()).min(u8::MAX.into()) as u8;
             }
         }
     }

@@ -16,21 +16,11 @@ use crate::layer::{LayeredFrame, MAX_K};
 
 /// One quantised segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(align(16))]
 pub(super) struct Code {
     pub(super) front: u16,
     pub(super) back: u16,
     pub(super) c: [u16; 3],
     pub(super) tau: u8,
-    /// log₂ of the extinction ([`Scale::log_extinction`]), which follows from the others.
-    pub(super) log_extinction: i16,
-}
-
-impl Code {
-    pub(super) fn new(scale: &Scale, front: u16, back: u16, c: [u16; 3], tau: u8) -> Self {
-        let log_extinction = scale.log_extinction(tau, back.wrapping_sub(front));
-        Self { front, back, c, tau, log_extinction }
-    }
 }
 
 /// Consecutive lists: their lengths, and their segments one list after the other.
@@ -121,7 +111,7 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Q
         let transmittance = scale.transmittance[usize::from(tau_code)];
         let alpha = 1.0 - transmittance;
         *out = Quantized {
-            code: Code::new(scale, s.front, s.back, c_code, tau_code),
+            code: Code { front: s.front, back: s.back, c: c_code, tau: tau_code },
             visible: alpha * kappa_coded,
             rank: alpha * kappa_coded.max(RANK_FLOOR),
         };

@@ -9,6 +9,8 @@
 //! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`Stream::ended`] says in
 //! the end whether it was the one that an encoder made.
 
+use std::hint::select_unpredictable;
+
 /// Tokens that a table can tell apart.
 pub(super) const TOKENS: usize = 64;
 /// Sum of the frequencies of a table.
@@ -17,6 +19,7 @@ const SLOT_BITS: u32 = 12;
 /// Slots of a bucket.
 const BUCKET: u32 = SLOTS / TOKENS as u32;
 const BUCKET_BITS: u32 = 6;
+const FREQUENCY_BIT: u32 = 18;
 /// Least state between two tokens, and the state of an encoder that has not coded anything.
 const LEAST_STATE: u32 = 1 << 16;
 /// Numbers that are a token of their own.
@@ -29,11 +32,11 @@ pub(super) type Frequencies = [u16; TOKENS];
 
 /// The token of a number below 2¹⁷, how many raw bits follow it, and those bits.
 pub(super) fn token(number: u32) -> (u8, u32, u32) {
-    if number < SMALL {
-        return (number as u8, 0, 0);
-    }
-    let bits = number.ilog2() - 1;
-    ((SMALL - 8 + 2 * bits + (number >> bits)) as u8, bits, number & ((1 << bits) - 1))
+    // Which of the two it is can hardly be foretold: no branch.
+    let octave = (number | (SMALL - 1)).ilog2();
+    let bits = select_unpredictable(number < SMALL, 0, octave - 1);
+    let first = select_unpredictable(number < SMALL, 0, SMALL - 10 + 2 * octave);
+    ((first + (number >> bits)) as u8, bits, number & ((1 << bits) - 1))
 }
 
 /// Least number of each token in the low 24 bits, and how many raw bits complete it. Tokens that no number has are
@@ -163,60 +166,75 @@ impl Stack {
     }
 }
 
-/// How a decoder sees a table.
+/// How a decoder sees a table: a word for each bucket. From its low bits up: 7 of the slots that are the bucket's own
+/// token's, 11 unused, 13 of that token's frequency; from bit 32 on, of the other token, 6 of the token, 12 of what is to be
+/// added to a place in the bucket to give the number of the slot among those of the token, modulo 2¹², 13 of its frequency.
 #[derive(Clone)]
-pub(super) struct DecodeTable {
-    /// Slots of a bucket that are its own token's.
-    cutoff: [u8; TOKENS],
-    /// For the bucket's own token and the other one, from the low bits up: 6 of the token, 12 of what is to be added to a
-    /// place in the bucket to give the number of the slot among those of the token, modulo 2¹², 13 of its frequency.
-    entries: [[u32; 2]; TOKENS],
-}
+#[repr(align(64))]
+pub(super) struct DecodeTable([u64; TOKENS]);
 
 impl DecodeTable {
-    /// A table without any slot.
-    pub(super) const EMPTY: Self = Self { cutoff: [0; TOKENS], entries: [[0; 2]; TOKENS] };
-
     /// The table of these frequencies.
     pub(super) fn new(frequencies: &Frequencies) -> Self {
         let alias = Alias::new(frequencies);
-        let entry = |token: usize, add: u16| {
-            token as u32 | (u32::from(add) % SLOTS) << 6 | u32::from(frequencies[token]) << 18
-        };
-        Self {
-            cutoff: alias.cutoff.map(|slots| slots as u8),
-            entries: std::array::from_fn(|i| {
-                [entry(i, 0), entry(alias.other[i].into(), alias.start[i].wrapping_sub(alias.cutoff[i]))]
-            }),
-        }
+        Self(std::array::from_fn(|i| {
+            let other = usize::from(alias.other[i]);
+            let add = alias.start[i].wrapping_sub(alias.cutoff[i]);
+            let of_other =
+                other as u32 | (u32::from(add) % SLOTS) << 6 | u32::from(frequencies[other]) << FREQUENCY_BIT;
+            let of_own = u32::from(alias.cutoff[i]) | u32::from(frequencies[i]) << FREQUENCY_BIT;
+            u64::from(of_other) << 32 | u64::from(of_own)
+        }))
     }
 }
 
-/// How an encoder sees a table.
-#[derive(Clone)]
-pub(super) struct EncodeTable {
-    /// For each token its frequency and the place of its first slot in `slots`.
-    tokens: [(u16, u16); TOKENS],
-    /// The slots of every token in order.
-    slots: [u16; SLOTS as usize],
+/// How an encoder sees the tables of many contexts.
+#[derive(Default)]
+pub(super) struct EncodeTables {
+    /// [`TOKENS`] for each context.
+    tokens: Vec<EncodeToken>,
+    /// The slots of each table, those of every token in order.
+    slots: Vec<u16>,
 }
 
-impl EncodeTable {
-    /// The table of these frequencies.
-    pub(super) fn new(frequencies: &Frequencies) -> Self {
-        let mut tokens = [(0, 0); TOKENS];
-        let mut sum = 0u16;
-        for (token, &frequency) in tokens.iter_mut().zip(frequencies) {
-            *token = (frequency, sum);
-            sum = sum.wrapping_add(frequency);
-        }
-        let mut slots = [0; SLOTS as usize];
+/// A token in a context.
+#[derive(Clone, Copy, Default)]
+struct EncodeToken {
+    /// ⌊2⁴⁴/f⌋ + 1. Its product with a state x < f·2²⁰ is below 2⁶⁴ and 2⁴⁴·x/f plus at most x, less than 2⁴⁴/f: the upper
+    /// bits are ⌊x/f⌋.
+    inverse: u64,
+    /// How often it occurs, f; at least 1.
+    frequency: u32,
+    /// Place of its first slot.
+    first: u32,
+}
+
+impl EncodeTables {
+    /// Forgets all tables.
+    pub(super) fn clear(&mut self) {
+        self.tokens.clear();
+        self.slots.clear();
+    }
+
+    /// Appends a table for so many contexts.
+    pub(super) fn add(&mut self, frequencies: &Frequencies, num_contexts: usize) {
+        let first_slot = self.slots.len();
+        let first_token = self.tokens.len();
+        let mut sum = first_slot as u32;
+        self.tokens.extend(frequencies.iter().map(|&frequency| {
+            let first = sum;
+            sum += u32::from(frequency);
+            let frequency = u32::from(frequency.max(1));
+            EncodeToken { inverse: (1 << 44) / u64::from(frequency) + 1, frequency, first }
+        }));
+        self.slots.resize(first_slot + SLOTS as usize, 0);
+        let (tokens, slots) = (&self.tokens[first_token..], &mut self.slots);
         let alias = Alias::new(frequencies);
         for bucket in 0..TOKENS {
             let cutoff = alias.cutoff[bucket];
             let first = bucket as u16 * BUCKET as u16;
             let mut fill = |token: usize, number: u16, slots_of_bucket: std::ops::Range<u16>| {
-                let to = usize::from(tokens[token].1 + number);
+                let to = tokens[token].first as usize + usize::from(number);
                 for (slot, i) in slots[to..].iter_mut().zip(slots_of_bucket) {
                     *slot = first + i;
                 }
@@ -224,7 +242,47 @@ impl EncodeTable {
             fill(bucket, 0, 0..cutoff);
             fill(alias.other[bucket].into(), alias.start[bucket], cutoff..BUCKET as u16);
         }
-        Self { tokens, slots }
+        for _ in 1..num_contexts {
+            self.tokens.extend_from_within(first_token..first_token + TOKENS);
+        }
+    }
+
+    /// Codes planes of equally many tokens side by side, the last ones first. A token comes as 64 times its context in the
+    /// plane and itself; with each plane comes 64 times its first context. Every token must occur in its table.
+    pub(super) fn push<const N: usize>(
+        &self,
+        mut writers: [&mut TokenWriter; N],
+        planes: [(&[u16], usize); N],
+    ) {
+        let num_tokens = planes.iter().map(|(symbols, _)| symbols.len()).min().unwrap_or(0);
+        let planes = planes.map(|(symbols, first)| (&symbols[..num_tokens], &self.tokens[first..]));
+        let mut states = writers.each_ref().map(|writer| writer.state);
+        for writer in &mut writers {
+            writer.words.clear();
+            // At most one a token; the last ones are the first.
+            writer.words.resize(num_tokens, 0);
+        }
+        let words = writers.each_mut().map(|writer| &mut writer.words[..num_tokens]);
+        let mut at = [0; N];
+        for number in (0..num_tokens).rev() {
+            for plane in 0..N {
+                let (symbols, tokens) = planes[plane];
+                let token = &tokens[usize::from(symbols[number])];
+                let state = states[plane];
+                words[plane][at[plane]] = state as u16;
+                let is_high = u64::from(state) >= u64::from(token.frequency) << (32 - SLOT_BITS);
+                at[plane] += usize::from(is_high);
+                let state = select_unpredictable(is_high, state >> 16, state);
+                let quotient = (u64::from(state).wrapping_mul(token.inverse) >> 44) as u32;
+                let rest = state.wrapping_sub(quotient.wrapping_mul(token.frequency));
+                let slot = self.slots[(token.first + rest) as usize];
+                states[plane] = quotient << SLOT_BITS | u32::from(slot);
+            }
+        }
+        for plane in 0..N {
+            writers[plane].state = states[plane];
+            writers[plane].words.truncate(at[plane]);
+        }
     }
 }
 
@@ -241,20 +299,6 @@ impl Default for TokenWriter {
 }
 
 impl TokenWriter {
-    /// Puts a token that occurs in the table in front of the ones before.
-    #[inline]
-    pub(super) fn push(&mut self, table: &EncodeTable, token: u8) {
-        let (frequency, first) = table.tokens[usize::from(token) % TOKENS];
-        let frequency = u32::from(frequency.max(1));
-        if u64::from(self.state) >= u64::from(frequency) << (32 - SLOT_BITS) {
-            self.words.push(self.state as u16);
-            self.state >>= 16;
-        }
-        let (quotient, rest) = (self.state / frequency, self.state % frequency);
-        let slot = table.slots[(u32::from(first) + rest) as usize % SLOTS as usize];
-        self.state = quotient << SLOT_BITS | u32::from(slot);
-    }
-
     /// Appends the stream to `bytes` and begins another.
     pub(super) fn finish(&mut self, bytes: &mut Vec<u8>) {
         bytes.extend_from_slice(&self.state.to_le_bytes());
@@ -309,6 +353,7 @@ impl BitWriter {
 }
 
 /// Bits of bytes, lowest first; zeros after the end.
+#[derive(Default)]
 pub(super) struct BitReader<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -326,16 +371,11 @@ impl<'a> BitReader<'a> {
         let byte = self.at / 8;
         let word = match self.bytes.get(byte..byte + 4).map(<[u8; 4]>::try_from) {
             Some(Ok(word)) => u32::from_le_bytes(word),
-            _ => self.last_word(byte),
+            _ => last_word(self.bytes, byte),
         };
         let bits = word >> (self.at % 8) & ((1 << count) - 1);
         self.at += count as usize;
         bits
-    }
-
-    #[cold]
-    fn last_word(&self, byte: usize) -> u32 {
-        u32::from_le_bytes(std::array::from_fn(|i| self.bytes.get(byte + i).copied().unwrap_or(0)))
     }
 
     /// Whether the last bit taken lies in the last byte.
@@ -367,7 +407,13 @@ impl<'a> BitReader<'a> {
     }
 }
 
+#[cold]
+fn last_word(bytes: &[u8], byte: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes.get(byte + i).copied().unwrap_or(0)))
+}
+
 /// The numbers of a plane, read from its tokens and raw bits.
+#[derive(Default)]
 pub(super) struct Stream<'a> {
     state: u32,
     words: &'a [[u8; 2]],
@@ -403,15 +449,16 @@ impl<'a> Stream<'a> {
 
     #[inline(always)]
     fn token(&mut self, table: &DecodeTable) -> usize {
-        let bucket = (self.state >> BUCKET_BITS) as usize % TOKENS;
+        let bucket = self.state >> BUCKET_BITS & (TOKENS - 1) as u32;
         let within = self.state % BUCKET;
-        let is_other = within >= u32::from(table.cutoff[bucket]);
-        let entry = table.entries[bucket][usize::from(is_other)];
-        let number = (within + (entry >> 6)) % SLOTS;
-        let state = (entry >> 18).wrapping_mul(self.state >> SLOT_BITS).wrapping_add(number);
+        let word = table.0[bucket as usize];
+        let own = word as u32 >> FREQUENCY_BIT << FREQUENCY_BIT | bucket;
+        let entry = select_unpredictable(within >= word as u32 & 0x7f, (word >> 32) as u32, own);
+        let number = (within + (entry >> 6 & 0xfff)) % SLOTS;
+        let state = (entry >> FREQUENCY_BIT).wrapping_mul(self.state >> SLOT_BITS).wrapping_add(number);
         let word = self.words.get(self.at).map_or(0, |&word| u16::from_le_bytes(word).into());
         let is_low = state < LEAST_STATE;
-        self.state = if is_low { state << 16 | word } else { state };
+        self.state = select_unpredictable(is_low, state << 16 | word, state);
         self.at += usize::from(is_low);
         entry as usize % TOKENS
     }
@@ -455,14 +502,16 @@ mod tests {
             let frequencies = frequencies(&counts);
             assert_eq!(frequencies.iter().map(|&f| u32::from(f)).sum::<u32>(), SLOTS);
             assert!(counts.iter().zip(frequencies).all(|(&c, f)| c == 0 || f > 0));
-            let table = EncodeTable::new(&frequencies);
-            let mut slots = table.slots;
+            let mut tables = EncodeTables::default();
+            tables.add(&frequencies, 1);
+            let mut slots = tables.slots.clone();
             slots.sort_unstable();
             assert!(slots.into_iter().eq(0..SLOTS as u16));
             let decode = DecodeTable::new(&frequencies);
-            for (token, &(frequency, first)) in table.tokens.iter().enumerate() {
+            for (token, &EncodeToken { first, .. }) in tables.tokens.iter().enumerate() {
+                let frequency = frequencies[token];
                 for number in 0..frequency {
-                    let slot = u32::from(table.slots[usize::from(first + number)]);
+                    let slot = u32::from(tables.slots[usize::from(number) + first as usize]);
                     let state = (1 << 16 | slot).to_le_bytes();
                     let mut stream = Stream::new(&state, &[]);
                     assert_eq!(stream.next(&decode), NUMBERS[token] & 0xff_ffff);
@@ -480,6 +529,26 @@ mod tests {
             assert_eq!(reader.frequencies(), Ok(frequencies));
             assert!(reader.ended());
         }
+    }
+
+    #[test]
+    fn states_are_divided_without_division() {
+        for frequency in 1..=SLOTS {
+            let inverse = (1 << 44) / u64::from(frequency) + 1;
+            let divided = |state: u32| (u64::from(state).wrapping_mul(inverse) >> 44) as u32;
+            // The greatest state of each quotient, and the least of the next, are where an error shows first.
+            let last = (u64::from(frequency) << (32 - SLOT_BITS)) - 1;
+            for quotient in [1, 2, 3, 4097, 65_537, (1 << 20) - 2, (1 << 20) - 1u64] {
+                let least = (quotient * u64::from(frequency)).min(last) as u32;
+                for state in
+                    [least - 1, least, least.saturating_add(frequency - 1).min(last as u32), last as u32]
+                {
+                    assert_eq!(divided(state), state / frequency, "{state} / {frequency}");
+                }
+            }
+        }
+        // One less is too little where a state is a multiple.
+        assert_ne!((u64::from(3 * 4095u32) * ((1 << 44) / 4095)) >> 44, 3);
     }
 
     #[test]
@@ -503,12 +572,13 @@ mod tests {
                 (table, token.unwrap() as u8)
             })
             .collect();
-        let encode = frequencies.each_ref().map(EncodeTable::new);
+        let mut encode = EncodeTables::default();
+        frequencies.iter().for_each(|of_table| encode.add(of_table, 1));
         let decode = frequencies.each_ref().map(DecodeTable::new);
         let mut writer = TokenWriter::default();
-        for &(table, token) in symbols.iter().rev() {
-            writer.push(&encode[table], token);
-        }
+        let coded: Vec<u16> =
+            symbols.iter().map(|&(table, token)| (table * TOKENS) as u16 + u16::from(token)).collect();
+        encode.push([&mut writer], [(&coded, 0)]);
         let mut raw = BitWriter::default();
         let mut entropy = 0.0;
         for &(table, token) in &symbols {

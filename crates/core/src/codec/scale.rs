@@ -89,22 +89,25 @@ impl Scale {
     }
 
     /// How many times the colour code of matter of one optical depth is that of the same matter of another, √(α'/α), in
-    /// 2⁻¹⁶ and at most 16.
-    pub(super) fn times(&self, from: u8, to: u8) -> u32 {
-        let times = u64::from(self.inverse_sqrt_alpha[usize::from(from)])
-            * u64::from(self.sqrt_alpha[usize::from(to)]);
+    /// 2⁻¹⁶ and at most 16, from 1/√α and the code of that other depth.
+    pub(super) fn times(&self, inverse_sqrt_alpha: u32, to: u8) -> u32 {
+        let times = u64::from(inverse_sqrt_alpha) * u64::from(self.sqrt_alpha[usize::from(to)]);
         (times >> 12).min(16 << 16) as u32
     }
 
-    /// log₂ of the extinction, optical depth by thickness, of a segment: in steps of 1/128.
-    pub(super) fn log_extinction(&self, tau: u8, thickness: u16) -> i16 {
-        self.log_tau[usize::from(tau)] - log_thickness(thickness)
+    /// 1/√α of a code of optical depth, in 2⁻¹².
+    pub(super) fn inverse_sqrt_alpha(&self, tau: u8) -> u32 {
+        self.inverse_sqrt_alpha[usize::from(tau)]
     }
 
-    /// The code of the optical depth that an extinction makes on such a thickness.
-    pub(super) fn tau_from_log(&self, log_extinction: i16, thickness: u16) -> u8 {
-        let log = log_extinction + log_thickness(thickness) - LEAST_LOG_EXTINCTION;
-        self.code_from_log[usize::from(log as u16) % NUM_LOGS]
+    /// log₂ of a code of optical depth in steps of 1/128; less that of a thickness, it is that of the extinction.
+    pub(super) fn log_tau(&self, tau: u8) -> i16 {
+        self.log_tau[usize::from(tau)]
+    }
+
+    /// The code of the optical depth with such a logarithm.
+    pub(super) fn tau_from_log(&self, log: i16) -> u8 {
+        self.code_from_log[usize::from((log - LEAST_LOG_EXTINCTION) as u16) % NUM_LOGS]
     }
 
     /// Greatest code of a colour channel.
@@ -180,7 +183,7 @@ const fn log2_steps(x: f32) -> i16 {
 }
 
 /// [`log2_steps`] of a thickness to 8 bits; 0 counts as 1.
-fn log_thickness(thickness: u16) -> i16 {
+pub(super) fn log_thickness(thickness: u16) -> i16 {
     let exponent = 15 - thickness.max(1).leading_zeros() as i16;
     let mantissa = (thickness << (15 - exponent)) >> 7;
     exponent * LOG_STEPS + i16::from(LOG_MANTISSA[usize::from(mantissa & 0xff)])
@@ -275,20 +278,22 @@ mod tests {
             assert!((exact - 1.73..=exact).contains(&f64::from(log_thickness(z))), "{z}");
         }
         let scale = of(10).unwrap();
+        let extinction = |q: u8, z: u16| scale.log_tau(q) - log_thickness(z);
+        let code = |log: i16, z: u16| scale.tau_from_log(log + log_thickness(z));
         for q in 1..=255u8 {
             for z in [1, 2, 77, 4096, 65_535] {
-                assert_eq!(scale.tau_from_log(scale.log_extinction(q, z), z), q, "{q} {z}");
+                assert_eq!(code(extinction(q, z), z), q, "{q} {z}");
             }
             // Twice the thickness is twice the optical depth, up to half a step, an eighth at most, and two roundings.
-            let twice = scale.tau[usize::from(scale.tau_from_log(scale.log_extinction(q, 50), 100))];
+            let twice = scale.tau[usize::from(code(extinction(q, 50), 100))];
             let expected = (2.0 * scale.tau[usize::from(q)]).min(TAU_MAX);
             assert!((twice / expected - 1.0).abs() < 0.08 || q < 60, "{q} {twice} {expected}");
         }
-        assert_eq!(scale.tau_from_log(LEAST_LOG_EXTINCTION, u16::MAX), 0);
-        assert!(scale.log_extinction(0, u16::MAX) >= LEAST_LOG_EXTINCTION);
-        let most = scale.log_extinction(255, 0) + log_thickness(u16::MAX);
+        assert_eq!(code(LEAST_LOG_EXTINCTION, u16::MAX), 0);
+        assert!(extinction(0, u16::MAX) >= LEAST_LOG_EXTINCTION);
+        let most = extinction(255, 0) + log_thickness(u16::MAX);
         assert!(most < LEAST_LOG_EXTINCTION + NUM_LOGS as i16);
-        assert_eq!(scale.tau_from_log(scale.log_extinction(255, 0), u16::MAX), 255);
+        assert_eq!(code(extinction(255, 0), u16::MAX), 255);
     }
 
     #[test]

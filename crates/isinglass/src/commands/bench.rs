@@ -13,6 +13,7 @@ use isinglass_bench::demo::DemoOptions;
 use isinglass_bench::latency::LatencyMethod;
 use isinglass_bench::output::{exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
+use isinglass_bench::subject::Subject;
 use isinglass_bench::view::Orbit;
 use isinglass_bench::{codec as codecs, latency, quality, scenes, speed};
 use isinglass_core::camera::Intrinsics;
@@ -85,6 +86,20 @@ impl CommonArgs {
             note(&format!("skipped {skipped}"));
         }
         Ok(selection.scenes)
+    }
+
+    /// What is looked at.
+    fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>, backend: BackendChoice) -> Result<Subject> {
+        Ok(Subject {
+            scenes: self.select()?,
+            transfer: self.look.tf.clone(),
+            ks,
+            angles_degrees,
+            orbit: self.orbit,
+            intrinsics: self.intrinsics(),
+            shaded: self.look.is_shaded(),
+            backend,
+        })
     }
 
     fn publish(&self, report: &impl Serialize, table: &str) -> Result<()> {
@@ -264,21 +279,13 @@ fn exit_on_interrupt() -> Result<()> {
 
 fn run_quality(args: QualityArgs) -> Result<()> {
     let common = args.common;
-    let intrinsics = common.intrinsics();
     let [width, height] = args.frame_size.unwrap_or(common.size);
     let report = quality::run(&quality::QualityOptions {
-        scenes: common.select()?,
-        transfer: common.look.tf.clone(),
+        subject: common.subject(args.cast.k, args.angles, args.backend.backend)?,
         rules: args.layering,
         methods: args.cast.method,
         reconstructions: args.cast.reconstruction,
-        ks: args.cast.k,
-        angles_degrees: args.angles,
-        orbit: common.orbit,
-        intrinsics,
-        frame_intrinsics: Intrinsics { width, height, ..intrinsics },
-        shaded: common.look.is_shaded(),
-        backend: args.backend.backend,
+        frame_intrinsics: Intrinsics { width, height, ..common.intrinsics() },
         codec: codec::Settings::default(),
         measures_wire: args.wire == Switch::On,
     })?;
@@ -347,16 +354,9 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
 fn run_codec(args: CodecArgs) -> Result<()> {
     let common = args.common;
     let report = codecs::run(&codecs::CodecOptions {
-        scenes: common.select()?,
-        transfer: common.look.tf.clone(),
+        subject: common.subject(args.k, args.angles, args.backend.backend)?,
         codecs: args.codec,
         anchor: args.anchor,
-        ks: args.k,
-        angles_degrees: args.angles,
-        orbit: common.orbit,
-        intrinsics: common.intrinsics(),
-        shaded: common.look.is_shaded(),
-        backend: args.backend.backend,
         sequence: args.turn.map(|degrees_per_second| codecs::SequenceOptions {
             degrees_per_second,
             frames: args.frames,

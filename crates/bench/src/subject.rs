@@ -1,0 +1,80 @@
+//! What tables of quality and of codecs look at and from where, and how a report says so.
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_formats::OpenOptions;
+use isinglass_gpu::{Backend, BackendChoice};
+use serde::Serialize;
+
+use crate::error::BenchError;
+use crate::quality::march_settings;
+use crate::scenes::{OpenedScene, SceneSource, open_scene};
+use crate::view::Orbit;
+
+/// What is looked at, and from where.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// The scenes, see [`crate::scenes::select`].
+    pub scenes: Vec<SceneSource>,
+    /// Preset or file for all scenes; none: the one that suits each.
+    pub transfer: Option<String>,
+    /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
+    pub ks: Vec<u8>,
+    /// Turns of azimuth, degrees. 0 is the generating camera itself.
+    pub angles_degrees: Vec<f32>,
+    /// The generating camera.
+    pub orbit: Orbit,
+    /// Size and field of view of pictures, and of frames if nothing else is said.
+    pub intrinsics: Intrinsics,
+    /// Whether gradients shade.
+    pub shaded: bool,
+    /// Where the kernels run.
+    pub backend: BackendChoice,
+}
+
+impl Subject {
+    /// Opens one of the scenes.
+    pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
+        let settings = march_settings(self.shaded);
+        Ok(open_scene(&source.source, self.transfer.as_deref(), settings, &OpenOptions::default())?)
+    }
+
+    /// What holds for all of its rows.
+    pub(crate) fn conditions(&self, backend: &Backend, threads: usize) -> SubjectConditions {
+        let Intrinsics { width, height, fov_y } = self.intrinsics;
+        let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii } = self.orbit;
+        SubjectConditions {
+            version: env!("CARGO_PKG_VERSION"),
+            size: [width, height],
+            fov_deg: fov_y.to_degrees(),
+            orbit_deg: [azimuth_degrees, elevation_degrees],
+            distance_radii: distance_in_radii.unwrap_or_else(|| self.intrinsics.fit_distance()),
+            angles_deg: self.angles_degrees.clone(),
+            backend: backend.description(),
+            shading: self.shaded,
+            threads,
+        }
+    }
+}
+
+/// What holds for all rows of a report.
+#[derive(Clone, Debug, Serialize)]
+pub struct SubjectConditions {
+    /// Version of this program.
+    pub version: &'static str,
+    /// Columns and rows of the pictures.
+    pub size: [u32; 2],
+    /// Vertical field of view, degrees.
+    pub fov_deg: f32,
+    /// Azimuth and elevation of the generating camera, degrees.
+    pub orbit_deg: [f32; 2],
+    /// Its distance in radii of the bounding sphere.
+    pub distance_radii: f32,
+    /// Turns, degrees.
+    pub angles_deg: Vec<f32>,
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Whether gradients shade.
+    pub shading: bool,
+    /// Threads of the CPU.
+    pub threads: usize,
+}
