@@ -215,11 +215,13 @@ pub fn pack_halves(lo: f32, hi: f32) -> u32 {
 }
 
 /// Inverse of [`pack_halves`]; the sign bit is ignored and infinities read as large finite numbers.
+#[inline]
 pub fn unpack_halves(word: u32) -> (f32, f32) {
     (f32_from_half(word as u16), f32_from_half((word >> 16) as u16))
 }
 
 /// Non-negative half to float by moving the bits and scaling the exponent (exact for subnormals too).
+#[inline]
 fn f32_from_half(h: u16) -> f32 {
     f32::from_bits(u32::from(h & 0x7fff) << 13) * f32::from_bits((254 - 15) << 23)
 }

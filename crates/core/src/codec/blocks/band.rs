@@ -1,6 +1,7 @@
 //! The decoded blocks of a band: what the client shows, and what later frames are predicted from.
 
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS};
+use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, lists_of};
+use super::scales::whole;
 
 /// A part of a list in a layer, as it is decoded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,25 +69,43 @@ impl Band {
         self.blocks[block].ends != NO_ENDS
     }
 
+    /// The cells of a block.
+    pub(super) fn cells_of(&self, block: usize) -> CellsOf<'_> {
+        let Block { first_cell, ends, .. } = self.blocks[block];
+        match self.ends.get(ends as usize) {
+            Some(ends) => {
+                let first = first_cell as usize;
+                let last = first + usize::from(ends[BLOCK_LISTS - 1]);
+                CellsOf { cells: &self.cells[first..last], ends }
+            }
+            None => CellsOf::NONE,
+        }
+    }
+
     /// Appends a block that is one of another band.
     pub(super) fn copy(&mut self, other: &Band, block: usize) {
         let first_plane = self.planes.len();
         self.planes.extend_from_slice(&other.planes[other.layers(block)]);
-        self.push_cells(first_plane, |i| &other.cells[other.list(block, i)]);
+        let CellsOf { cells, ends } = other.cells_of(block);
+        let first_cell = self.cells.len();
+        self.cells.extend_from_slice(cells);
+        self.push_block(first_plane, first_cell, ends);
     }
 
     /// Appends a block, whose planes are those from `first_plane` on.
     pub(super) fn push(&mut self, first_plane: usize, lists: &Lists) {
-        self.push_cells(first_plane, |i| lists.list(i));
-    }
-
-    fn push_cells<'a>(&mut self, first_plane: usize, list: impl Fn(usize) -> &'a [Cell]) {
         let first_cell = self.cells.len();
         let mut ends = [0; BLOCK_LISTS];
-        for (i, end) in ends.iter_mut().enumerate() {
-            self.cells.extend_from_slice(list(i));
-            *end = (self.cells.len() - first_cell) as u16;
+        if lists.num_layers > 0 {
+            for (i, end) in ends.iter_mut().enumerate() {
+                self.cells.extend(lists.list(i));
+                *end = (self.cells.len() - first_cell) as u16;
+            }
         }
+        self.push_block(first_plane, first_cell, &ends);
+    }
+
+    fn push_block(&mut self, first_plane: usize, first_cell: usize, ends: &[u16; BLOCK_LISTS]) {
         let has_matter = self.cells.len() > first_cell;
         self.blocks.push(Block {
             first_plane: first_plane as u32,
@@ -95,51 +114,118 @@ impl Band {
             ends: if has_matter { self.ends.len() as u32 } else { NO_ENDS },
         });
         if has_matter {
-            self.ends.push(ends);
+            self.ends.push(*ends);
         }
     }
 }
 
-/// The lists of the block that is being coded, and how far they have come.
+/// The cells of a block, list by list.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CellsOf<'a> {
+    pub(super) cells: &'a [Cell],
+    /// Where those of each list end.
+    pub(super) ends: &'a [u16; BLOCK_LISTS],
+}
+
+impl<'a> CellsOf<'a> {
+    pub(super) const NONE: Self = Self { cells: &[], ends: &[0; BLOCK_LISTS] };
+
+    /// Those of list `i`.
+    pub(super) fn list(&self, i: usize) -> &'a [Cell] {
+        let start = if i == 0 { 0 } else { self.ends[i - 1] };
+        &self.cells[usize::from(start)..usize::from(self.ends[i])]
+    }
+}
+
+/// The layers of the block that is being coded.
 #[derive(Clone, Debug)]
 pub(super) struct Lists {
-    cells: Box<[[Cell; MAX_LAYERS]; BLOCK_LISTS]>,
-    lengths: [u8; BLOCK_LISTS],
+    layers: Box<[Cells; MAX_LAYERS]>,
+    num_layers: usize,
+    /// The layers that each list has a cell in.
+    present: [u32; BLOCK_LISTS],
+    /// Where the last cell of each list ends; 0 for none.
+    last: [f32; BLOCK_LISTS],
     /// Transmittance of what is there.
     pub(super) kappa: [f32; BLOCK_LISTS],
 }
 
+/// A cell for each list.
+#[derive(Clone, Copy, Debug)]
+struct Cells {
+    front: [u16; BLOCK_LISTS],
+    back: [u16; BLOCK_LISTS],
+    u: [u16; BLOCK_LISTS],
+    ycc: [[i16; BLOCK_LISTS]; 3],
+}
+
 impl Default for Lists {
     fn default() -> Self {
-        let cells = Box::new([[Cell::default(); MAX_LAYERS]; BLOCK_LISTS]);
-        Self { cells, lengths: [0; BLOCK_LISTS], kappa: [1.0; BLOCK_LISTS] }
+        let none = [0; BLOCK_LISTS];
+        let cells = Cells { front: none, back: none, u: none, ycc: [[0; BLOCK_LISTS]; 3] };
+        Self {
+            layers: Box::new([cells; MAX_LAYERS]),
+            num_layers: 0,
+            present: [0; BLOCK_LISTS],
+            last: [0.0; BLOCK_LISTS],
+            kappa: [1.0; BLOCK_LISTS],
+        }
     }
 }
 
 impl Lists {
     pub(super) fn clear(&mut self) {
-        self.lengths = [0; BLOCK_LISTS];
+        self.num_layers = 0;
+        self.present = [0; BLOCK_LISTS];
+        self.last = [0.0; BLOCK_LISTS];
         self.kappa = [1.0; BLOCK_LISTS];
     }
 
-    pub(super) fn list(&self, i: usize) -> &[Cell] {
-        &self.cells[i][..usize::from(self.lengths[i])]
+    /// The cells of list `i`.
+    fn list(&self, i: usize) -> impl Iterator<Item = Cell> {
+        lists_of(self.present[i].into()).map(move |layer| {
+            let Cells { front, back, u, ycc } = &self.layers[layer];
+            Cell { front: front[i], back: back[i], u: u[i], ycc: [ycc[0][i], ycc[1][i], ycc[2][i]] }
+        })
     }
 
-    /// Appends a cell to list `i` between the planes, as far as they leave room behind the cell before: it begins
-    /// where that one ends at the earliest, and is at least [`LEAST_LENGTH`] long.
-    pub(super) fn push(&mut self, i: usize, planes: &Planes, u: u16, ycc: [i16; 3], alpha: f32) {
-        let length = usize::from(self.lengths[i]);
-        let last = if length == 0 { 0.0 } else { f32::from(self.cells[i][length - 1].back) };
-        let front = (planes.0.at(i).max(last).min(MAX_FRONT) + 0.5) as u16;
-        let back = (planes.1.at(i).max(f32::from(front) + LEAST_LENGTH).min(MAX_BACK) + 0.5) as u16;
-        // The cell before may end so deep that none fits behind it.
-        if back > front && f32::from(front) >= last && length < MAX_LAYERS {
-            self.cells[i][length] = Cell { front, back, u, ycc };
-            self.lengths[i] += 1;
-            self.kappa[i] *= 1.0 - alpha;
+    /// Appends a cell to each list of the mask, between the planes as far as they leave room behind the cell before: it
+    /// begins where that one ends at the earliest, and is at least [`LEAST_LENGTH`] long.
+    pub(super) fn push(
+        &mut self,
+        planes: &Planes,
+        mask: u64,
+        u: &[u16; BLOCK_LISTS],
+        ycc: &[[i16; BLOCK_LISTS]; 3],
+        alphas: &[f32; BLOCK_LISTS],
+    ) {
+        let Some(cells) = self.layers.get_mut(self.num_layers) else { return };
+        (cells.u, cells.ycc) = (*u, *ycc);
+        for (i, alpha) in alphas.iter().enumerate() {
+            let last = self.last[i];
+            let front = lesser(greater(planes.0.at(i), last), MAX_FRONT) + 0.5;
+            let front = whole(front) as i32 as f32;
+            let back = lesser(greater(planes.1.at(i), front + LEAST_LENGTH), MAX_BACK) + 0.5;
+            let back = whole(back) as i32 as f32;
+            // The cell before may end so deep that none fits behind it.
+            let fits = (mask >> i & 1 == 1) & (back > front) & (front >= last);
+            cells.front[i] = front as i32 as u16;
+            cells.back[i] = back as i32 as u16;
+            self.present[i] |= u32::from(fits) << self.num_layers;
+            self.last[i] = if fits { back } else { last };
+            self.kappa[i] *= if fits { 1.0 - alpha } else { 1.0 };
         }
+        self.num_layers += 1;
     }
+}
+
+/// As the machine has it: without a thought for NaN.
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
 }
 
 /// The row of blocks that a row of lists is in.

@@ -5,7 +5,7 @@ use super::band::{Band, Planes};
 use super::chunk::Head;
 use super::coding::{BandCoder, Origin, Place, Plan, Source};
 use super::entropy::Encoder;
-use super::model::{BLOCK, BLOCK_LISTS, BlockLayer};
+use super::model::BLOCK_LISTS;
 use super::motion::Motion;
 use super::picture::{self, composite_roots};
 use super::reference::Reference;
@@ -13,7 +13,7 @@ use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
 use super::steps::Steps;
 use super::transform::Plane;
-use crate::layer::{LayeredFrame, Over};
+use crate::layer::LayeredFrame;
 
 /// An encoded band.
 pub(super) struct EncodedBand {
@@ -42,8 +42,10 @@ pub(super) fn band(
     let source = |block: usize, planes: &mut [Plane; 3]| {
         // A block of the reference has its corrections in it.
         let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
-        let at = [block % place.across, block / place.across + place.first_row];
-        if is_corrected { 0 } else { miss(frame, at, &decoded, block, planes) }
+        match layering.wanted.get(layering.wanted_of[block] as usize) {
+            Some(wanted) if !is_corrected => miss(wanted, &decoded, block, planes),
+            _ => 0,
+        }
     };
     let (base, coder) = if head.is_split { (Some(coder.finish()), Encoder::new()) } else { (None, coder) };
     let (coder, corrections) = picture::code(coder, &steps, place, source)?;
@@ -56,33 +58,42 @@ pub(super) fn band(
     Ok(EncodedBand { base, corrections, decoded })
 }
 
-/// By how much the lists of a block, at column and row `at` of the frame's blocks, composite to too little, as roots;
-/// and which are in the frame and have matter in the band.
-fn miss(frame: &LayeredFrame, at: [usize; 2], band: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
-    let intrinsics = frame.header.camera.intrinsics;
-    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+/// By how much the lists of a block composite to too little, as roots, when they should composite to `wanted`; and
+/// which have matter in the band.
+fn miss(wanted: &[Plane; 3], band: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
     let mut mask = 0;
     for i in 0..BLOCK_LISTS {
-        let (x, y) = (at[0] * BLOCK + i % BLOCK, at[1] * BLOCK + i / BLOCK);
         let cells = &band.cells[band.list(block, i)];
-        planes.iter_mut().for_each(|plane| plane[i] = 0.0);
-        if x >= width || y >= height {
-            continue;
-        }
         mask |= u64::from(!cells.is_empty()) << i;
-        let mut over = Over::default();
-        for segment in frame.list(y * width + x) {
-            let segment = frame.segment(segment);
-            over.add(segment.c, segment.tau);
-        }
         let found = composite_roots(cells);
-        let wanted = over.c.to_array().map(|c| c.max(0.0).sqrt());
-        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c] - found[c]));
+        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c][i] - found[c]));
         for (plane, value) in planes.iter_mut().zip(ycc) {
             plane[i] = value;
         }
     }
     mask
+}
+
+/// The error that fresh planes usually have, in what their layers are worth.
+#[derive(Clone, Copy, Debug, Default)]
+struct Usual {
+    error: f32,
+    worth: f32,
+    num: u32,
+}
+
+impl Usual {
+    fn observe(&mut self, error: f32, worth: f32) {
+        self.error += error;
+        self.worth += worth;
+        self.num += 1;
+    }
+
+    /// What kept planes may have for each layer; little as long as few blocks are known.
+    fn acceptable(&self) -> f32 {
+        let fresh = if self.num < FEW { 0.0 } else { self.error / self.worth };
+        SLACK * fresh + KEEP_SHARE
+    }
 }
 
 /// Finds layers for blocks.
@@ -95,7 +106,12 @@ struct Layering<'a> {
     relayer: Relayer,
     lists: BlockLists,
     planes: Vec<Planes>,
-    layers: Vec<BlockLayer>,
+    best: Vec<Planes>,
+    usual: Usual,
+    /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
+    /// [`NO_WANTED`] where there is nothing.
+    wanted: Vec<[Plane; 3]>,
+    wanted_of: Vec<u32>,
 }
 
 impl<'a> Layering<'a> {
@@ -115,7 +131,10 @@ impl<'a> Layering<'a> {
             relayer: Relayer::default(),
             lists: BlockLists::default(),
             planes: Vec::new(),
-            layers: Vec::new(),
+            best: Vec::new(),
+            usual: Usual::default(),
+            wanted: Vec::new(),
+            wanted_of: Vec::with_capacity(place.across * place.num_rows),
         }
     }
 
@@ -129,22 +148,11 @@ impl<'a> Layering<'a> {
         if !(motion.is_still && is_fine && band.has_matter(block)) {
             return false;
         }
+        let Some(wanted) = self.wanted.last() else { return false };
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
-        miss(self.frame, at, band, block, &mut planes);
+        miss(wanted, band, block, &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
         mean <= SAME * self.steps.picture
-    }
-
-    /// The error with the planes of an origin, if it has any; the layers are then in `self.layers`.
-    fn try_origin(
-        &mut self,
-        origin: Origin,
-        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
-    ) -> Option<f32> {
-        if !offered(origin, &mut self.planes) {
-            return None;
-        }
-        Some(self.relayer.given(&self.lists, &self.planes, &mut self.layers))
     }
 }
 
@@ -158,49 +166,66 @@ impl Source for Layering<'_> {
     ) {
         plan.layers.clear();
         plan.origin = Origin::Fresh;
+        let at = [x as u32, (y + self.place.first_row) as u32];
+        if BlockLists::is_nothing(self.frame, at[0], at[1]) {
+            self.wanted_of.push(NO_WANTED);
+            return;
+        }
+        self.lists.read(self.frame, at[0], at[1]);
+        self.wanted_of.push(self.wanted.len() as u32);
+        self.wanted.push(self.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
             return;
         }
-        self.lists.read(self.frame, x as u32, (y + self.place.first_row) as u32);
-        if self.lists.is_empty() {
-            return;
-        }
         let per_layer = self.rule.error_per_layer();
-        let kept = self.try_origin(Origin::Kept, offered);
-        if let Some(error) = kept
-            && error <= KEEP_AT_ONCE * per_layer * self.layers.len() as f32
-        {
-            plan.origin = Origin::Kept;
-            std::mem::swap(&mut plan.layers, &mut self.layers);
-            return;
+        let Self { relayer, lists, planes, best, usual, .. } = self;
+        let mut kept = f32::INFINITY;
+        if offered(Origin::Kept, best) {
+            let for_layers = per_layer * best.len() as f32;
+            let usual = usual.acceptable() * for_layers;
+            kept = relayer.tried(lists, best, HOPELESS * usual);
+            if kept <= AT_ONCE * usual {
+                plan.origin = Origin::Kept;
+                relayer.given(lists, best, &mut plan.layers);
+                return;
+            }
         }
-        self.relayer.fresh(&self.lists, &self.rule, &mut plan.layers);
-        self.steps.codes(&plan.layers, &mut plan.codes);
-        self.steps.planes(&plan.codes, &mut self.planes);
-        let fresh = self.relayer.given(&self.lists, &self.planes, &mut plan.layers);
-        plan.origin = Origin::Fresh;
-        let num_fresh = plan.layers.len() as f32;
+        relayer.fresh(lists, &self.rule, planes);
+        self.steps.codes(planes, &mut plan.codes);
+        self.steps.planes(&plan.codes, planes);
+        let fresh = relayer.tried(lists, planes, f32::INFINITY);
+        let num_fresh = plan.codes.len() as f32;
+        usual.observe(fresh, per_layer * num_fresh);
         let acceptable = |share: f32| SLACK * fresh + share * per_layer * num_fresh;
-        if kept.is_some_and(|error| error < acceptable(KEEP_SHARE)) {
-            self.try_origin(Origin::Kept, offered);
+        if kept < acceptable(KEEP_SHARE) {
             plan.origin = Origin::Kept;
-            std::mem::swap(&mut plan.layers, &mut self.layers);
+            relayer.given(lists, best, &mut plan.layers);
             return;
         }
         let mut least = acceptable(MERGE_SHARE);
         for origin in [Origin::Left, Origin::Above] {
-            let Some(error) = self.try_origin(origin, offered) else { continue };
-            let error = error + MERGE_SHARE * per_layer * self.layers.len() as f32;
+            if !offered(origin, planes) {
+                continue;
+            }
+            let for_layers = MERGE_SHARE * per_layer * planes.len() as f32;
+            let error = relayer.tried(lists, planes, least - for_layers) + for_layers;
             if error < least {
                 least = error;
                 plan.origin = origin;
-                std::mem::swap(&mut plan.layers, &mut self.layers);
+                std::mem::swap(best, planes);
             }
         }
+        if plan.origin == Origin::Fresh {
+            self.steps.planes(&plan.codes, best);
+        }
+        relayer.given(lists, best, &mut plan.layers);
     }
 }
 
+/// Blocks that say little about others.
+const FEW: u32 = 8;
+const NO_WANTED: u32 = u32::MAX;
 /// Part of the step of corrections that a block may be off on average and still be the same.
 const SAME: f32 = 0.75;
 /// Planes of another block are taken if their error is at most so many times that of fresh ones.
@@ -208,5 +233,7 @@ const SLACK: f32 = 1.15;
 /// And, for each layer, so much of what a layer is worth more.
 const KEEP_SHARE: f32 = 0.5;
 const MERGE_SHARE: f32 = 0.3;
-/// Kept planes with less error than this share for each layer are taken without looking for fresh ones.
-const KEEP_AT_ONCE: f32 = 0.5;
+/// Kept planes with less error than this part of what is usually acceptable are taken without looking for fresh ones.
+const AT_ONCE: f32 = 0.8;
+/// And those with more than so many times as much are not taken.
+const HOPELESS: f32 = 4.0;

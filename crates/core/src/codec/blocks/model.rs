@@ -9,6 +9,15 @@ pub const BLOCK_LISTS: usize = BLOCK * BLOCK;
 /// Most layers of a block.
 pub const MAX_LAYERS: usize = 24;
 
+/// The lists in a mask, from the first.
+pub(super) fn lists_of(mut mask: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let list = mask.trailing_zeros() as usize;
+        mask &= mask.wrapping_sub(1);
+        (list < BLOCK_LISTS).then_some(list)
+    })
+}
+
 /// A plane of depth over a block, in depth units: `z` at the middle of the block, (3.5, 3.5) lists from its first,
 /// and its growth for each list rightwards and downwards.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, Cell};
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane};
+use super::band::{Band, Cell, CellsOf};
+use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::Shift;
 use super::scales::{f32_from_fixed, scales};
 use super::steps::Steps;
@@ -46,18 +46,6 @@ impl Reference {
         let band = &*self.bands[usize::from(band)];
         let x = usize::try_from(x).ok().filter(|&x| x < band.across)?;
         Some((band, row as usize * band.across + x))
-    }
-
-    /// The cells of the list at column `x` and row `y`.
-    fn list(&self, x: i32, y: i32) -> &[Cell] {
-        const SIDE: i32 = BLOCK as i32;
-        match self.block(x.div_euclid(SIDE), y.div_euclid(SIDE)) {
-            Some((band, block)) => {
-                let i = y.rem_euclid(SIDE) * SIDE + x.rem_euclid(SIDE);
-                &band.cells[band.list(block, i as usize)]
-            }
-            None => &[],
-        }
     }
 }
 
@@ -138,59 +126,97 @@ impl Fetched {
         let (fx, fy) = ((qx & 3) as f32 * 0.25, (qy & 3) as f32 * 0.25);
         let (left, top) = ((x * BLOCK) as i32 + (qx >> 2), (y * BLOCK) as i32 + (qy >> 2));
         let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
-        let mut content = [[Content::default(); BLOCK + 1]; BLOCK + 1];
-        for (row, content) in content.iter_mut().enumerate().take(rows) {
-            for (column, content) in content.iter_mut().enumerate().take(columns) {
-                let cells = reference.list(left + column as i32, top + row as i32);
+        const SIDE: i32 = BLOCK as i32;
+        let (first_x, first_y) = (left.div_euclid(SIDE), top.div_euclid(SIDE));
+        let blocks = [0, 1].map(|dy| {
+            [0, 1].map(|dx| {
+                let found = reference.block(first_x + dx, first_y + dy);
+                found.map_or(CellsOf::NONE, |(band, block)| band.cells_of(block))
+            })
+        });
+        let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
+        let mut content = Contents::NOTHING;
+        for row in 0..rows {
+            let y = inner_y + row;
+            for column in 0..columns {
+                let x = inner_x + column;
+                let cells = blocks[y / BLOCK][x / BLOCK].list(y % BLOCK * BLOCK + x % BLOCK);
                 if !cells.is_empty() {
                     let (dx, dy) = (column as f32 - fx - MIDDLE, row as f32 - fy - MIDDLE);
                     let at = |p: &DepthPlane| p.z + p.dx * dx + p.dy * dy + shift.z;
                     let low = at(front);
-                    *content = between(cells, low, at(back).max(low + least_length));
+                    content.set(row, column, &between(cells, low, at(back).max(low + least_length)));
                 }
             }
         }
         let (gx, gy) = (1.0 - fx, 1.0 - fy);
         let weights = [gx * gy, fx * gy, gx * fy, fx * fy];
-        self.mask = 0;
-        let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
-        for i in 0..BLOCK_LISTS {
-            let (column, row) = (i % BLOCK, i / BLOCK);
-            let right = column + usize::from(fx > 0.0);
-            let below = row + usize::from(fy > 0.0);
-            let taps =
-                [content[row][column], content[row][right], content[below][column], content[below][right]];
-            let (mut weight, mut u, mut alpha, mut ycc) = (0.0, 0.0, 0.0, [0.0; 3]);
-            for (tap, w) in taps.iter().zip(weights) {
-                if tap.alpha > 0.0 {
-                    weight += w;
-                    u += w * tap.u;
-                    alpha += w * tap.alpha;
-                    for (sum, value) in ycc.iter_mut().zip(tap.ycc) {
-                        *sum += w * value;
-                    }
-                }
-            }
-            if weight > 0.5 {
-                self.mask |= 1 << i;
-                self.planes[0][i] = u / weight;
-                sums[0] += u / weight;
-                count += 1.0;
-                sum_alpha += alpha;
-                for c in 0..3 {
-                    self.planes[c + 1][i] = ycc[c] / alpha;
-                    sums[c + 1] += ycc[c];
+        let (right, below) = (usize::from(fx > 0.0), usize::from(fy > 0.0));
+        let mut sums = [[0.0; BLOCK_LISTS]; 6];
+        for ((dx, dy), w) in [(0, 0), (right, 0), (0, below), (right, below)].into_iter().zip(weights) {
+            for row in 0..BLOCK {
+                let tap = |of: &Rows| -> [f32; BLOCK] { std::array::from_fn(|x| of[row + dy][x + dx]) };
+                let alpha = tap(&content.values[0]);
+                // Where nothing is, all is zero.
+                let there = alpha.map(|alpha| if alpha > 0.0 { w } else { 0.0 });
+                add(&mut sums[0], row, &there);
+                for (sums, values) in sums[1..].iter_mut().zip(&content.values) {
+                    add(sums, row, &tap(values).map(|value| w * value));
                 }
             }
         }
+        let [weight, alpha, u, ycc @ ..] = &sums;
+        self.mask = 0;
+        for i in 0..BLOCK_LISTS {
+            self.mask |= u64::from(weight[i] > 0.5) << i;
+            self.planes[0][i] = u[i] / weight[i];
+            for (plane, ycc) in self.planes[1..].iter_mut().zip(ycc) {
+                plane[i] = ycc[i] / alpha[i];
+            }
+        }
         if self.mask != 0 && self.mask != u64::MAX {
+            let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
+            for i in lists_of(self.mask) {
+                sums[0] += self.planes[0][i];
+                count += 1.0;
+                sum_alpha += alpha[i];
+                for (sum, ycc) in sums[1..].iter_mut().zip(ycc) {
+                    *sum += ycc[i];
+                }
+            }
             let means = [sums[0] / count, sums[1] / sum_alpha, sums[2] / sum_alpha, sums[3] / sum_alpha];
-            for i in (0..BLOCK_LISTS).filter(|&i| self.mask >> i & 1 == 0) {
+            for i in lists_of(!self.mask) {
                 for (plane, mean) in self.planes.iter_mut().zip(means) {
                     plane[i] = mean;
                 }
             }
         }
+    }
+}
+
+/// Rows of a number for each of the lists that a block's may lie between.
+type Rows = [[f32; BLOCK + 1]; BLOCK + 1];
+
+/// What these lists of the reference have between two depths: opacity, u, and Y, Co, Cg times opacity.
+struct Contents {
+    values: [Rows; 5],
+}
+
+impl Contents {
+    const NOTHING: Self = Self { values: [[[0.0; BLOCK + 1]; BLOCK + 1]; 5] };
+
+    fn set(&mut self, row: usize, column: usize, content: &Content) {
+        let &Content { u, alpha, ycc: [y, co, cg] } = content;
+        for (rows, value) in self.values.iter_mut().zip([alpha, u, y, co, cg]) {
+            rows[row][column] = value;
+        }
+    }
+}
+
+/// Adds to a row of a plane.
+fn add(plane: &mut Plane, row: usize, values: &[f32; BLOCK]) {
+    for (sum, value) in plane[row * BLOCK..][..BLOCK].iter_mut().zip(values) {
+        *sum += value;
     }
 }
 

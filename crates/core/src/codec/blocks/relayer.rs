@@ -56,7 +56,6 @@ pub struct Relayer {
     walk: Walk,
     merge: Merge,
     assigned: Assigned,
-    planes: Vec<(DepthPlane, DepthPlane)>,
     has_avx2: bool,
 }
 
@@ -66,23 +65,22 @@ impl Default for Relayer {
             walk: Walk::default(),
             merge: Merge::default(),
             assigned: Assigned::default(),
-            planes: Vec::with_capacity(MAX_LAYERS),
             has_avx2: has_avx2(),
         }
     }
 }
 
 impl Relayer {
-    /// Layers that suit the lists, at most [`MAX_LAYERS`], each with matter and in the order of their depth, into `out`.
-    /// Returns their error, in the unit of [`Relayer::given`].
-    pub fn fresh(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<BlockLayer>) -> f32 {
+    /// Front and back planes of layers that suit the lists, at most [`MAX_LAYERS`] and at least one if there is matter, in
+    /// the order of their depth, into `out`.
+    pub fn fresh(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
         #[cfg(target_arch = "x86_64")]
         if self.has_avx2 {
             #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
             // SAFETY: this processor has them.
             return unsafe { self.fresh_avx2(lists, rule, out) };
         }
-        self.fresh_any(lists, rule, out)
+        self.fresh_any(lists, rule, out);
     }
 
     /// Puts the lists' matter between given pairs of front and back planes, in the order of their depth, into `out`: a
@@ -103,11 +101,22 @@ impl Relayer {
         self.given_any(lists, planes, out)
     }
 
+    /// About the error of [`Relayer::given`], from some of the lists; infinite as soon as it is above `limit`.
+    pub fn tried(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
+        #[cfg(target_arch = "x86_64")]
+        if self.has_avx2 {
+            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
+            // SAFETY: this processor has them.
+            return unsafe { self.tried_avx2(lists, planes, limit) };
+        }
+        self.tried_any(lists, planes, limit)
+    }
+
     /// The same with wider instructions.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn fresh_avx2(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<BlockLayer>) -> f32 {
-        self.fresh_any(lists, rule, out)
+    fn fresh_avx2(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
+        self.fresh_any(lists, rule, out);
     }
 
     /// The same with wider instructions.
@@ -122,11 +131,18 @@ impl Relayer {
         self.given_any(lists, planes, out)
     }
 
+    /// The same with wider instructions.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn tried_avx2(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
+        self.tried_any(lists, planes, limit)
+    }
+
     #[inline(always)]
-    fn fresh_any(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<BlockLayer>) -> f32 {
+    fn fresh_any(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
         out.clear();
         if lists.is_empty() {
-            return 0.0;
+            return;
         }
         let slopes = merge::slopes(lists);
         let plane = |z| DepthPlane { z, dx: slopes[0], dy: slopes[1] };
@@ -134,13 +150,12 @@ impl Relayer {
             *shear = plane(0.0).at(lists.sampled(i));
         }
         let cuts = self.merge.cuts(&mut self.walk, lists, rule);
-        self.planes.clear();
         for (i, &cut) in cuts.iter().enumerate() {
-            self.planes.push((plane(cut), plane(cuts.get(i + 1).copied().unwrap_or(cut))));
+            out.push((plane(cut), plane(cuts.get(i + 1).copied().unwrap_or(cut))));
         }
-        self.assigned.assign(lists, &self.planes, out);
-        self.assigned.fit(slopes, out);
-        self.assigned.error(lists, out)
+        self.assigned.start(out, lists);
+        self.assigned.put_lists(lists, 0..SAMPLES, lists);
+        self.assigned.fit(slopes, out, lists);
     }
 
     #[inline(always)]
@@ -150,8 +165,68 @@ impl Relayer {
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
     ) -> f32 {
-        self.assigned.assign(lists, planes, out);
-        self.assigned.error(lists, out)
+        self.assigned.start(planes, &All);
+        if !planes.is_empty() {
+            self.assigned.put_lists(lists, 0..BLOCK_LISTS, &All);
+        }
+        self.assigned.layers(planes, out);
+        self.assigned.error(lists, planes, &All)
+    }
+
+    #[inline(always)]
+    fn tried_any(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
+        if planes.is_empty() {
+            return f32::INFINITY;
+        }
+        let per_sample = (BLOCK_LISTS / SAMPLES) as f32;
+        self.assigned.start(planes, lists);
+        let mut error = 0.0;
+        for part in 0..PARTS {
+            let slots = part * SAMPLES / PARTS..(part + 1) * SAMPLES / PARTS;
+            self.assigned.put_lists(lists, slots, lists);
+            error = self.assigned.error(lists, planes, lists) * per_sample;
+            if error > limit {
+                return f32::INFINITY;
+            }
+        }
+        error
+    }
+}
+
+/// Which lists are worked on.
+trait Lists {
+    /// How many.
+    fn num(&self) -> usize;
+
+    /// The list that is number `slot` of them.
+    fn list(&self, slot: usize) -> usize;
+}
+
+/// All lists of a block.
+struct All;
+
+impl Lists for All {
+    #[inline(always)]
+    fn num(&self) -> usize {
+        BLOCK_LISTS
+    }
+
+    #[inline(always)]
+    fn list(&self, slot: usize) -> usize {
+        slot
+    }
+}
+
+/// The sampled ones.
+impl Lists for BlockLists {
+    #[inline(always)]
+    fn num(&self) -> usize {
+        SAMPLES
+    }
+
+    #[inline(always)]
+    fn list(&self, slot: usize) -> usize {
+        self.sampled(slot % SAMPLES)
     }
 }
 
@@ -196,6 +271,12 @@ fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
+/// The same.
+#[inline(always)]
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// x^(5/4) for x ≥ 0.
 #[inline(always)]
 fn power_5_4(x: f32) -> f32 {
@@ -210,6 +291,8 @@ fn fourth_root(x: f32) -> f32 {
 
 const LANES: usize = 8;
 const SAMPLES: usize = BLOCK_LISTS / 2;
+/// Parts of the sampled lists after which planes that do not suit are given up.
+const PARTS: usize = 2;
 /// Three quarters of the bits of 1, less what makes the error alike to both sides.
 const FOURTH_ROOT_BIAS: u32 = 0x2fa0_0000 - 0x0005_0000;
 /// Least visibility in errors: what is hidden here is seen from another pose.

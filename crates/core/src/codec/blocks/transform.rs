@@ -55,25 +55,19 @@ pub(super) fn fill_in(values: &mut Plane, mask: u64) {
     for i in (0..BLOCK_LISTS).filter(|&i| !known(i)) {
         values[i] = mean;
     }
+    let is_known: [bool; BLOCK_LISTS] = std::array::from_fn(known);
     for _ in 0..SWEEPS {
-        let mut unknown = !mask;
-        while unknown != 0 {
-            let i = unknown.trailing_zeros() as usize;
-            unknown &= unknown - 1;
-            let (x, y) = (i % BLOCK, i / BLOCK);
-            let mut sum = 0.0;
-            let mut count = 0.0;
-            let mut add = |is_inside: bool, at: usize| {
-                if is_inside {
-                    sum += values[at];
-                    count += 1.0;
-                }
-            };
-            add(x > 0, i.wrapping_sub(1));
-            add(x + 1 < BLOCK, i + 1);
-            add(y > 0, i.wrapping_sub(BLOCK));
-            add(y + 1 < BLOCK, i + BLOCK);
-            values[i] = sum / count;
+        for y in 0..BLOCK {
+            let row_of = |y: usize| -> [f32; BLOCK] { std::array::from_fn(|x| values[y * BLOCK + x]) };
+            let (above, row, below) =
+                (row_of(y.saturating_sub(1)), row_of(y), row_of((y + 1).min(BLOCK - 1)));
+            let left: [f32; BLOCK] = std::array::from_fn(|x| row[x.saturating_sub(1)]);
+            let right: [f32; BLOCK] = std::array::from_fn(|x| row[(x + 1).min(BLOCK - 1)]);
+            for x in 0..BLOCK {
+                let mean = 0.25 * ((above[x] + below[x]) + (left[x] + right[x]));
+                let i = y * BLOCK + x;
+                values[i] = if is_known[i] { row[x] } else { mean };
+            }
         }
     }
 }
@@ -153,7 +147,7 @@ const HALF_COSINES: [f32; 9] = [
 ];
 
 /// Relaxations of unknown lists: a value reaches across a block.
-const SWEEPS: usize = 10;
+const SWEEPS: usize = 12;
 
 #[cfg(test)]
 mod tests {

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::super::band::Planes;
 use super::super::entropy::Coder;
-use super::super::model::{BLOCK, BlockLayer, DepthPlane, MAX_LAYERS};
+use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
 use super::super::steps::Steps;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
 use super::BandCoder;
@@ -123,11 +123,11 @@ impl Steps {
         }
     }
 
-    /// The codes of layers' planes: what all but touches does, and every back is behind its front.
-    pub(in super::super) fn codes(&self, layers: &[BlockLayer], out: &mut Vec<(PlaneCode, PlaneCode)>) {
+    /// The codes of planes: what all but touches does, and every back is behind its front.
+    pub(in super::super) fn codes(&self, planes: &[Planes], out: &mut Vec<(PlaneCode, PlaneCode)>) {
         out.clear();
-        for layer in layers {
-            let (mut front, mut back) = (self.code(&layer.front), self.code(&layer.back));
+        for (front, back) in planes {
+            let (mut front, mut back) = (self.code(front), self.code(back));
             if let Some((_, before)) = out.last()
                 && front.z <= before.z + 1
             {

@@ -4,11 +4,12 @@ use std::ops::Range;
 
 use super::super::band::Planes;
 use super::super::entropy::Coder;
-use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer};
-use super::super::scales::{fixed_from_f32, scales, ycc_from_color};
+use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
+use super::super::scales::{fixed_from_f32, scales, whole, ycc_from_roots};
 use super::super::syntax::{Contexts, Levels, NO_CLASS};
 use super::super::transform::{Plane, ZIGZAG, fill_in, forward, inverse};
 use super::{BandCoder, HALF, Origin};
+use crate::kernels::raycast::opacity;
 
 /// The block that a layer is in.
 pub(super) struct Around {
@@ -97,22 +98,29 @@ impl<C: Coder> BandCoder<'_, C> {
         }
 
         let scales = scales();
-        let lists = || (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1);
+        let lists = || lists_of(mask);
         let num_lists = mask.count_ones() as f32;
         let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
         let mut coded = Coded { means, classes: [0; 4], mask };
+        if is_inter {
+            let [u, y, co, cg] = &self.fetched.planes;
+            let mut sums = [0.0; 4];
+            for (((u, y), co), cg) in u.iter().zip(y).zip(co).zip(cg) {
+                for (sum, value) in sums.iter_mut().zip([u, y, co, cg]) {
+                    *sum += value;
+                }
+            }
+            coded.means = sums.map(|sum| sum * (1.0 / BLOCK_LISTS as f32));
+        }
         let mut step = self.steps.opacity / kappa.max(KAPPA_FLOOR).sqrt();
         let mut values = [[0.0; BLOCK_LISTS]; 4];
         let mut codes = [0; BLOCK_LISTS];
+        let mut alphas = [0.0; BLOCK_LISTS];
         for c in 0..4 {
             let expected = if is_inter { self.fetched.planes[c] } else { [means[c]; BLOCK_LISTS] };
-            if is_inter {
-                coded.means[c] = expected.iter().sum::<f32>() * (1.0 / BLOCK_LISTS as f32);
-            }
             if c == 1 {
                 // How much of a colour is seen is known from what is decoded.
-                let seen =
-                    |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * scales.alpha[usize::from(codes[i])];
+                let seen = |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
                 let seen = lists().map(seen).sum::<f32>() / num_lists;
                 step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
             } else if c == 2 {
@@ -134,20 +142,16 @@ impl<C: Coder> BandCoder<'_, C> {
             coded.classes[c] = class;
             coded.means[c] += mean;
             if c == 0 {
-                for i in lists() {
-                    codes[i] = scales.code(values[0][i]);
-                }
+                codes = values[0].map(|u| scales.code(u));
+                alphas = codes.map(|code| scales.alpha[usize::from(code)]);
             }
         }
-        for i in lists() {
-            let ycc = [
-                values[1][i].clamp(0.0, MAX_BRIGHTNESS),
-                values[2][i].clamp(-1.0, 1.0),
-                values[3][i].clamp(-1.0, 1.0),
-            ];
-            let alpha = scales.alpha[usize::from(codes[i])];
-            self.lists.push(i, &planes, codes[i], ycc.map(fixed_from_f32), alpha);
-        }
+        let ycc = [
+            values[1].map(|y| fixed_from_f32(y.clamp(0.0, MAX_BRIGHTNESS))),
+            values[2].map(|co| fixed_from_f32(co.clamp(-1.0, 1.0))),
+            values[3].map(|cg| fixed_from_f32(cg.clamp(-1.0, 1.0))),
+        ];
+        self.lists.push(&planes, mask, &codes, &ycc, &alphas);
         coded
     }
 
@@ -174,7 +178,7 @@ impl<C: Coder> BandCoder<'_, C> {
 
     /// Whether the moved reference is nearer to the source than a constant is.
     fn is_inter_better(&self, sources: &[Plane; 4], means: &[f32; 4], mask: u64) -> bool {
-        let lists = || (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1);
+        let lists = || lists_of(mask);
         let (mut intra, mut inter) = (0.0, 0.0);
         for c in 0..2 {
             let mean = lists().map(|i| sources[c][i]).sum::<f32>() / mask.count_ones() as f32;
@@ -235,12 +239,17 @@ pub(in super::super) fn residual<C: Coder>(
 
 /// Levels of coefficients.
 fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
+    let size = |c: f32, rounding: f32| {
+        let size = c.abs() / step + rounding;
+        whole(if size < MAX_SIZE { size } else { MAX_SIZE }) as i32
+    };
+    let mut all = coefficients.map(|c| if c < 0.0 { -size(c, rounding[1]) } else { size(c, rounding[1]) });
+    let first = size(coefficients[0], rounding[0]);
+    all[0] = if coefficients[0] < 0.0 { -first } else { first };
     levels.length = 0;
     for (k, &place) in ZIGZAG.iter().enumerate() {
-        let coefficient = coefficients[usize::from(place)];
-        let size = (coefficient.abs() / step + rounding[usize::from(k > 0)]) as i32;
-        levels.values[k] = if coefficient < 0.0 { -size } else { size };
-        if size > 0 {
+        levels.values[k] = all[usize::from(place)];
+        if levels.values[k] != 0 {
             levels.length = k + 1;
         }
     }
@@ -249,14 +258,27 @@ fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Le
 /// u, Y, Co, Cg of a layer's lists.
 fn planes_of(layer: &BlockLayer, mask: u64) -> [Plane; 4] {
     let mut planes = [[0.0; BLOCK_LISTS]; 4];
-    for i in (0..BLOCK_LISTS).filter(|&i| mask >> i & 1 == 1) {
+    let mut roots = [[0.0; BLOCK_LISTS]; 3];
+    for i in 0..BLOCK_LISTS {
+        let per_alpha = 1.0 / opacity(layer.tau[i]).max(LEAST_ALPHA);
+        for (roots, c) in roots.iter_mut().zip(layer.c[i].to_array()) {
+            roots[i] = (c * per_alpha).clamp(0.0, MAX_COLOR).sqrt();
+        }
+    }
+    for i in lists_of(mask) {
         planes[0][i] = scales().u_from_tau(layer.tau[i]);
-        let [y, co, cg] = ycc_from_color(layer.c[i], -(-layer.tau[i]).exp_m1());
-        (planes[1][i], planes[2][i], planes[3][i]) = (y, co, cg);
+        let ycc = ycc_from_roots([roots[0][i], roots[1][i], roots[2][i]]);
+        (planes[1][i], planes[2][i], planes[3][i]) = ycc.into();
     }
     planes
 }
 
+/// More than any coefficient has steps.
+const MAX_SIZE: f32 = (1 << 20) as f32;
+/// Greatest source colour.
+const MAX_COLOR: f32 = 2.25;
+/// Opacity below which there is no colour.
+const LEAST_ALPHA: f32 = 1e-4;
 /// Least visibility in the steps: what is hidden here is seen from another pose.
 const KAPPA_FLOOR: f32 = 0.2;
 /// Least visible opacity in the steps of colour.

@@ -4,15 +4,18 @@ use glam::Vec3;
 
 use super::lists::{BlockLists, Piece};
 use super::merge::move_of_union;
-use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, greater, power_5_4, select, sum};
+use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, Lists, greater, power_5_4, select, sum};
 use crate::codec::blocks::model::{BLOCK, BlockLayer, DepthPlane};
 use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
-/// What is known of layers beside what they say themselves.
+/// The matter of some lists, put into layers: those of all lists or of the sampled ones. Columns are by their number
+/// among these.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assigned {
+    /// Those of the first `num` are of the layers.
     cells: Vec<Cells>,
+    num: usize,
     joints: Joints,
     /// Error by joining pieces.
     joined: f32,
@@ -21,9 +24,13 @@ pub(super) struct Assigned {
 /// What the lists have in a layer.
 #[derive(Clone, Copy, Debug)]
 struct Cells {
+    /// Which have anything. Of the others, only the opacity counts: 0.
+    mask: u64,
     front: Column,
     back: Column,
     alpha: Column,
+    tau: Column,
+    c: [Column; 3],
     /// Where the layer ends.
     end: Column,
 }
@@ -43,7 +50,8 @@ struct Joints {
 }
 
 const ZERO: Column = [0.0; BLOCK_LISTS];
-const NO_CELLS: Cells = Cells { front: ZERO, back: ZERO, alpha: ZERO, end: [f32::INFINITY; BLOCK_LISTS] };
+const NO_CELLS: Cells =
+    Cells { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3], end: ZERO };
 
 impl Default for Joints {
     fn default() -> Self {
@@ -80,146 +88,173 @@ impl Joints {
 }
 
 impl Assigned {
-    /// Puts every segment into the layers; a layer ends half way between its back plane and the front plane of the next.
+    /// Begins with layers between these planes; a layer ends half way between its back plane and the front plane of the
+    /// next.
     #[inline(always)]
-    pub(super) fn assign(
-        &mut self,
-        lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
-        out: &mut Vec<BlockLayer>,
-    ) {
-        out.clear();
-        out.extend(planes.iter().map(|&(front, back)| BlockLayer { front, back, ..BlockLayer::default() }));
-        self.cells.clear();
-        self.cells.resize(planes.len(), NO_CELLS);
-        for (cells, pair) in self.cells.iter_mut().zip(planes.windows(2)) {
-            for (i, end) in cells.end.iter_mut().enumerate() {
-                *end = 0.5 * (pair[0].1.at(i) + pair[1].0.at(i));
+    pub(super) fn start(&mut self, planes: &[(DepthPlane, DepthPlane)], of: &impl Lists) {
+        self.joined = 0.0;
+        self.joints.num = 0;
+        self.num = planes.len();
+        self.cells.resize(self.cells.len().max(self.num), NO_CELLS);
+        for (n, cells) in self.cells[..self.num].iter_mut().enumerate() {
+            cells.mask = 0;
+            cells.alpha = ZERO;
+            match planes.get(n + 1) {
+                None => cells.end = [f32::INFINITY; BLOCK_LISTS],
+                Some((next, _)) => {
+                    for (slot, end) in cells.end.iter_mut().enumerate() {
+                        let i = of.list(slot);
+                        *end = 0.5 * (planes[n].1.at(i) + next.at(i));
+                    }
+                }
             }
         }
-        self.joined = 0.0;
-        if planes.is_empty() {
-            return;
-        }
-        for i in 0..BLOCK_LISTS {
+    }
+
+    /// Puts the segments of lists into the layers, of which there must be one.
+    #[inline(always)]
+    pub(super) fn put_lists(&mut self, lists: &BlockLists, slots: std::ops::Range<usize>, of: &impl Lists) {
+        for slot in slots {
+            let list = of.list(slot);
             let mut layer = 0;
-            let mut end = self.cells[0].end[i];
-            for piece in lists.list(i) {
+            let mut end = self.cells[0].end[slot];
+            for piece in lists.list(list) {
                 let short = SNAP * (piece.back - piece.front);
                 let mut from = piece.front;
                 loop {
                     // An end of a segment that is short beside it stays with the rest.
                     while end < from || end - piece.front < short {
                         layer += 1;
-                        end = self.cells[layer].end[i];
+                        end = self.cells[layer].end[slot];
                     }
                     let to = if piece.back - end < short { piece.back } else { end };
                     if to > from {
-                        self.put(layer, &mut out[layer], i, piece, from..to, lists.slope[i]);
+                        self.put(layer, slot, piece, from..to, lists.slope[list]);
                     }
                     if to >= piece.back {
                         break;
                     }
                     from = to;
                     layer += 1;
-                    end = self.cells[layer].end[i];
+                    end = self.cells[layer].end[slot];
                 }
             }
         }
         self.joined += self.joints.weigh();
     }
 
-    /// Puts a part of a segment behind what list `i` has in the layer.
+    /// Puts a part of a segment behind what a list has in the layer.
     #[inline(always)]
-    fn put(
-        &mut self,
-        number: usize,
-        layer: &mut BlockLayer,
-        i: usize,
-        piece: &Piece,
-        part: std::ops::Range<f32>,
-        slope: f32,
-    ) {
-        let cells = &mut self.cells[number];
-        let mut c = Vec3::from_array(piece.c);
+    fn put(&mut self, layer: usize, slot: usize, piece: &Piece, part: std::ops::Range<f32>, slope: f32) {
+        let cells = &mut self.cells[layer];
+        let mut c = piece.c;
         let (mut tau, mut alpha) = (piece.tau, piece.alpha);
         let share = (part.end - part.start) / (piece.back - piece.front);
         if share < WHOLE {
             tau *= share;
             alpha = opacity(tau);
-            c *= alpha / piece.alpha;
+            let share = alpha / piece.alpha;
+            c = c.map(|c| c * share);
         }
-        if layer.mask >> i & 1 == 0 {
-            layer.mask |= 1 << i;
-            (layer.tau[i], layer.c[i]) = (tau, c);
-            (cells.front[i], cells.back[i], cells.alpha[i]) = (part.start, part.end, alpha);
+        if cells.mask >> slot & 1 == 0 {
+            cells.mask |= 1 << slot;
+            (cells.front[slot], cells.back[slot]) = (part.start, part.end);
+            (cells.tau[slot], cells.alpha[slot]) = (tau, alpha);
+            for (cells, c) in cells.c.iter_mut().zip(c) {
+                cells[slot] = c;
+            }
             return;
         }
-        let alpha_first = cells.alpha[i];
+        let alpha_first = cells.alpha[slot];
         let alpha_both = alpha_first + (1.0 - alpha_first) * alpha;
-        let first = layer.c[i];
-        let both = first + c * (1.0 - alpha_first);
-        layer.tau[i] = (layer.tau[i] + tau).min(TAU_MAX);
-        layer.c[i] = both;
+        cells.tau[slot] = (cells.tau[slot] + tau).min(TAU_MAX);
 
         let joints = &mut self.joints;
         let at = joints.num % BLOCK_LISTS;
-        joints.ends[0][at] = cells.front[i];
-        joints.ends[1][at] = cells.back[i];
+        for (n, c) in c.into_iter().enumerate() {
+            let first = cells.c[n][slot];
+            let both = first + c * (1.0 - alpha_first);
+            cells.c[n][slot] = both;
+            joints.first[n][at] = first;
+            joints.both[n][at] = both;
+        }
+        joints.ends[0][at] = cells.front[slot];
+        joints.ends[1][at] = cells.back[slot];
         joints.ends[2][at] = part.start;
         joints.ends[3][at] = part.end;
-        joints.tau[at] = layer.tau[i];
+        joints.tau[at] = cells.tau[slot];
         joints.alphas[0][at] = alpha_first;
         joints.alphas[1][at] = alpha_both;
-        for n in 0..3 {
-            joints.first[n][at] = first[n];
-            joints.both[n][at] = both[n];
-        }
         joints.weight[at] = greater(piece.before.kappa, KAPPA_FLOOR) * slope;
         joints.num = at + 1;
-        cells.back[i] = part.end;
-        cells.alpha[i] = alpha_both;
+        cells.back[slot] = part.end;
+        cells.alpha[slot] = alpha_both;
         if at + 1 == BLOCK_LISTS {
             self.joined += joints.weigh();
         }
     }
 
-    /// Gives each layer the planes that suit what it has, with slopes near `slopes`, and drops those that have nothing.
+    /// What all lists have in the layers.
     #[inline(always)]
-    pub(super) fn fit(&mut self, slopes: [f32; 2], out: &mut Vec<BlockLayer>) {
+    pub(super) fn layers(&self, planes: &[(DepthPlane, DepthPlane)], out: &mut Vec<BlockLayer>) {
+        out.resize_with(self.num, BlockLayer::default);
+        for ((cells, layer), &(front, back)) in self.cells.iter().zip(&mut *out).zip(planes) {
+            (layer.front, layer.back, layer.mask) = (front, back, cells.mask);
+            for i in 0..BLOCK_LISTS {
+                let is_there = cells.mask >> i & 1 == 1;
+                layer.tau[i] = select(is_there, cells.tau[i], 0.0);
+                layer.c[i] =
+                    Vec3::new(cells.c[0][i], cells.c[1][i], cells.c[2][i]) * select(is_there, 1.0, 0.0);
+            }
+        }
+    }
+
+    /// The planes that suit what all lists have in the layers, with slopes near `slopes`, in place of `planes`; drops
+    /// layers that have nothing.
+    #[inline(always)]
+    pub(super) fn fit(
+        &mut self,
+        slopes: [f32; 2],
+        planes: &mut Vec<(DepthPlane, DepthPlane)>,
+        of: &impl Lists,
+    ) {
         let mut kept = 0;
         let mut kappa = [1.0; BLOCK_LISTS];
-        for index in 0..out.len() {
-            if out[index].mask == 0 {
+        for index in 0..self.num {
+            let cells = &self.cells[index];
+            if cells.mask == 0 {
                 continue;
             }
-            let cells = self.cells[index];
-            let weights = weights(&cells, &kappa, &out[index]);
-            out[index].front = fitted(&weights, &cells.front, slopes);
-            out[index].back = fitted(&weights, &cells.back, slopes);
+            let weights = weights(cells, &kappa);
+            planes[kept] =
+                (fitted(&weights, &cells.front, slopes, of), fitted(&weights, &cells.back, slopes, of));
             for (kappa, alpha) in kappa.iter_mut().zip(&cells.alpha) {
                 *kappa *= 1.0 - alpha;
             }
-            out.swap(kept, index);
-            self.cells[kept] = cells;
+            self.cells.swap(kept, index);
             kept += 1;
         }
-        out.truncate(kept);
-        self.cells.truncate(kept);
+        planes.truncate(kept);
+        self.num = kept;
     }
 
     /// How far matter has moved: by being joined, and to the planes of its layer.
     #[inline(always)]
-    pub(super) fn error(&self, lists: &BlockLists, out: &[BlockLayer]) -> f32 {
+    pub(super) fn error(
+        &self,
+        lists: &BlockLists,
+        planes: &[(DepthPlane, DepthPlane)],
+        of: &impl Lists,
+    ) -> f32 {
         let mut error = self.joined;
         let mut kappa = [1.0; BLOCK_LISTS];
-        for (cells, layer) in self.cells.iter().zip(out) {
-            let [moved] = sum(BLOCK_LISTS, |i| {
-                let d = (cells.front[i] - layer.front.at(i)).abs()
-                    + 0.5 * (cells.back[i] - layer.back.at(i)).abs();
-                let seen = select(kappa[i] > KAPPA_FLOOR, kappa[i], KAPPA_FLOOR) * lists.slope[i];
+        for (cells, (front, back)) in self.cells.iter().zip(planes) {
+            let [moved] = sum(of.num(), |slot| {
+                let i = of.list(slot);
+                let d = (cells.front[slot] - front.at(i)).abs() + 0.5 * (cells.back[slot] - back.at(i)).abs();
+                let seen = select(kappa[slot] > KAPPA_FLOOR, kappa[slot], KAPPA_FLOOR) * lists.slope[i];
                 // Where a list has nothing, its opacity is 0.
-                [cells.alpha[i] * seen * power_5_4(d)]
+                [cells.alpha[slot] * seen * power_5_4(d)]
             });
             error += moved;
             for (kappa, alpha) in kappa.iter_mut().zip(&cells.alpha) {
@@ -232,30 +267,32 @@ impl Assigned {
 
 /// How much the ends of each list are worth to a plane.
 #[inline(always)]
-fn weights(cells: &Cells, kappa: &Column, layer: &BlockLayer) -> Column {
+fn weights(cells: &Cells, kappa: &Column) -> Column {
     let mut weights = [0.0; BLOCK_LISTS];
     for i in 0..BLOCK_LISTS {
         // The small addend lets a list that is all but clear have a say where no other has.
         let weight = (cells.alpha[i] + 1e-3) * kappa[i].max(KAPPA_FLOOR);
-        weights[i] = select(layer.mask >> i & 1 == 1, weight, 0.0);
+        weights[i] = select(cells.mask >> i & 1 == 1, weight, 0.0);
     }
     weights
 }
 
 /// The plane through depths `z` with least squared distance, its slopes held back to these.
 #[inline(always)]
-fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2]) -> DepthPlane {
+fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl Lists) -> DepthPlane {
     let middle = (BLOCK as f32 - 1.0) / 2.0;
-    let [w, wx, wy, wz] = sum(BLOCK_LISTS, |i| {
+    let [w, wx, wy, wz] = sum(of.num(), |slot| {
+        let i = of.list(slot);
         let (x, y) = ((i % BLOCK) as f32 - middle, (i / BLOCK) as f32 - middle);
-        let w = weights[i];
-        [w, w * x, w * y, w * z[i]]
+        let w = weights[slot];
+        [w, w * x, w * y, w * z[slot]]
     });
     let (mx, my, mz) = (wx / w, wy / w, wz / w);
-    let [xx, xy, yy, xz, yz] = sum(BLOCK_LISTS, |i| {
+    let [xx, xy, yy, xz, yz] = sum(of.num(), |slot| {
+        let i = of.list(slot);
         let (x, y) = ((i % BLOCK) as f32 - middle - mx, (i / BLOCK) as f32 - middle - my);
-        let w = weights[i];
-        let z = z[i] - mz;
+        let w = weights[slot];
+        let z = z[slot] - mz;
         [w * x * x, w * x * y, w * y * y, w * x * z, w * y * z]
     });
     // What is left of the slopes.

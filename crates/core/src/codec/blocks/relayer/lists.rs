@@ -2,8 +2,9 @@
 
 use super::{Column, SAMPLES, Sample, select};
 use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
+use crate::kernels::march::has_avx2;
 use crate::kernels::raycast::{opacity, transmittance};
-use crate::layer::{LayeredFrame, Segment};
+use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 
 /// The segments of a block's lists, front to back; reused from block to block.
 #[derive(Clone, Debug)]
@@ -15,7 +16,24 @@ pub struct BlockLists {
     pub(super) slope: Column,
     /// The colour of the chessboard on which more segments stand: 0 or 1.
     color: usize,
+    unpacked: Box<Unpacked>,
+    has_avx2: bool,
 }
+
+/// The segments of a row of a block's lists.
+#[derive(Clone, Debug)]
+struct Unpacked {
+    front: RowOf<f32>,
+    back: RowOf<f32>,
+    tau: RowOf<f32>,
+    alpha: RowOf<f32>,
+    kappa: RowOf<f32>,
+    rate: RowOf<f32>,
+    c: [RowOf<f32>; 3],
+    e: [RowOf<f32>; 3],
+}
+
+type RowOf<T> = [T; BLOCK * MAX_K];
 
 /// A segment and what is in front of it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,7 +73,76 @@ impl Default for BlockLists {
             pieces: vec![behind; BLOCK_LISTS],
             slope: [1.0; BLOCK_LISTS],
             color: 0,
+            unpacked: Box::default(),
+            has_avx2: has_avx2(),
         }
+    }
+}
+
+impl Default for Unpacked {
+    fn default() -> Self {
+        let row = [0.0; BLOCK * MAX_K];
+        Self {
+            front: row,
+            back: row,
+            tau: row,
+            alpha: row,
+            kappa: row,
+            rate: row,
+            c: [row, row, row],
+            e: [row, row, row],
+        }
+    }
+}
+
+impl Unpacked {
+    /// Takes in segments from their words.
+    #[inline(always)]
+    fn fill(&mut self, depth: &[u32], rg: &[u32], b_tau: &[u32]) {
+        let num = depth.len().min(rg.len()).min(b_tau.len()).min(BLOCK * MAX_K);
+        for i in 0..num {
+            let ((r, g), (b, tau)) = (unpack_halves(rg[i]), unpack_halves(b_tau[i]));
+            let tau = select(tau > TAU_MIN, tau, TAU_MIN);
+            let alpha = opacity(tau);
+            let (front, back) = ((depth[i] & 0xffff) as f32, (depth[i] >> 16) as f32);
+            let per_alpha = 1.0 / alpha;
+            self.front[i] = front;
+            self.back[i] = back;
+            self.tau[i] = tau;
+            self.alpha[i] = alpha;
+            self.kappa[i] = transmittance(tau);
+            self.rate[i] = tau / (back - front);
+            self.c[0][i] = r;
+            self.c[1][i] = g;
+            self.c[2][i] = b;
+            self.e[0][i] = r * per_alpha;
+            self.e[1][i] = g * per_alpha;
+            self.e[2][i] = b * per_alpha;
+        }
+    }
+
+    /// Segment `i`, and what is collected before the next.
+    #[inline(always)]
+    fn piece(&self, i: usize, before: Before) -> (Piece, Before) {
+        let i = i % (BLOCK * MAX_K);
+        let at = |of: &[RowOf<f32>; 3]| [of[0][i], of[1][i], of[2][i]];
+        let (tau, c) = (self.tau[i], at(&self.c));
+        let piece = Piece {
+            front: self.front[i],
+            back: self.back[i],
+            tau,
+            alpha: self.alpha[i],
+            rate: self.rate[i],
+            c,
+            e: at(&self.e),
+            before,
+        };
+        let behind = Before {
+            tau: before.tau + tau,
+            kappa: before.kappa * self.kappa[i],
+            c: [0, 1, 2].map(|n| before.c[n] + before.kappa * c[n]),
+        };
+        (piece, behind)
     }
 }
 
@@ -63,41 +150,84 @@ impl BlockLists {
     /// Reads the lists of a valid frame ([`LayeredFrame::validate`]) from (`x`·[`BLOCK`], `y`·[`BLOCK`]) on; those
     /// outside of the frame are empty.
     pub fn read(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
+        #[cfg(target_arch = "x86_64")]
+        if self.has_avx2 {
+            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
+            // SAFETY: this processor has them.
+            return unsafe { self.read_avx2(frame, x, y) };
+        }
+        self.read_any(frame, x, y);
+    }
+
+    /// The same with wider instructions.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn read_avx2(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
+        self.read_any(frame, x, y);
+    }
+
+    #[inline(always)]
+    fn read_any(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
         let intrinsics = frame.header.camera.intrinsics;
         let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+        let (x, y) = (x as usize * BLOCK, y as usize * BLOCK);
+        let columns = width.saturating_sub(x).min(BLOCK);
         self.pieces.clear();
         let mut num_of_color = [0, 0];
-        for i in 0..BLOCK_LISTS {
-            let (x, y) = (x as usize * BLOCK + i % BLOCK, y as usize * BLOCK + i / BLOCK);
-            let mut before = Before::default();
-            if x < width && y < height {
-                for index in frame.list(y * width + x) {
-                    before = self.push(&frame.segment(index), before);
+        for row in 0..BLOCK {
+            let columns = if y + row < height { columns } else { 0 };
+            let first = (y + row) * width + x;
+            let offsets = if columns > 0 { &frame.offsets[first..=first + columns] } else { &[0][..] };
+            let start = offsets[0] as usize;
+            let range = start..offsets[columns] as usize;
+            let words = [&frame.depth, &frame.c_rg, &frame.c_b_tau].map(|plane| &plane[range.clone()]);
+            self.unpacked.fill(words[0], words[1], words[2]);
+            for column in 0..BLOCK {
+                let i = row * BLOCK + column;
+                let mut before = Before::default();
+                if column < columns {
+                    for index in offsets[column] as usize..offsets[column + 1] as usize {
+                        let (piece, behind) = self.unpacked.piece(index - start, before);
+                        self.pieces.push(piece);
+                        before = behind;
+                    }
                 }
+                self.pieces.push(Piece {
+                    front: f32::INFINITY,
+                    back: f32::INFINITY,
+                    before,
+                    ..Piece::default()
+                });
+                self.starts[i + 1] = self.pieces.len() as u32;
+                let [r, g, b] = before.c;
+                // The picture shows about the root of the colour, so an error in a dark list counts for more.
+                self.slope[i] = (0.5 / r.max(g).max(b).max(0.01).sqrt()).sqrt();
+                num_of_color[(column + row) % 2] += self.list(i).len();
             }
-            self.pieces.push(Piece { front: f32::INFINITY, back: f32::INFINITY, before, ..Piece::default() });
-            self.starts[i + 1] = self.pieces.len() as u32;
-            let [r, g, b] = before.c;
-            // The picture shows about the root of the colour, so an error in a dark list counts for more.
-            self.slope[i] = (0.5 / r.max(g).max(b).max(0.01).sqrt()).sqrt();
-            num_of_color[(i + i / BLOCK) % 2] += self.list(i).len();
         }
         self.color = usize::from(num_of_color[1] > num_of_color[0]);
     }
 
-    /// Appends a segment; returns what is collected before the next.
-    fn push(&mut self, segment: &Segment, before: Before) -> Before {
-        let tau = segment.tau.max(TAU_MIN);
-        let alpha = opacity(tau);
-        let (front, back) = (f32::from(segment.front), f32::from(segment.back));
-        let (rate, per_alpha) = (tau / (back - front), 1.0 / alpha);
-        let c = segment.c.to_array();
-        self.pieces.push(Piece { front, back, tau, alpha, rate, c, e: c.map(|c| c * per_alpha), before });
-        Before {
-            tau: before.tau + tau,
-            kappa: before.kappa * transmittance(tau),
-            c: [0, 1, 2].map(|n| before.c[n] + before.kappa * c[n]),
+    /// Whether a frame has nothing in a block.
+    pub fn is_nothing(frame: &LayeredFrame, x: u32, y: u32) -> bool {
+        let intrinsics = frame.header.camera.intrinsics;
+        let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+        let (left, top) = (x as usize * BLOCK, y as usize * BLOCK);
+        let right = (left + BLOCK).min(width);
+        (top..(top + BLOCK).min(height))
+            .all(|y| frame.offsets[y * width + left] == frame.offsets[y * width + right])
+    }
+
+    /// The roots of red, green and blue that the lists composite to.
+    pub fn roots(&self) -> [[f32; BLOCK_LISTS]; 3] {
+        let mut roots = [[0.0; BLOCK_LISTS]; 3];
+        for (i, end) in self.starts[1..].iter().enumerate() {
+            let c = self.pieces[*end as usize - 1].before.c;
+            for (roots, c) in roots.iter_mut().zip(c) {
+                roots[i] = c.max(0.0).sqrt();
+            }
         }
+        roots
     }
 
     /// Whether no list has a segment.

@@ -2,8 +2,8 @@
 
 use super::lists::{BlockLists, Collected, Walk};
 use super::{
-    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, MAX_LAYERS, Rule, SAMPLES, Sample, fourth_root, greater, power_5_4,
-    select, sum,
+    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, MAX_LAYERS, Rule, SAMPLES, Sample, fourth_root, greater, lesser,
+    power_5_4, select, sum,
 };
 use crate::kernels::raycast::opacity;
 
@@ -15,6 +15,8 @@ pub(super) struct Merge {
     rows: Vec<Collected>,
     /// Groups: those between two cuts with matter in them, that are still apart.
     groups: Vec<Group>,
+    /// Error that a union with the next group would add; infinite for the last.
+    costs: Vec<f32>,
     /// The fronts of the groups that are left.
     fronts: Vec<f32>,
 }
@@ -26,8 +28,7 @@ struct Group {
     to: usize,
     /// Error of its flat ends.
     misfit: f32,
-    /// Error that a union with the next group would add, and the union's error of its flat ends.
-    cost: f32,
+    /// Error of the flat ends of a union with the next group.
     misfit_of_union: f32,
     /// Whether one of the two has grown since.
     is_stale: bool,
@@ -87,20 +88,18 @@ impl Merge {
                 self.groups.push(group);
             }
         }
+        self.costs.clear();
+        self.costs.resize(self.groups.len(), f32::INFINITY);
         for i in 1..self.groups.len() {
             self.weigh(i - 1, &walk.slope);
         }
         let limit = rule.error_per_layer() * (SAMPLES as f32 / BLOCK_LISTS as f32);
         while self.groups.len() > 1 {
-            let mut cheapest = 0;
-            for (i, group) in self.groups.iter().enumerate() {
-                if group.cost < self.groups[cheapest].cost {
-                    cheapest = i;
-                }
-            }
+            let least = self.costs.iter().fold(f32::INFINITY, |least, cost| lesser(*cost, least));
+            let cheapest = self.costs.iter().position(|cost| *cost == least).unwrap_or(0);
             // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
             // when the search would end.
-            let is_dear = self.groups[cheapest].cost > limit && self.groups.len() <= MAX_LAYERS;
+            let is_dear = least > limit && self.groups.len() <= MAX_LAYERS;
             let stale =
                 if is_dear { self.groups.iter().position(|group| group.is_stale) } else { Some(cheapest) };
             let Some(stale) = stale else { break };
@@ -112,7 +111,8 @@ impl Merge {
             let group = &mut self.groups[cheapest];
             let (from, misfit) = (group.from, group.misfit_of_union);
             // The last group has no next.
-            *group = Group { from, misfit, is_stale: next.cost.is_finite(), ..next };
+            self.costs.remove(cheapest);
+            *group = Group { from, misfit, is_stale: self.costs[cheapest].is_finite(), ..next };
             if cheapest > 0 {
                 self.groups[cheapest - 1].is_stale = true;
             }
@@ -185,13 +185,13 @@ impl Merge {
         let rows = [a.from, a.to, b.from, b.to].map(|row| &self.rows[row]);
         let misfit_of_union = misfit(rows[0], rows[3], slope);
         let cost = joined(rows, slope) + (misfit_of_union - a.misfit - b.misfit).max(0.0);
-        self.groups[index] = Group { cost, misfit_of_union, is_stale: false, ..a };
+        self.groups[index] = Group { misfit_of_union, is_stale: false, ..a };
+        self.costs[index] = cost;
     }
 }
 
 impl Group {
-    const ALONE: Self =
-        Self { from: 0, to: 0, misfit: 0.0, cost: f32::INFINITY, misfit_of_union: 0.0, is_stale: false };
+    const ALONE: Self = Self { from: 0, to: 0, misfit: 0.0, misfit_of_union: 0.0, is_stale: false };
 }
 
 /// Weight of an error behind `kappa`.
