@@ -67,7 +67,7 @@ pub const BINDINGS: &[Binding] = &[
     keys("r", "first view", &[(NONE, Key::R, Action::FirstView)]),
     keys(
         "1, 3, 7",
-        "view from the front, the right, the top; with shift from the opposite side",
+        "from the front, the right, the top; Shift: from the opposite side",
         &[
             (NONE, Key::Num1, Action::StandardView(Side::Front, false)),
             (NONE, Key::Num3, Action::StandardView(Side::Right, false)),

@@ -10,6 +10,7 @@ mod bindings;
 pub mod camera_controls;
 mod camera_path;
 mod display;
+mod display_loss;
 mod foresight;
 mod frame_source;
 mod gpu_timer;

@@ -40,7 +40,6 @@ pub(crate) fn show(
     // All of the window's height but for the title and the margins; what does not fit is scrolled to.
     let height = (ctx.content_rect().height() - 70.0).max(100.0);
     let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
-    let area = area.default_size(vec2(PANEL_WIDTH, height + 50.0));
     area.show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             let title = egui::Button::new(RichText::new("Look").strong().size(13.0)).frame(false);
@@ -52,7 +51,9 @@ pub(crate) fn show(
                 return;
             }
             ui.set_width(PANEL_WIDTH);
-            egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
+            // An area is as high as it was before: without a least height it would never grow with its content.
+            let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
+            scroll.show(ui, |ui| {
                 ui.set_width(PANEL_WIDTH);
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
                 section(ui, "Frames", false, |ui| frames(ui, settings));

@@ -32,7 +32,7 @@ fn bright(ctx: &egui::Context) -> Color32 {
 }
 
 fn quiet(ctx: &egui::Context) -> Color32 {
-    if is_dark(ctx) { Color32::from_gray(165) } else { Color32::from_gray(80) }
+    if is_dark(ctx) { Color32::from_gray(178) } else { Color32::from_gray(70) }
 }
 
 /// The numbers, at the top left. `title` is the volume's name.
@@ -116,11 +116,13 @@ pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
         .collapsible(false)
         .show(ctx, |ui| {
             let height = (ctx.content_rect().height() - 90.0).max(100.0);
-            egui::ScrollArea::vertical().max_height(height).show(ui, |ui| {
-                egui::Grid::new("bindings").num_columns(2).spacing([28.0, 5.0]).show(ui, |ui| {
+            let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
+            scroll.show(ui, |ui| {
+                ui.spacing_mut().interact_size.y = 0.0;
+                egui::Grid::new("bindings").num_columns(2).spacing([24.0, 4.0]).show(ui, |ui| {
                     for binding in BINDINGS {
-                        ui.label(RichText::new(binding.keys).color(bright(ctx)));
-                        ui.label(binding.text);
+                        ui.label(RichText::new(binding.keys).color(bright(ctx)).strong());
+                        ui.label(RichText::new(binding.text).color(quiet(ctx)));
                         ui.end_row();
                     }
                 });

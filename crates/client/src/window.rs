@@ -1,5 +1,6 @@
 //! Opens the window and closes it.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -8,6 +9,8 @@ use isinglass_net::Clock;
 use crate::app::ViewerApp;
 use crate::camera_controls::InitialOrbit;
 use crate::camera_path::CameraPath;
+use crate::display::display_available;
+use crate::display_loss::{DisplayLost, told_apart};
 use crate::foresight::Foresight;
 use crate::frame_source::FrameSource;
 use crate::gpu_timer::timer_features;
@@ -116,6 +119,11 @@ pub enum ViewerError {
          (libx11-6, libxcursor1, libxi6, libxkbcommon-x11-0) are needed"
     )]
     Window(String),
+    /// The window was open, and the screen it was on is gone.
+    #[error(
+        "the display was lost while the window was open: the X server ended, or the connection to it broke"
+    )]
+    DisplayLost,
     /// The kernel could not be built for this device.
     #[error("cannot prepare the graphics device: {0}")]
     Device(String),
@@ -128,7 +136,7 @@ pub enum ViewerError {
 /// Must be called on the main thread.
 ///
 /// # Errors
-/// If there is no window, no adapter or no source; before anything was shown.
+/// If there is no window, no adapter or no source; before anything was shown. Or if the display goes away later.
 pub fn run_window<S: FrameSource + 'static>(
     options: WindowOptions,
     clock: Clock,
@@ -148,7 +156,10 @@ pub fn run_window<S: FrameSource + 'static>(
         ..Default::default()
     };
     let mut options = options;
+    let was_open = Arc::new(AtomicBool::new(false));
+    let opened = was_open.clone();
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
+        opened.store(true, Ordering::Relaxed);
         cc.egui_ctx.set_theme(egui::Theme::Dark);
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let status = picture::install(state).map_err(ViewerError::Device)?;
@@ -159,7 +170,15 @@ pub fn run_window<S: FrameSource + 'static>(
         let source = make_source(wake).map_err(ViewerError::Source)?;
         Ok(Box::new(ViewerApp::new(options, views, source, clock, status)))
     });
-    eframe::run_native("isinglass", native, create).map_err(viewer_error)
+    let run = || eframe::run_native("isinglass", native, create);
+    match told_apart(display_available, run) {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(_)) | Err(DisplayLost) if was_open.load(Ordering::Relaxed) && !display_available() => {
+            Err(ViewerError::DisplayLost)
+        }
+        Ok(Err(e)) => Err(viewer_error(e)),
+        Err(DisplayLost) => Err(ViewerError::Window("the display is gone".into())),
+    }
 }
 
 fn viewer_error(error: eframe::Error) -> ViewerError {

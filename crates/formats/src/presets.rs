@@ -113,7 +113,21 @@ macro_rules! presets {
     };
 }
 
-presets!["ct", "industrial", "mri", "angio", "smooth", "fluorescence", "cloud", "cubus", "shells"];
+presets![
+    "ct",
+    "industrial",
+    "mri",
+    "angio",
+    "smooth",
+    "fluorescence",
+    "ct-body",
+    "ct-bone",
+    "ct-vessels",
+    "ct-lung",
+    "cloud",
+    "cubus",
+    "shells"
+];
 
 /// At most about this many voxels along each axis are looked at: a quarter of a million in all, enough for two digits.
 const SAMPLES_PER_SIDE: i32 = 64;

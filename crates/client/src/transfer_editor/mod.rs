@@ -203,7 +203,7 @@ impl TransferEditor {
                 "" => "unnamed",
                 name => name,
             };
-            let presets = egui::ComboBox::from_id_salt("preset").width(half).truncate();
+            let presets = egui::ComboBox::from_id_salt("preset").width(half).height(LIST_HEIGHT).truncate();
             let presets = presets.selected_text(name).show_ui(ui, |ui| {
                 for name in isinglass_formats::preset_names() {
                     if ui.selectable_label(self.curve.transfer.name == name, name).clicked() {
@@ -212,7 +212,7 @@ impl TransferEditor {
                 }
             });
             named(&presets.response, egui::Role::ComboBox, "preset");
-            let maps = egui::ComboBox::from_id_salt("colours").width(half).truncate();
+            let maps = egui::ComboBox::from_id_salt("colours").width(half).height(LIST_HEIGHT).truncate();
             let maps = maps.selected_text("colour map").show_ui(ui, |ui| {
                 for map in ColorMap::all() {
                     if map_label(ui, &map) {
@@ -473,6 +473,9 @@ fn named_number(response: &egui::Response, role: egui::Role, name: &str, value: 
         ..egui::WidgetInfo::labeled(role, true, name)
     });
 }
+
+/// Lists of presets and colour maps are seen whole.
+const LIST_HEIGHT: f32 = 460.0;
 
 /// A colour map with its colours; whether it was chosen.
 fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {

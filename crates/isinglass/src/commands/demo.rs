@@ -84,7 +84,8 @@ pub(crate) fn run(args: DemoArgs) -> Result<()> {
         return headless(args, link);
     }
     match window(args.clone(), link.clone()) {
-        Err(e) if e.is::<ViewerError>() => {
+        // Where there never was a window; one that was lost is an error.
+        Err(e) if e.downcast_ref().is_some_and(|e| !matches!(e, ViewerError::DisplayLost)) => {
             note(&format!("no window ({e:#}): playing without one (see `isinglass doctor`)"));
             headless(args, link)
         }
