@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 21] = [
+const SOURCES: [&str; 22] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
