@@ -18,7 +18,7 @@ struct Budget {
 struct Gather {
     // Length of a step, world units.
     h: f32,
-    // Pieces that cost no more than this to merge are merged.
+    // Pieces that cost no more than this are merged.
     tolerance: f32,
     transmittance: f32,
     // Weight of collected colour against collected opacity.
@@ -26,60 +26,64 @@ struct Gather {
     // Transmittance in front, at least VISIBILITY_FLOOR; at the end the weight of what a group that begins here gets
     // wrong.
     visibility: array<f32, OPEN + 1>,
-    // Cost of merging a piece with the one behind it; that of the last but one is of before the last had its length.
+    // What merging has cost each piece up to now.
+    spent: array<f32, OPEN + 1>,
+    // Cost of merging a piece with the one behind it.
     cost: array<f32, OPEN + 1>,
 }
 
 var<private> sink: Gather;
 
-fn gather(ray: Ray, lattice: Lattice) {
+fn gather(ray: Ray, lattice: Lattice, tolerance: f32) {
     sink.h = lattice.h;
-    sink.tolerance = 0.0;
+    sink.tolerance = tolerance;
     sink.transmittance = 1.0;
     list.len = 0u;
     march(ray, lattice);
     finish();
 }
 
-// Cost of merging piece i with `behind`.
-fn pair_cost(i: u32, behind: OpenSegment) -> f32 {
-    return merge_cost(list.segments[i], behind, sink.h) * sink.visibility[i];
+// The cost up to which steps are merged at once, where rays stop joining at `threshold`.
+fn tolerance_from(threshold: f32) -> f32 {
+    let share = f32(MEAN_K) / f32(OPEN);
+    let square = share * share;
+    return threshold * min(TOLERANCE_SHARE * (square * square), TOLERANCE_GREATEST);
 }
 
-// Raises the tolerance to where most of the cheap pairs merge, and merges from the front on.
+// Cost of merging piece i with `behind`, which has cost `spent`.
+fn pair_cost(i: u32, behind: OpenSegment, spent: f32) -> f32 {
+    return merge_cost(list.segments[i], behind, sink.h) * sink.visibility[i] + (sink.spent[i] + spent);
+}
+
+// Of OPEN + 1 pieces merges neighbours, and raises the tolerance to where most of the cheap pairs merge. A pair that costs
+// more than the one behind it waits for another time, as does one with a piece that was merged just now.
 fn thin_out() {
-    let last = list.len - 1u;
-    sink.cost[last - 1u] = pair_cost(last - 1u, list.segments[last]);
     // The harmonic mean is that of the cheap ones; at least one is no dearer.
     var sum_of_inverses = 0.0;
-    for (var i = 0u; i < last; i++) {
-        sum_of_inverses += 1.0 / max(sink.cost[i], COST_LEAST);
+    for (var i = 0u; i < OPEN; i++) {
+        let cost = pair_cost(i, list.segments[i + 1u], sink.spent[i + 1u]);
+        sink.cost[i] = cost;
+        sum_of_inverses += 1.0 / max(cost, COST_LEAST);
     }
-    sink.tolerance = max(f32(last) / sum_of_inverses, 2.0 * sink.tolerance);
+    sink.cost[OPEN] = INFINITE_COST;
+    sink.tolerance = max(f32(OPEN) / sum_of_inverses, 2.0 * sink.tolerance);
     var kept = 0u;
-    for (var i = 1u; i < list.len; i++) {
-        var cost = sink.cost[kept];
-        if (cost == COST_CHANGED) {
-            cost = pair_cost(kept, list.segments[i]);
+    var i = 0u;
+    while (i <= OPEN) {
+        var piece = list.segments[i];
+        var spent = sink.spent[i];
+        sink.visibility[kept] = sink.visibility[i];
+        if (i < OPEN && sink.cost[i] <= sink.tolerance && sink.cost[i] <= sink.cost[min(i + 1u, OPEN)]) {
+            spent = sink.cost[i];
+            i += 1u;
+            piece = appended(piece, list.segments[i]);
         }
-        if (cost <= sink.tolerance) {
-            list.segments[kept] = appended(list.segments[kept], list.segments[i]);
-            sink.cost[kept] = COST_CHANGED;
-            if (kept > 0u) {
-                sink.cost[kept - 1u] = COST_CHANGED;
-            }
-        } else {
-            sink.cost[kept] = cost;
-            if (kept > 0u && sink.cost[kept - 1u] == COST_CHANGED) {
-                sink.cost[kept - 1u] = pair_cost(kept - 1u, list.segments[kept]);
-            }
-            kept += 1u;
-            list.segments[kept] = list.segments[i];
-            sink.visibility[kept] = sink.visibility[i];
-            sink.cost[kept] = sink.cost[i];
-        }
+        list.segments[kept] = piece;
+        sink.spent[kept] = spent;
+        kept += 1u;
+        i += 1u;
     }
-    list.len = kept + 1u;
+    list.len = kept;
 }
 
 fn sink_step(step: Step) -> u32 {
@@ -88,17 +92,15 @@ fn sink_step(step: Step) -> u32 {
     let pace = pace_behind(sink.transmittance);
     if (list.len > 0u) {
         let last = list.len - 1u;
-        let cost = pair_cost(last, step);
+        let cost = pair_cost(last, step, 0.0);
         if (cost <= sink.tolerance) {
             list.segments[last] = appended(list.segments[last], step);
+            sink.spent[last] = cost;
             return pace;
-        }
-        sink.cost[last] = cost;
-        if (last > 0u) {
-            sink.cost[last - 1u] = pair_cost(last - 1u, list.segments[last]);
         }
     }
     list.segments[list.len] = step;
+    sink.spent[list.len] = 0.0;
     sink.visibility[list.len] = visibility;
     list.len += 1u;
     if (list.len > OPEN) {
@@ -278,6 +280,9 @@ fn settle() {
         let begin = groups.first[g - 1u];
         let end = groups.first[g + 1u];
         var least = groups.error[g - 1u] + groups.error[g];
+        if (least < SETTLED_SHARE * budget.threshold) {
+            continue;
+        }
         for (var step = 1.0; step > 0.2; step *= 0.5) {
             let border = groups.first[g];
             for (var side = -1.0; side < 2.0; side += 2.0) {
@@ -293,6 +298,8 @@ fn settle() {
                     groups.first[g] = moved;
                     groups.error[g - 1u] = before;
                     groups.error[g] = behind;
+                    // The other way it was worse.
+                    break;
                 }
             }
         }
@@ -300,7 +307,7 @@ fn settle() {
 }
 
 fn generate_list(ray: Ray, lattice: Lattice) {
-    gather(ray, lattice);
+    gather(ray, lattice, tolerance_from(budget.threshold));
     if (list.len == 0u) {
         return;
     }
@@ -332,7 +339,7 @@ fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
     if (lattice.n == 0u) {
         return;
     }
-    gather(from_camera.ray, lattice);
+    gather(from_camera.ray, lattice, 0.0);
     if (list.len == 0u) {
         return;
     }
@@ -370,10 +377,13 @@ fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
 
 // Costs below this are equal.
 const COST_LEAST: f32 = 1e-20;
-// Marks a cost that is to be worked out again.
-const COST_CHANGED: f32 = -1.0;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
+// See tolerance_from.
+const TOLERANCE_SHARE: f32 = 2.0;
+const TOLERANCE_GREATEST: f32 = 0.1;
+// Two groups with less than so much of the threshold as their errors keep their border.
+const SETTLED_SHARE: f32 = 0.3;
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.
 const VISIBILITY_FLOOR: f32 = 0.2;
 // Weight of moved opacity against mixed colour while gathering.

@@ -135,7 +135,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 20] = [
+const TWINS: [&str; 21] = [
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
@@ -150,6 +150,7 @@ const TWINS: [&str; 20] = [
     include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
+    include_str!("../../core/src/kernels/layering/visibility_merge/gather.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
     include_str!("../../core/src/kernels/layering/cuts.rs"),
     include_str!("../../core/src/kernels/layering/equal_length.rs"),

@@ -19,7 +19,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::march::TRANSMITTANCE_MIN;
-use super::raycast::{CastOptions, Raycaster};
+use super::raycast::{CastOptions, Raycaster, clip_by_planes, frustum_planes};
 use crate::camera::{Basis, Camera};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::picture::Picture;
@@ -85,26 +85,8 @@ impl View {
     /// The part of `within` that lies at least `inset` pixels inside the frustum; empty if its end is not after its
     /// start.
     fn clip(&self, Line { o, d }: Line, inset: f32, within: (f32, f32)) -> (f32, f32) {
-        let (mut s0, mut s1) = within;
-        let (right, bottom) = (self.basis.width - inset, self.basis.height - inset);
-        let planes = [
-            (o.z - self.near, d.z),
-            (o.x - inset * o.z, d.x - inset * d.z),
-            (right * o.z - o.x, right * d.z - d.x),
-            (o.y - inset * o.z, d.y - inset * d.z),
-            (bottom * o.z - o.y, bottom * d.z - d.y),
-        ];
-        for (a, b) in planes {
-            // Inside where a + b·s ≥ 0.
-            if b > 0.0 {
-                s0 = s0.max(-a / b);
-            } else if b < 0.0 {
-                s1 = s1.min(-a / b);
-            } else if a < 0.0 {
-                return (s1, s1);
-            }
-        }
-        (s0, s1)
+        let planes = frustum_planes(o, d, [self.basis.width, self.basis.height], self.near, inset);
+        clip_by_planes(planes, within)
     }
 
     /// Pixels from the nearest border, negative outside and minus infinity behind the near plane.

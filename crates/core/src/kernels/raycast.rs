@@ -30,7 +30,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use self::line::Stretch;
-pub(super) use self::line::{Columns, Line, greater, lesser};
+pub(super) use self::line::{Columns, Line, clip_by_planes, frustum_planes, greater, lesser};
 pub(super) use self::media::Medium;
 use self::media::{list_cells, unpack};
 use self::pieces::{Crossing, Pieces, Sum};
@@ -237,31 +237,14 @@ impl Raycaster {
     #[inline]
     fn clip(&self, ray: &Ray, within: (f32, f32)) -> Option<Line> {
         let (s0, s1) = self.bounds.clip(ray)?;
-        let (mut s0, mut s1) = (s0.max(within.0), s1.min(within.1));
         let pixel_from_world = |v: Vec3| {
             let [x, y, w] = self.pixel_rows;
             Vec3::new(v.dot(x), v.dot(y), v.dot(w))
         };
         let o = pixel_from_world(ray.origin - self.basis.eye);
         let d = pixel_from_world(ray.dir);
-        let [width, height] = self.size.map(|n| n as f32);
-        let planes = [
-            (o.z - self.near, d.z),
-            (o.x, d.x),
-            (width * o.z - o.x, width * d.z - d.x),
-            (o.y, d.y),
-            (height * o.z - o.y, height * d.z - d.y),
-        ];
-        for (a, b) in planes {
-            // Inside where a + b·s ≥ 0.
-            if b > 0.0 {
-                s0 = s0.max(-a / b);
-            } else if b < 0.0 {
-                s1 = s1.min(-a / b);
-            } else if a < 0.0 {
-                return None;
-            }
-        }
+        let planes = frustum_planes(o, d, self.size.map(|n| n as f32), self.near, 0.0);
+        let (s0, s1) = clip_by_planes(planes, (s0.max(within.0), s1.min(within.1)));
         if s1 <= s0 {
             return None;
         }

@@ -104,7 +104,7 @@ fn trace(
             let marcher = Marcher::new(scene, texels);
             marcher.march(&ray, lattice, &mut all);
             marcher.march(&ray, lattice, &mut seen);
-            generate_list(scene, &marcher, &of, K, layering)
+            generate_list(scene, &marcher, &of, K, layering, &mut visibility_merge::Gather::default())
         });
         if !all.steps.is_empty() {
             let list = list.segments[..list.len].to_vec();

@@ -168,10 +168,11 @@ fn generate_with<T: Texels>(
         0.0
     };
     gather_rows(header, |y, row| {
+        let mut gather = visibility_merge::Gather::default();
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
             let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-            let list = generate_list(scene, marcher, &of, k, layering);
+            let list = generate_list(scene, marcher, &of, k, layering, &mut gather);
             let mut last_back = 0;
             for segment in &list.segments[..list.len] {
                 let segment = close_segment(&camera, longest, segment, s_per_depth, last_back);
@@ -228,13 +229,14 @@ struct RayOfFrame<'a> {
     s_per_depth: f32,
 }
 
-/// The list of one ray.
+/// The list of one ray; `gather` is for the rule that needs it.
 fn generate_list<T: Texels>(
     scene: &Scene,
     marcher: &Marcher<'_, T>,
     of: &RayOfFrame<'_>,
     k: usize,
     layering: Layering,
+    gather: &mut visibility_merge::Gather,
 ) -> SegmentList {
     let &RayOfFrame { basis, near, threshold, ref ray, s_per_depth } = of;
     let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return SegmentList::default() };
@@ -242,9 +244,10 @@ fn generate_list<T: Texels>(
         Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
             let most =
                 if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
-            let mut gather = visibility_merge::Gather::new(lattice.h);
-            marcher.march(ray, lattice, &mut gather);
-            gather.finish().reduce(most, threshold)
+            let tolerance = visibility_merge::tolerance(threshold, k);
+            gather.begin(lattice.h, tolerance);
+            marcher.march(ray, lattice, gather);
+            gather.reduce(most, threshold)
         }
         Layering::EqualTransmittance => {
             let mut profile = equal_transmittance::Profile::default();

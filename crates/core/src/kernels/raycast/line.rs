@@ -1,5 +1,7 @@
 //! A ray in the pixel space of the frame, and its walk from column to column of lists.
 
+use glam::Vec3;
+
 use super::{LANES, Raycaster};
 use crate::kernels::empty_space::TILE;
 use crate::layer::DEPTH_UNITS;
@@ -31,6 +33,44 @@ impl Line {
         self.reach = [if first > 0.0 { t(first) } else { 0.0 }, if last < length { t(last) } else { 1.0 }];
         first < length && last > 0.0
     }
+}
+
+/// The planes of a frustum on the ray o + d·s of homogeneous pixel coordinates, each as the numbers (a, b) of its inside,
+/// a + b·s ≥ 0: near, and the borders of a picture of `size`, `inset` pixels inside of them.
+#[inline(always)]
+pub(in crate::kernels) fn frustum_planes(
+    o: Vec3,
+    d: Vec3,
+    [width, height]: [f32; 2],
+    near: f32,
+    inset: f32,
+) -> [(f32, f32); 5] {
+    let (right, bottom) = (width - inset, height - inset);
+    [
+        (o.z - near, d.z),
+        (o.x - inset * o.z, d.x - inset * d.z),
+        (right * o.z - o.x, right * d.z - d.x),
+        (o.y - inset * o.z, d.y - inset * d.z),
+        (bottom * o.z - o.y, bottom * d.z - d.y),
+    ]
+}
+
+/// The part of `within` that is inside of all planes; empty if its end is not after its start.
+#[inline(always)]
+pub(in crate::kernels) fn clip_by_planes(
+    planes: [(f32, f32); 5],
+    (mut s0, mut s1): (f32, f32),
+) -> (f32, f32) {
+    for (a, b) in planes {
+        if b > 0.0 {
+            s0 = s0.max(-a / b);
+        } else if b < 0.0 {
+            s1 = s1.min(-a / b);
+        } else if a < 0.0 {
+            return (s1, s1);
+        }
+    }
+    (s0, s1)
 }
 
 /// The parts of a ray inside successive columns of lists, or, for the nearest list, between all borders of lists.
