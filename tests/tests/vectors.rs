@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::codec::{Settings, encode};
+use isinglass_core::codec::blocks::{self, Reference, References};
+use isinglass_core::codec::{CodecError, Settings, assemble, encode};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
@@ -22,6 +23,15 @@ const VECTORS: [(&str, u64); 5] = [
     ("exact-2-shells-8-bit", 0x62a9_29b0_ffc1_72d7),
     ("exact-2-shells-long-lists", 0x0aae_3cd5_7242_60d7),
     ("exact-2-empty", 0xed8c_5c23_6a1c_e039),
+];
+
+/// Name, the one before that it may be predicted from, and checksum of the frame.
+const BLOCKS: [(&str, Option<&str>, u64); 5] = [
+    ("blocks-2-shells", None, 0xf758_9055_db80_deef),
+    ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
+    ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
+    ("blocks-2-cloud-split", None, 0x4d1c_6e0e_748b_a15c),
+    ("blocks-2-cubus-coarse", None, 0xa9b9_07db_c481_ed57),
 ];
 
 fn path(name: &str) -> PathBuf {
@@ -48,7 +58,29 @@ fn every_stored_stream_decodes_to_its_frame() {
     });
     assert!(found == VECTORS, "{found:#018x?}");
     let stored = std::fs::read_dir(path(VECTORS[0].0).parent().unwrap()).unwrap().count();
-    assert_eq!(stored, VECTORS.len(), "files that no line names");
+    assert_eq!(stored, VECTORS.len() + BLOCKS.len(), "files that no line names");
+}
+
+/// The frame of a file, predicted from those before if it is, and what later ones may be predicted from.
+fn read_with(name: &str, references: &References) -> Result<(LayeredFrame, Arc<Reference>), CodecError> {
+    let chunks = iglf::read_chunks(&path(name)).expect("the file is there");
+    let chunks: Vec<&[u8]> = chunks.iter().map(|c| &c[..]).collect();
+    let (frame, reference) = assemble(&chunks, references)?.to_frame_and_reference();
+    Ok((frame, reference.expect("all chunks are there")))
+}
+
+#[test]
+fn every_stored_stream_in_blocks_decodes_to_its_frame() {
+    let mut references = References::default();
+    let found = BLOCKS.map(|(name, before, _)| {
+        // No other than the one that it names is asked for, and it cannot do without.
+        assert_eq!(read_with(name, &References::default()).is_err(), before.is_some());
+        let (frame, reference) = read_with(name, &references).unwrap();
+        frame.validate().unwrap();
+        references.insert(reference);
+        (name, before, checksum(&frame))
+    });
+    assert!(found == BLOCKS, "{found:#018x?}");
 }
 
 #[test]
@@ -66,17 +98,18 @@ fn another_frame_has_another_checksum() {
 #[test]
 #[ignore = "writes files into the repository"]
 fn make_missing_vectors() {
-    let frame = |source: &str, [width, height]: [u32; 2], k, layering: Layering| {
+    let frame_at = |id, azimuth, source: &str, [width, height]: [u32; 2], k, layering: Layering| {
         let volume = open(source, &Default::default()).unwrap();
         let preset = default_preset(source, &volume, &Histogram::of(&volume)).to_string();
         let bounds = volume.bounds();
         let scene = Scene::new(Arc::new(volume), &load_transfer(&preset).unwrap(), MarchSettings::default());
         let intrinsics = Intrinsics { width, height, fov_y: 0.7 };
-        let pose = Pose::orbit(bounds.center(), 0.5, 0.35, bounds.radius() * intrinsics.fit_distance());
+        let pose = Pose::orbit(bounds.center(), azimuth, 0.35, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
-        let header = FrameHeader { frame: FrameId(1), pose: PoseId(2), look: LookVersion(3), camera, k };
+        let header = FrameHeader { frame: FrameId(id), pose: PoseId(2), look: LookVersion(3), camera, k };
         generate(&scene, header, layering)
     };
+    let frame = |source: &str, size, k, layering| frame_at(1, 0.5, source, size, k, layering);
     let settings = |color_bits, num_groups| Settings { color_bits, num_groups };
     let merge = Layering::VisibilityMerge;
     let cloud = frame("builtin:cloud@32", [40, 40], 4, merge);
@@ -93,5 +126,23 @@ fn make_missing_vectors() {
         if !path.exists() {
             iglf::write(&path, &encode(&frame, &settings).unwrap()).unwrap();
         }
+    }
+    let mut references = References::default();
+    let turned = |id, azimuth| frame_at(id, azimuth, shells, [90, 70], 8, merge);
+    for ((name, before, _), (frame, quality, is_split)) in BLOCKS.into_iter().zip([
+        (turned(11, 0.5), 60, false),
+        (turned(12, 0.52), 60, false),
+        (turned(13, 0.52), 60, false),
+        (frame_at(14, 0.5, "builtin:cloud@32", [64, 64], 12, merge), 90, true),
+        (frame_at(15, 0.5, "builtin:cubus@32", [50, 81], 4, Layering::EqualTransmittance), 10, false),
+    ]) {
+        let path = path(name);
+        let settings = blocks::Settings { quality, is_split };
+        if !path.exists() {
+            let before = before.and(references.newest()).cloned();
+            let (encoded, _) = blocks::encode(&frame, &settings, before.as_deref()).unwrap();
+            iglf::write(&path, &encoded).unwrap();
+        }
+        references.insert(read_with(name, &references).unwrap().1);
     }
 }

@@ -4,6 +4,7 @@ use isinglass_core::codec::{Coding, Settings, blocks};
 use isinglass_core::kernels::layering::Layering;
 
 use super::layout::{Layout, Part};
+use super::ours::Ours;
 use super::raster::{ImageCodec, Png};
 use super::raw::Compressor;
 use crate::error::BenchError;
@@ -41,6 +42,7 @@ pub(crate) fn all() -> Vec<Contender> {
     let mut all = product();
     all.push(Contender { name: Compressor::Zstd.name(), way: Way::Raw(Compressor::Zstd) });
     all.push(Contender { name: "png-published", way: Way::Planes(Layout::Published, Box::new(Png)) });
+    all.push(Contender { name: "blocks-planes", way: Way::Planes(Layout::Weighted, Box::new(Ours)) });
     #[cfg(feature = "rivals")]
     all.extend(others());
     all

@@ -17,6 +17,7 @@ mod contenders;
 mod jpeg2000;
 mod layout;
 mod measure;
+mod ours;
 mod plot;
 mod raster;
 mod raw;

@@ -19,6 +19,7 @@ mod entropy;
 pub mod model;
 mod motion;
 mod picture;
+pub mod raster;
 mod reference;
 pub mod relayer;
 mod scales;

@@ -1,0 +1,139 @@
+//! Pictures coded as the planes of a layer are: with the same transform, contexts and bits, but without depth, masks or
+//! a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
+
+use super::super::CodecError;
+use super::coding::residual;
+use super::entropy::{Coder, Decoder, Encoder};
+use super::model::{BLOCK, BLOCK_LISTS};
+use super::scales::{roots_from_ycc, ycc_from_roots};
+use super::syntax::{Contexts, NO_CLASS};
+use super::transform::Plane;
+
+/// What a picture is, and how finely it is coded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Picture {
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// 1, or 3: red, green and blue.
+    pub channels: usize,
+    /// Step of the one channel, or of brightness.
+    pub step: f32,
+    /// Steps of colour differences, in steps of brightness.
+    pub chroma: f32,
+}
+
+impl Picture {
+    /// Encodes samples from 0 to 1, row by row, all channels of a pixel together.
+    pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
+        self.code(Encoder::new(), samples).0.finish()
+    }
+
+    /// The samples that were encoded, up to what was lost. A damaged stream gives other samples, or ends too early.
+    pub fn decode(&self, bytes: &[u8]) -> Result<Vec<f32>, CodecError> {
+        let (decoder, samples) = self.code(Decoder::new(bytes), &[]);
+        if decoder.is_overrun() {
+            return Err(CodecError::Payload { plane: "picture", problem: "ends too early".into() });
+        }
+        Ok(samples)
+    }
+
+    fn code<C: Coder>(&self, mut coder: C, samples: &[f32]) -> (C, Vec<f32>) {
+        let [width, height] = self.size;
+        let mut contexts = Contexts::new();
+        let mut out = vec![0.0; width * height * self.channels];
+        let across = width.div_ceil(BLOCK);
+        // Mean and class of each component of the blocks so far.
+        let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        for block in 0..across * height.div_ceil(BLOCK) {
+            let corner = [block % across * BLOCK, block / across * BLOCK];
+            let place = |i: usize| {
+                let [x, y] = [corner[0] + i % BLOCK, corner[1] + i / BLOCK];
+                (x < width && y < height).then_some((y * width + x) * self.channels)
+            };
+            let mask = (0..BLOCK_LISTS).fold(0, |mask, i| mask | u64::from(place(i).is_some()) << i);
+            let source = C::ENCODES.then(|| self.block(samples, &place));
+            let left = (block % across > 0).then(|| coded[block - 1]);
+            let above = block.checked_sub(across).map(|b| coded[b]);
+            let mut own = [(0.0, 0); 3];
+            let mut values = [[0.0; BLOCK_LISTS]; 3];
+            for (c, values) in values.iter_mut().enumerate().take(self.channels) {
+                let (mean, beside) = match (left.map(|b| b[c]), above.map(|b| b[c])) {
+                    (Some(a), Some(b)) => (0.5 * (a.0 + b.0), (a.1 + b.1) / 2),
+                    (Some(a), None) | (None, Some(a)) => a,
+                    (None, None) => (0.0, NO_CLASS),
+                };
+                let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
+                let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
+                let step = if c == 0 { self.step } else { self.step * self.chroma };
+                let (class, change) = residual(
+                    &mut coder,
+                    &mut contexts,
+                    component,
+                    [in_front, beside],
+                    step,
+                    mask,
+                    source.as_ref().map(|s| &s[c]),
+                    &[mean; BLOCK_LISTS],
+                    values,
+                );
+                own[c] = (mean + change, class);
+            }
+            coded.push(own);
+            for i in 0..BLOCK_LISTS {
+                let Some(at) = place(i) else { continue };
+                let pixel = values.each_ref().map(|plane| plane[i]);
+                let pixel = if self.channels == 1 { pixel } else { roots_from_ycc(pixel) };
+                for (out, value) in out[at..at + self.channels].iter_mut().zip(pixel) {
+                    *out = value.clamp(0.0, 1.0);
+                }
+            }
+        }
+        (coder, out)
+    }
+
+    /// The components of a block.
+    fn block(&self, samples: &[f32], place: &impl Fn(usize) -> Option<usize>) -> [Plane; 3] {
+        let mut planes = [[0.0; BLOCK_LISTS]; 3];
+        for i in 0..BLOCK_LISTS {
+            let Some(at) = place(i) else { continue };
+            let pixel = match samples[at..at + self.channels] {
+                [r, g, b] => ycc_from_roots([r, g, b]),
+                ref one => [one[0], 0.0, 0.0],
+            };
+            for (plane, value) in planes.iter_mut().zip(pixel) {
+                plane[i] = value;
+            }
+        }
+        planes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_come_back_within_their_steps_and_finer_ones_are_larger() {
+        for (size, channels) in [([37, 22], 1), ([64, 40], 3), ([1, 1], 3)] {
+            let samples: Vec<f32> = (0..size[0] * size[1] * channels)
+                .map(|i| 0.5 + 0.4 * ((i / channels) as f32 * 0.05 + (i % channels) as f32).sin())
+                .collect();
+            let mut last = 0;
+            for step in [0.2, 0.05, 0.01] {
+                let picture = Picture { size, channels, step, chroma: 2.0 };
+                let bytes = picture.encode(&samples);
+                let found = picture.decode(&bytes).unwrap();
+                let squares: f32 = samples.iter().zip(&found).map(|(a, b)| (a - b).powi(2)).sum();
+                // Half a step of the coefficients at most, twice that of differences; a colour is the sum of three.
+                assert!((squares / samples.len() as f32).sqrt() < 1.5 * step, "{size:?} {step}");
+                assert!(bytes.len() >= last);
+                last = bytes.len();
+            }
+            let picture = Picture { size, channels, step: 0.01, chroma: 2.0 };
+            let bytes = picture.encode(&samples);
+            if size[0] > 1 {
+                assert!(picture.decode(&bytes[..bytes.len() / 2]).is_err());
+            }
+        }
+    }
+}
