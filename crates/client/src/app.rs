@@ -233,6 +233,11 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings);
         let Settings { look: mut wanted, frame_size, method, stereo, aids, .. } = settings;
+        let shown = (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids);
+        if (method, frame_size, stereo, aids) != shown {
+            // The picture beneath has been drawn already.
+            ctx.request_repaint();
+        }
         self.novel_views.selected = method;
         self.viewing.frame_size = frame_size;
         (self.stereo, self.aids) = (stereo, aids);

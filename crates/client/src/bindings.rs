@@ -126,7 +126,8 @@ pub(crate) fn take_actions(events: &mut Vec<Event>, types: bool) -> Vec<Action> 
         if !is_text && (!repeat || matches!(action, Action::Undo | Action::Redo)) {
             actions.push(action);
         }
-        is_text
+        // Whoever else listens for it may close, too: a list, a chosen point.
+        is_text || action == Action::CloseHelp
     });
     actions
 }
@@ -153,7 +154,8 @@ mod tests {
         let mut seen = Vec::new();
         for (modifiers, key, action) in BINDINGS.iter().flat_map(|b| b.chords) {
             let mut events = vec![press(*key, None, *modifiers, false)];
-            assert_eq!((take_actions(&mut events, false), events.len()), (vec![*action], 0));
+            let left = usize::from(*action == Action::CloseHelp);
+            assert_eq!((take_actions(&mut events, false), events.len()), (vec![*action], left));
             assert!(!seen.contains(&(*modifiers, *key)), "{key:?} twice");
             seen.push((*modifiers, *key));
         }

@@ -178,4 +178,4 @@ pub(crate) fn title_of(volume: &VolumeDescription) -> String {
 
 /// Behind the page before the first picture.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);
-const OVERLAY_WIDTH: f32 = 172.0;
+const OVERLAY_WIDTH: f32 = 190.0;

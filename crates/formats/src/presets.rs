@@ -17,8 +17,8 @@ pub fn preset_names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The preset to start with for a volume opened from `source`: built-in volumes have their own, others are judged by
-/// their voxels (never by their names). `histogram` must be the volume's own.
+/// The preset to start with for a volume opened from `source`: built-in volumes have their own, CT and MR that say so the
+/// one of their modality, and others are judged by their voxels (never by their names). `histogram` must be the volume's own.
 pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &'static str {
     let builtin =
         source.strip_prefix("builtin:").map(|name| name.split_once('@').map_or(name, |(kind, _)| kind));
@@ -26,7 +26,17 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         Some(Builtin::Cloud) => "cloud",
         Some(Builtin::Cubus) => "cubus",
         Some(Builtin::Shells) => "shells",
-        None => Statistics::of(volume, histogram).preset(),
+        None => of_modality(volume).unwrap_or_else(|| Statistics::of(volume, histogram).preset()),
+    }
+}
+
+/// CT only in Hounsfield units, that is, with air of about −1000.
+fn of_modality(volume: &Volume) -> Option<&'static str> {
+    let (lo, hi) = volume.value_range();
+    match volume.info.modality.as_deref()? {
+        "CT" if lo <= -500.0 && hi >= 300.0 => Some("ct-body"),
+        "MR" => Some("mri"),
+        _ => None,
     }
 }
 
@@ -181,6 +191,22 @@ mod tests {
         }
         // The name counts only after "builtin:"; from a file the same voxels are judged as any others.
         assert_ne!(default_preset("cubus", &volume, &histogram), "cubus");
+    }
+
+    #[test]
+    fn a_modality_has_its_preset_where_the_values_are_what_it_says() {
+        let pick = |modality: Option<&str>, voxels: Vec<f32>| {
+            let info = VolumeInfo { modality: modality.map(Into::into), ..VolumeInfo::default() };
+            let volume = Volume::new([2, 2, 2], Vec3::ONE, Voxels::F32(voxels), (1.0, 0.0), info).unwrap();
+            default_preset("file", &volume, &Histogram::of(&volume))
+        };
+        let hounsfield = vec![-1000.0, -900.0, -100.0, 0.0, 40.0, 60.0, 400.0, 1200.0];
+        assert_eq!(pick(Some("CT"), hounsfield.clone()), "ct-body");
+        assert_eq!(pick(Some("MR"), hounsfield.clone()), "mri");
+        let others = [pick(None, hounsfield.clone()), pick(Some("US"), hounsfield)];
+        assert!(others.iter().all(|name| *name == others[0] && *name != "ct-body"), "{others:?}");
+        let bytes = (0..8).map(|i| i as f32 * 30.0).collect();
+        assert_ne!(pick(Some("CT"), bytes), "ct-body", "a CT of bytes is in no Hounsfield units");
     }
 
     #[test]

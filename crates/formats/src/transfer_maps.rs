@@ -109,7 +109,9 @@ pub(crate) fn recolored(transfer: &TransferFunction, color_at: &dyn Fn(f32) -> [
         let mut points = Vec::with_capacity(2 * skeleton.len());
         for (i, p) in skeleton.iter().enumerate() {
             points.push(ControlPoint { color: color_at(p.x), ..*p });
-            if let Some(next) = skeleton.get(i + 1).filter(|next| next.x > p.x) {
+            // What is clear has no colour.
+            let is_seen = |next: &&ControlPoint| next.x > p.x && p.opacity.max(next.opacity) > 0.0;
+            if let Some(next) = skeleton.get(i + 1).filter(is_seen) {
                 fill(&mut points, p, next, color_at, tolerance, MAX_SPLITS);
             }
         }
@@ -349,6 +351,9 @@ mod tests {
         }
         let again = viridis.onto(&many);
         assert!(again.points.len() <= once.points.len() + 1, "{} {}", again.points.len(), once.points.len());
+        let mut clear = transfer.clone();
+        clear.points.iter_mut().for_each(|p| p.opacity = 0.0);
+        assert_eq!(viridis.onto(&clear).points.len(), 2, "what is clear needs no colours");
         let greys = ColorMap::named("greys").unwrap().onto(&transfer);
         assert!(greys.points.len() <= transfer.points.len() + 1, "a straight map adds no points");
     }

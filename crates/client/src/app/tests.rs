@@ -203,6 +203,9 @@ fn editing_a_point_changes_the_picture_and_undo_brings_it_back_to_the_byte() {
     assert_eq!(picture(&w), before);
     press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::Z);
     assert_eq!(picture(&w), edited);
+    assert!(w.state().editor.has_selection());
+    press(&mut w, Modifiers::NONE, Key::Escape);
+    assert!(!w.state().editor.has_selection(), "the curve gets the key, too");
     // What the picture on the screen stands for is said all the time.
     let version = w.state().viewing.source().latest_frame().unwrap().frame.header.look;
     assert_eq!(version, w.state().viewing.source().look().unwrap().0);

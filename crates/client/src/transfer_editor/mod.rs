@@ -100,6 +100,10 @@ impl TransferEditor {
 
     /// What has been made since the last call. Movements end when no button is held.
     pub(crate) fn take_edit(&mut self, ctx: &egui::Context) -> Edit {
+        if ctx.input(|i| !i.pointer.any_down()) {
+            // Where the editor was folded under the hand, its plot has not seen the release.
+            self.grip = None;
+        }
         if self.grip.is_none()
             && !ctx.input(|i| i.pointer.any_down())
             && let Some(before) = self.before.take().filter(|b| *b != self.curve.transfer)
@@ -112,6 +116,11 @@ impl TransferEditor {
             edit.transfer.clone_from(&self.known);
         }
         edit
+    }
+
+    #[cfg(test)]
+    pub(crate) fn has_selection(&self) -> bool {
+        self.selected.is_some()
     }
 
     /// Back by one step.
@@ -176,12 +185,13 @@ impl TransferEditor {
         self.before.get_or_insert_with(|| self.curve.transfer.clone());
     }
 
-    /// The values across the plot.
+    /// The values across the plot: at first those of the function that the volume has.
     fn view(&mut self, scale: &ValueScale) -> (f32, f32) {
-        let (least, most) = self.widest_view(scale);
         let (lo, hi) = self.curve.domain;
         let margin = (hi - lo) * 0.06;
-        *self.view.get_or_insert(((lo - margin).max(least), (hi + margin).min(most)))
+        let (lo, hi) = ((lo - margin).max(scale.range.0), (hi + margin).min(scale.range.1));
+        let wide = self.widest_view(scale);
+        *self.view.get_or_insert(if lo < hi { (lo, hi) } else { wide })
     }
 
     /// The volume's values and the function's.

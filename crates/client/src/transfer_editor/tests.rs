@@ -331,3 +331,17 @@ fn a_function_from_elsewhere_is_shown_and_does_not_end_a_movement() {
     h.run();
     assert_eq!(h.state().given.name, "angio", "the hand has the last word");
 }
+
+#[test]
+fn of_a_function_wider_than_the_volume_the_part_is_shown_that_the_volume_has() {
+    let mut h = harness("ct");
+    let mut wide = preset("ct").unwrap();
+    wide.domain = Domain::Values(-3024.0, 2000.0);
+    h.state_mut().given = wide.clone();
+    h.run();
+    assert_eq!(h.state().editor.view, Some((-1000.0, 2000.0 + 0.06 * 5024.0)));
+    wide.domain = Domain::Values(5000.0, 6000.0);
+    h.state_mut().given = wide;
+    h.run();
+    assert_eq!(h.state().editor.view, Some((-1000.0, 6000.0)), "nothing of it: all there is");
+}

@@ -330,8 +330,9 @@ fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlErro
     }
 }
 
-/// Bins of a description's histogram.
-pub const MAX_BINS: usize = 256;
+/// Bins of a description's histogram: forty in a window of a hundredth of the range. Of nine bytes each they leave room in a
+/// message.
+pub const MAX_BINS: usize = 4096;
 /// Longest notice.
 const MAX_NOTICE_BYTES: usize = 2000;
 
