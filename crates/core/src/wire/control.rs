@@ -436,6 +436,22 @@ mod tests {
     }
 
     #[test]
+    fn the_longest_welcome_fits_a_message() {
+        let ServerMessage::Welcome(mut w) = messages().swap_remove(0) else { panic!("no welcome") };
+        w.volume.histogram = vec![u64::MAX; MAX_BINS];
+        w.volume.name = "n".repeat(MAX_NAME_BYTES);
+        (w.volume.unit, w.volume.orientation) =
+            (Some("u".repeat(MAX_NAME_BYTES)), Some("o".repeat(MAX_NAME_BYTES)));
+        w.look.transfer.name = "t".repeat(MAX_NAME_BYTES);
+        w.look.transfer.points = vec![w.look.transfer.points[0]; crate::transfer::MAX_POINTS];
+        let mut longer = w.clone();
+        let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
+        assert!(decode::<ServerMessage>(&bytes[4..]).is_ok());
+        longer.volume.histogram.push(0);
+        assert!(matches!(encode(&ServerMessage::Welcome(longer)), Err(ControlError::Value("histogram"))));
+    }
+
+    #[test]
     fn a_description_keeps_every_voxel_in_few_bins() {
         let volume = crate::volume::procedural::Builtin::Cloud.volume(24);
         let d = VolumeDescription::of(&volume, &Histogram::of(&volume));
