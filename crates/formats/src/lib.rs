@@ -9,6 +9,7 @@
 
 mod axes;
 mod decode;
+mod dicom;
 mod dtype;
 mod error;
 mod facts;
@@ -30,12 +31,16 @@ mod sniff;
 mod source;
 mod stream;
 mod taker;
+mod tiff;
 mod transfer;
 mod transfer_import;
 mod transfer_json;
 mod transfer_maps;
+mod vti;
 mod warning;
 mod words;
+mod xml;
+mod zarr;
 mod zip;
 
 pub use dtype::{Dtype, Endian};

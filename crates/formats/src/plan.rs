@@ -27,6 +27,8 @@ pub(crate) enum Role {
     Space(usize),
     Channel,
     Time,
+    /// What the reader has chosen on its own: this entry.
+    Picked(u64),
     /// Nothing: it has one entry.
     Single,
 }
@@ -54,6 +56,8 @@ pub(crate) struct Plan {
     pub(crate) channel_names: Vec<String>,
     /// Number of channels if they are no axis.
     pub(crate) num_channels: u64,
+    /// The channel that is shown if none is asked for.
+    pub(crate) channel: u64,
     /// Number of points in time if they are no axis.
     pub(crate) num_times: u64,
     /// Levels of a pyramid, finest first; empty if there is one.
@@ -89,6 +93,7 @@ impl Plan {
             value_map: (1.0, 0.0),
             channel_names: Vec::new(),
             num_channels: 1,
+            channel: 0,
             num_times: 1,
             levels: Vec::new(),
             level: 0,
@@ -152,31 +157,32 @@ impl Plan {
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
             warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
         }
-        let mut pick = |what: &'static str, found: u64, asked: Option<u32>, names: &[String]| {
-            let index = u64::from(asked.unwrap_or(0));
+        let mut pick = |what: &'static str, found: u64, asked: Option<u32>, usual: u64, names: &[String]| {
+            let index = asked.map_or(usual, u64::from);
             if index >= found {
                 return Err(FormatError::Selection { path: shown(path), what, asked: index, found });
             }
             if asked.is_none() && found > 1 {
                 let listed = names.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join(", ");
                 let listed = if names.is_empty() { String::new() } else { format!(" ({listed})") };
-                let text = format!("the file has {found} {what}s{listed}, of which the first is shown");
+                let text = format!("the file has {found} {what}s{listed}, of which {index} is shown");
                 warnings.push(Warning::new(WarningKind::Choice, text));
             }
             Ok(index)
         };
-        let channel = pick("channel", self.channels(), selection.channel, &self.channel_names)?;
-        let time = pick("time", self.times(), selection.time, &[])?;
+        let channel = pick("channel", self.channels(), selection.channel, self.channel, &self.channel_names)?;
+        let time = pick("time", self.times(), selection.time, 0, &[])?;
         if let Some(level) = selection.level {
-            pick("level", self.levels.len().max(1) as u64, Some(level), &[])?;
+            pick("level", self.levels.len().max(1) as u64, Some(level), 0, &[])?;
         }
         if let Some(series) = selection.series {
-            pick("series", self.series.len().max(1) as u64, Some(series), &[])?;
+            pick("series", self.series.len().max(1) as u64, Some(series), 0, &[])?;
         }
         let ranges = self.axes.iter().map(|axis| match axis.role {
             Role::Space(i) => grid.ranges[i].clone(),
             Role::Channel => channel..channel + 1,
             Role::Time => time..time + 1,
+            Role::Picked(i) => i..i + 1,
             Role::Single => 0..axis.size,
         });
         let ranges: Vec<Range<u64>> = ranges.collect();

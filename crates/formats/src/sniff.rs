@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::{metaimage, mrc, nifti, npy};
+use crate::{dicom, metaimage, mrc, nifti, npy};
 
 /// A format, as far as the first bytes tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +15,9 @@ pub(crate) enum Kind {
     Npy,
     Zip,
     Mrc,
+    Tiff,
+    Dicom,
+    Vti,
     /// None that is read here; what it looks like.
     Other(&'static str),
 }
@@ -30,6 +33,9 @@ impl Kind {
             Self::Npy => "a NumPy array",
             Self::Zip => "a ZIP archive",
             Self::Mrc => "an MRC file",
+            Self::Tiff => "a TIFF file",
+            Self::Dicom => "a DICOM file",
+            Self::Vti => "a VTK file",
             Self::Other(name) => name,
         }
     }
@@ -42,11 +48,14 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> Kind {
         () if start.is_empty() => Kind::Other("an empty file"),
         () if is_at(0, b"NRRD") => Kind::Nrrd,
         () if is_at(0, &[0x1f, 0x8b]) => Kind::Gzip,
+        () if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| is_at(0, *magic)) => Kind::Tiff,
+        () if is_at(0, b"<VTKFile") || (is_at(0, b"<?xml") && contains(start, b"<VTKFile")) => Kind::Vti,
         () if nifti::is_header(start) => Kind::Nifti,
         () if metaimage::is_header(start) => Kind::MetaImage,
         () if is_at(0, npy::MAGIC) => Kind::Npy,
         () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => Kind::Zip,
         () if mrc::is_header(start, path) => Kind::Mrc,
+        () if dicom::is_header(start) => Kind::Dicom,
         () => Kind::Other(other_name(start)),
     }
 }
@@ -55,9 +64,8 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> Kind {
 fn other_name(start: &[u8]) -> &'static str {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
-        () if is_at(0, b"II*\0") || is_at(0, b"MM\0*") => "a TIFF file",
-        () if is_at(128, b"DICM") => "a DICOM file",
-        () if is_at(0, b"<?xml") || is_at(0, b"<VTKFile") || is_at(0, b"# vtk") => "a VTK file",
+        () if is_at(0, b"# vtk") => "a legacy VTK file",
+        () if is_at(0, b"<?xml") => "an XML document of another kind",
         () if is_at(0, b"IGLF") => "a stored layered frame",
         () if is_at(0, b"\x89HDF") => "an HDF5 file",
         () if is_at(0, b"\x89PNG") => "a PNG picture",
@@ -67,6 +75,10 @@ fn other_name(start: &[u8]) -> &'static str {
         () if is_at(0, &[0x5c, 1, 0, 0]) || is_at(0, &[0, 0, 1, 0x5c]) => "an Analyze header",
         () => "no header that is known",
     }
+}
+
+fn contains(bytes: &[u8], word: &[u8]) -> bool {
+    bytes.windows(word.len()).any(|w| w == word)
 }
 
 /// What could be read.

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
@@ -17,7 +17,7 @@ use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
 use crate::select::Selection;
 use crate::sniff::{self, Kind};
-use crate::{metaimage, mrc, nifti, npy, nrrd, raw};
+use crate::{dicom, metaimage, mrc, nifti, npy, nrrd, raw, tiff, vti, zarr};
 
 /// How to open a volume.
 #[derive(Clone, Copy)]
@@ -146,12 +146,79 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
         Kind::Npy => Box::new(npy::NpyFile::open(file, path)?),
         Kind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
         Kind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
+        Kind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
+        Kind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
+        Kind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
         Kind::Other(found) => return Err(unsupported(found, sniff::EXPECTED)),
     })
 }
 
-fn open_folder<'a>(path: &Path, _options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
-    Err(FormatError::Unsupported { path: shown(path), found: "a folder", expected: sniff::EXPECTED })
+/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files, or else DICOM files in it and the folders below.
+fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
+    if zarr::is_group(path) {
+        return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
+    }
+    let mut files = Vec::new();
+    let num_folders = &mut 0;
+    list_files(path, options, 0, num_folders, &mut files)?;
+    let is_tiff = |file: &PathBuf| {
+        let end = file.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        file.parent() == Some(path) && (end.eq_ignore_ascii_case("tif") || end.eq_ignore_ascii_case("tiff"))
+    };
+    let mut slices: Vec<PathBuf> = files.iter().filter(|f| is_tiff(f)).cloned().collect();
+    if !slices.is_empty() {
+        tiff::sort_by_number(&mut slices);
+        return Ok(Box::new(tiff::TiffFile::open(slices, path, options)?));
+    }
+    let mut is_dicom = |file: &PathBuf| {
+        let mut start = Vec::new();
+        let read = File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start));
+        read.is_ok() && dicom::is_header(&start)
+    };
+    files.retain(&mut is_dicom);
+    if files.is_empty() {
+        return Err(FormatError::Unsupported {
+            path: shown(path),
+            found: "a folder without slices",
+            expected: sniff::EXPECTED,
+        });
+    }
+    Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
+}
+
+/// The files in a folder and those below, sorted, within bounds.
+fn list_files(
+    folder: &Path,
+    options: &OpenOptions,
+    depth: usize,
+    num_folders: &mut usize,
+    files: &mut Vec<PathBuf>,
+) -> Result<(), FormatError> {
+    options.check_cancelled(folder)?;
+    *num_folders += 1;
+    let too_many =
+        |found| FormatError::Unsupported { path: shown(folder), found, expected: "the folder of one volume" };
+    if *num_folders > MAX_FOLDERS {
+        return Err(too_many("too many folders"));
+    }
+    let mut entries = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io_error(folder))? {
+        if entries.len() + files.len() == MAX_FILES {
+            return Err(too_many("too many files"));
+        }
+        let entry = entry.map_err(io_error(folder))?;
+        entries.push((entry.path(), entry.file_type().map_err(io_error(folder))?));
+    }
+    entries.sort_by(|a, b| a.0.cmp(&b.0));
+    for (path, kind) in entries {
+        // A link to a file is one; a link to a folder may lead in circles.
+        if kind.is_dir() && depth < MAX_DEPTH {
+            list_files(&path, options, depth + 1, num_folders, files)?;
+        } else if kind.is_file() || (kind.is_symlink() && path.is_file()) {
+            files.push(path);
+        }
+    }
+    Ok(())
 }
 
 /// Opens a regular file. Pipes and devices are refused: they have no length to check, and may never end.
@@ -171,5 +238,11 @@ pub(crate) fn file_name(path: &Path) -> String {
 
 /// Eight gigabytes: a volume of 2048³ bytes, about what a large GPU can hold.
 const DEFAULT_MAX_BYTES: u64 = 8 << 30;
+/// Files of a folder that are looked at.
+const MAX_FILES: usize = 1 << 17;
+/// Folders in it.
+const MAX_FOLDERS: usize = 4096;
+/// How deep they may lie.
+const MAX_DEPTH: usize = 8;
 /// Fewest voxels along a side of a built-in volume.
 const MIN_SIDE: u32 = 8;

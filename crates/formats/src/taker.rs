@@ -64,6 +64,11 @@ impl<'a> Taker<'a> {
         self.dtype.num_bytes() as u64
     }
 
+    /// What is wanted along each axis of the plan.
+    pub(crate) fn ranges(&self) -> &'a [Range<u64>] {
+        &self.chosen.ranges
+    }
+
     /// Numbers of the file that have passed.
     pub(crate) fn position(&self) -> u64 {
         self.picker.position()
@@ -92,6 +97,12 @@ impl<'a> Taker<'a> {
         if let Some(sink) = &mut self.sink {
             self.picker.take(count, |range| sink.push_bytes(&bytes[range.start * size..range.end * size]));
         }
+        self.tick()
+    }
+
+    /// Takes all of `bytes`, which the reader has chosen itself.
+    pub(crate) fn push_wanted(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
+        self.sink()?.push_bytes(bytes);
         self.tick()
     }
 

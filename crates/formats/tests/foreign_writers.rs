@@ -8,8 +8,9 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use isinglass_core::volume::{Volume, Voxels};
-use isinglass_formats::{OpenOptions, Outline, open, outline};
+use isinglass_formats::{OpenOptions, Outline, Selection, open, outline};
 use support::unpack;
 
 /// The files of a folder with one of these ends, sorted.
@@ -198,4 +199,213 @@ fn nrrd_by_simple_itk() {
         assert_eq!(first, first_of(code), "{name}");
         check_type(&volume, code, &name);
     }
+}
+
+/// Opens a channel at a time of a file.
+fn open_part(path: &Path, channel: u32, time: u32) -> Volume {
+    let selection = Selection { channel: Some(channel), time: Some(time), ..Selection::default() };
+    open(path.to_str().unwrap(), &OpenOptions { selection, ..OpenOptions::default() })
+        .unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Distances and unit of a file that knows them.
+fn check_spacing(volume: &Volume, unit: &str, name: &str) {
+    // Fractions of two 32-bit numbers.
+    assert!(
+        (volume.spacing() - Vec3::new(1.5, 2.0, 3.0)).abs().max_element() < 1e-6,
+        "{name}: {}",
+        volume.spacing()
+    );
+    assert_eq!(volume.info.unit.as_deref(), Some(unit), "{name}");
+    assert_eq!(volume.info.warnings, [""; 0], "{name}");
+}
+
+#[test]
+fn tiff_by_tifffile() {
+    let folder = unpack("tiff");
+    let mut num_files = 0;
+    for path in files(folder.path(), &[".tif"]).into_iter().chain([folder.path().join("stack")]) {
+        num_files += 1;
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if name.starts_with("hyper") {
+            let before = outline_of(&path);
+            assert_eq!((before.num_channels, before.num_times), (2, 3), "{name}");
+            if name.contains("ome") {
+                assert_eq!(before.channels, ["DAPI", "GFP"], "{name}");
+            }
+            for (channel, time) in [(0, 0), (1, 0), (0, 2), (1, 1)] {
+                let volume = open_part(&path, channel, time);
+                assert_eq!(check_values(&volume, &name), (1000 * channel + 3000 * time) as f32, "{name}");
+            }
+            continue;
+        }
+        if name.starts_with("rgb") {
+            assert_eq!(outline_of(&path).channels, ["red", "green", "blue"], "{name}");
+            for channel in 0..3 {
+                assert_eq!(check_values(&open_part(&path, channel, 0), &name), channel as f32, "{name}");
+            }
+            continue;
+        }
+        let (volume, name, first) = checked(&path);
+        match name.as_str() {
+            "imagej.tif" | "sizes.ome.tif" => check_spacing(&volume, "µm", &name),
+            _ => {
+                let expected = ["the file has no spacing; it was taken as 1"];
+                assert_eq!(volume.info.warnings, expected, "{name}");
+            }
+        }
+        let code = &name[..2];
+        if code.as_bytes()[1].is_ascii_digit() {
+            assert_eq!(first, if code == "f2" { 0.0 } else { first_of(code) }, "{name}");
+            check_type(&volume, code, &name);
+        }
+    }
+    assert_eq!(num_files, 22 + 8 + 2 + 7 + 2 + 1);
+}
+
+#[test]
+fn dicom_by_pydicom() {
+    let folder = unpack("dicom");
+    let folders = files(folder.path(), &[""]);
+    assert_eq!(folders.len(), 5 + 5 + 2 + 1 + 24);
+    for path in folders {
+        let (volume, name, first) = checked(&path);
+        check_place(&volume, &name);
+        assert_eq!(volume.info.modality.as_deref(), Some("CT"), "{name}");
+        assert_eq!(volume.info.unit.as_deref(), Some("mm"), "{name}");
+        let rest = name.split_once('-').map_or("i2", |(_, rest)| rest);
+        if rest.len() == 2 {
+            assert_eq!(first, first_of(rest), "{name}");
+            check_type(&volume, rest, &name);
+            check_body(&volume, "RAS", &name);
+        } else {
+            check_body(&volume, rest, &name);
+        }
+    }
+}
+
+#[test]
+fn images_by_vtk() {
+    let folder = unpack("vti");
+    let files = files(folder.path(), &[".vti"]);
+    assert_eq!(files.len(), 20 + 12 + 24);
+    for path in files {
+        let (volume, name, first) = checked(&path);
+        check_place(&volume, &name);
+        assert_eq!(outline_of(&path).channels, ["density"], "{name}");
+        let code = Some(&name[..2]).filter(|c| c.as_bytes()[1].is_ascii_digit()).unwrap_or("i2");
+        assert_eq!(first, first_of(code), "{name}");
+        check_type(&volume, code, &name);
+    }
+}
+
+#[test]
+fn pyramids_by_zarr() {
+    let folder = unpack("zarr");
+    let folders = files(folder.path(), &[""]);
+    assert_eq!(folders.len(), 9 + 10 + 8);
+    for path in folders {
+        let (volume, name, first) = checked(&path);
+        check_place(&volume, &name);
+        check_spacing(&volume, "µm", &name);
+        let code = match &name[3..] {
+            "gzip" if name.starts_with("v2") => "i2",
+            "zstd" => "f4",
+            "big" => "i4",
+            code if code.len() == 2 => code,
+            _ => "u2",
+        };
+        assert_eq!(first, first_of(code), "{name}");
+        check_type(&volume, code, &name);
+    }
+    let path = folder.path().join("v3-levels");
+    let before = outline_of(&path);
+    assert_eq!(before.levels.iter().map(|l| l.dims).collect::<Vec<_>>(), [[5, 4, 3], [3, 2, 2]]);
+    let coarse = |options: OpenOptions| open(path.to_str().unwrap(), &options).unwrap();
+    let level = Selection { level: Some(1), ..Selection::default() };
+    let asked = coarse(OpenOptions { selection: level, ..OpenOptions::default() });
+    assert_eq!((asked.dims(), asked.spacing()), ([3, 2, 2], Vec3::new(3.0, 4.0, 6.0)));
+    let values: Vec<f32> = (0..12).map(|i| asked.voxels().get(i) - 40_000.0).collect();
+    assert_eq!(values[..7], [0.0, 2.0, 4.0, 20.0, 22.0, 24.0, 200.0]);
+    // 60 voxels of two bytes do not fit into 100: the coarser level does.
+    let small = coarse(OpenOptions { max_bytes: 100, ..OpenOptions::default() });
+    assert_eq!(small.dims(), [3, 2, 2]);
+    assert_eq!(
+        small.info.warnings,
+        ["level 1 of 2 is shown, the finest that fits into memory and a texture"]
+    );
+    // A region reads the chunks it needs, of every coding.
+    for name in ["v2-blosc", "v2-none", "v3-shards", "v3-transpose", "v3-u2"] {
+        let region = Some("1:4,2:,1:2".parse().unwrap());
+        let selection = Selection { region, ..Selection::default() };
+        let source = folder.path().join(name);
+        let options = OpenOptions { selection, ..OpenOptions::default() };
+        let part = open(source.to_str().unwrap(), &options).unwrap();
+        let values: Vec<f32> = (0..6).map(|i| part.voxels().get(i) - 40_000.0).collect();
+        assert_eq!(
+            (part.dims(), &values[..]),
+            ([3, 2, 1], &[121.0, 122.0, 123.0, 131.0, 132.0, 133.0][..]),
+            "{name}"
+        );
+    }
+}
+
+/// What a DICOM series may be beside a plain stack of slices.
+#[test]
+fn odd_series_by_pydicom() {
+    let folder = unpack("dicom_odd");
+    let at = |name: &str| folder.path().join(name);
+    let values = |volume: &Volume| -> Vec<f32> {
+        (0..volume.voxels().len()).map(|i| volume.value_from_stored(volume.voxels().get(i))).collect()
+    };
+    let plain = |i: usize| ((i % 5) + (i / 5 % 4) * 10 + i / 20 * 100) as f32;
+    let has = |volume: &Volume, words: &str| {
+        let warnings = &volume.info.warnings;
+        assert!(warnings.iter().any(|w| w.contains(words)), "{words}: {warnings:?}");
+    };
+
+    let inverted = open_path(&at("monochrome1"));
+    assert_eq!(values(&inverted), (0..60).map(|i| 255.0 - plain(i)).collect::<Vec<_>>());
+    has(&inverted, "MONOCHROME1");
+    let scaled = open_path(&at("rescale"));
+    assert_eq!(values(&scaled), (0..60).map(|i| 2.0 * (plain(i) - 3000.0) - 1024.0).collect::<Vec<_>>());
+    assert_eq!(scaled.info.warnings, [""; 0]);
+    let each = open_path(&at("slopes"));
+    assert_eq!(values(&each), (0..60).map(|i| plain(i) * (i / 20 + 1) as f32).collect::<Vec<_>>());
+    has(&each, "different rescale slopes");
+
+    let gap = open_path(&at("gap"));
+    assert_eq!((gap.dims(), gap.spacing().z), ([5, 4, 7], 3.0));
+    has(&gap, "2 slices are missing, after slice 4; the gap is not shown");
+    let uneven = open_path(&at("uneven"));
+    assert_eq!((uneven.dims(), uneven.spacing().z), ([5, 4, 9], 3.0));
+    has(&uneven, "slices are 2.300 to 3.700 mm apart; they are shown 3.000 mm apart");
+    let tilt = open_path(&at("tilt"));
+    // The arc tangent of 0.8 by 3.
+    has(&tilt, "a tilt of 14.9°");
+    assert_eq!(tilt.spacing().z, 3.0);
+
+    let two = outline_of(&at("two"));
+    assert_eq!(two.series.len(), 2);
+    assert!(
+        two.series[0].contains("9 slices of 5×4") && two.series[1].contains("3 slices"),
+        "{:?}",
+        two.series
+    );
+    let largest = open_path(&at("two"));
+    assert_eq!(largest.dims(), [5, 4, 9]);
+    has(&largest, "2 series, of which the largest is shown: 7 \"made\": CT, 9 slices");
+    let selection = Selection { series: Some(1), ..Selection::default() };
+    let options = OpenOptions { selection, ..OpenOptions::default() };
+    let second = open(at("two").to_str().unwrap(), &options).unwrap();
+    assert_eq!(check_values(&second, "the second series"), 0.0);
+
+    assert_eq!(outline_of(&at("times")).num_times, 2);
+    for time in 0..2 {
+        let volume = open_part(&at("times"), 0, time);
+        assert_eq!(check_values(&volume, "times"), -3000.0 + 1000.0 * time as f32);
+    }
+    let slice = open_path(&files(&at("rescale"), &[".dcm"])[0]);
+    assert_eq!(slice.dims(), [5, 4, 1]);
+    has(&slice, "one slice; its folder is a series");
 }

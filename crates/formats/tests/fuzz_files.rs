@@ -289,10 +289,10 @@ macro_rules! targets {
     )*};
 }
 
-targets! { nifti metaimage numpy mrc nrrd }
+targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd vti zarr }
 
 /// Most that the voxels may take.
 const MEMORY_LIMIT: u64 = 1 << 20;
-/// Most that is allocated at once: voxels and their second copy, and a few megabytes of headers, tables of compressors and
-/// buffers.
-const MOST_BYTES: usize = 8 << 20;
+/// Most that is allocated at once: voxels and their second copy, what a file of a few kilobytes unpacks to at most, and a few
+/// megabytes of headers, tables of compressors and buffers.
+const MOST_BYTES: usize = 24 << 20;

@@ -1,0 +1,298 @@
+//! The elements of a DICOM file (PS3.5 and PS3.10) up to its pixel data: those that matter for a volume, and of the frames of an
+//! enhanced file their own.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+
+use super::tags::{self, Tag};
+use crate::dtype::Endian;
+
+/// What a file says.
+#[derive(Debug, Default)]
+pub(super) struct DataSet {
+    /// UID of the transfer syntax.
+    pub(super) syntax: String,
+    /// Values of the file as a whole, or shared by all of its frames.
+    pub(super) fields: Fields,
+    /// Values of each frame of an enhanced file.
+    pub(super) frames: Vec<Fields>,
+    /// Where pixel data begin, and how long they are unless they come in fragments.
+    pub(super) pixels: Option<(u64, Option<u32>)>,
+}
+
+/// Values by tag, with the byte order of the file.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Fields {
+    values: HashMap<Tag, Vec<u8>>,
+    endian: Endian,
+}
+
+impl Fields {
+    /// The first text of a value, without padding.
+    pub(super) fn text(&self, tag: Tag) -> Option<String> {
+        let bytes = self.values.get(&tag)?;
+        let text = String::from_utf8_lossy(bytes);
+        let text = text.trim_end_matches('\0').trim();
+        (!text.is_empty()).then(|| text.to_owned())
+    }
+
+    /// All numbers of a decimal or integer string.
+    pub(super) fn decimals(&self, tag: Tag) -> Option<Vec<f64>> {
+        let text = self.text(tag)?;
+        text.split('\\').map(|w| w.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect()
+    }
+
+    /// The first number of a decimal or integer string.
+    pub(super) fn decimal(&self, tag: Tag) -> Option<f64> {
+        let text = self.text(tag)?;
+        text.split('\\').next()?.trim().parse().ok().filter(|x: &f64| x.is_finite())
+    }
+
+    /// `N` numbers of a decimal string.
+    pub(super) fn decimal_array<const N: usize>(&self, tag: Tag) -> Option<[f64; N]> {
+        self.decimals(tag)?.try_into().ok()
+    }
+
+    /// A binary number of 16 bits.
+    pub(super) fn short(&self, tag: Tag) -> Option<u16> {
+        let bytes = *self.values.get(&tag)?.first_chunk()?;
+        Some(if self.endian == Endian::Big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
+    }
+}
+
+impl DataSet {
+    /// Reads the elements of a file. An error of kind `InvalidData` says what is wrong.
+    pub(super) fn read(reader: &mut BufReader<File>) -> io::Result<Self> {
+        let length = reader.get_ref().metadata()?.len();
+        let mut start = [0; 132];
+        let n = read_up_to(reader, &mut start)?;
+        let is_marked = n == start.len() && start[128..] == *b"DICM";
+        let at = if is_marked { 132 } else { 0 };
+        reader.seek(SeekFrom::Start(at))?;
+        let mut parser =
+            Parser { reader, at, length, endian: Endian::Little, is_implicit: false, left: MAX_ELEMENTS };
+        let mut set = Self::default();
+        if is_marked {
+            parser.meta(&mut set)?;
+        } else {
+            // Without its first part a file is implicit unless the letters of a type are seen.
+            parser.is_implicit = !(start[4].is_ascii_uppercase() && start[5].is_ascii_uppercase());
+        }
+        match set.syntax.as_str() {
+            "1.2.840.10008.1.2" => parser.is_implicit = true,
+            "1.2.840.10008.1.2.2" => parser.endian = Endian::Big,
+            "1.2.840.10008.1.2.1.99" => {
+                return Err(invalid("its elements are deflated, expected them as they are"));
+            }
+            _ => {}
+        }
+        set.fields.endian = parser.endian;
+        parser.body(&mut set)?;
+        Ok(set)
+    }
+}
+
+/// The header of an element.
+struct Head {
+    tag: Tag,
+    vr: [u8; 2],
+    /// `None`: not known before its end.
+    length: Option<u32>,
+}
+
+struct Parser<'a> {
+    reader: &'a mut BufReader<File>,
+    at: u64,
+    length: u64,
+    endian: Endian,
+    is_implicit: bool,
+    /// Elements that may still come.
+    left: u32,
+}
+
+/// A sequence or one of its items that the parser is in.
+struct Level {
+    tag: Tag,
+    is_item: bool,
+    /// Where it ends, if that is known.
+    end: Option<u64>,
+    /// How elements are written outside of it.
+    was_implicit: bool,
+}
+
+impl Parser<'_> {
+    fn array<const N: usize>(&mut self) -> io::Result<[u8; N]> {
+        let mut bytes = [0; N];
+        self.reader.read_exact(&mut bytes)?;
+        self.at += N as u64;
+        Ok(bytes)
+    }
+
+    fn u16(&mut self) -> io::Result<u16> {
+        let bytes = self.array()?;
+        Ok(if self.endian == Endian::Big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
+    }
+
+    fn u32(&mut self) -> io::Result<u32> {
+        let bytes = self.array()?;
+        Ok(if self.endian == Endian::Big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
+    }
+
+    fn skip(&mut self, num_bytes: u64) -> io::Result<()> {
+        self.at = self.at.saturating_add(num_bytes);
+        if self.at > self.length {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        self.reader.seek_relative(num_bytes as i64)
+    }
+
+    fn value(&mut self, num_bytes: u32) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let n = self.reader.take(num_bytes.into()).read_to_end(&mut bytes)?;
+        self.at += n as u64;
+        if n < num_bytes as usize { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(bytes) }
+    }
+
+    fn head(&mut self) -> io::Result<Head> {
+        self.left = self.left.checked_sub(1).ok_or_else(|| invalid("it has too many elements"))?;
+        let tag = (self.u16()?, self.u16()?);
+        let (vr, length) = if tag.0 == 0xfffe || self.is_implicit {
+            (*b"  ", self.u32()?)
+        } else {
+            let vr = self.array()?;
+            if !LONG_VRS.contains(&&vr) {
+                (vr, self.u16()?.into())
+            } else {
+                self.u16()?;
+                (vr, self.u32()?)
+            }
+        };
+        Ok(Head { tag, vr, length: (length != u32::MAX).then_some(length) })
+    }
+
+    /// Group 2: always explicit and little-endian.
+    fn meta(&mut self, set: &mut DataSet) -> io::Result<()> {
+        loop {
+            let before = self.at;
+            let head = match self.head() {
+                Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
+                head => head?,
+            };
+            if head.tag.0 != 2 {
+                self.at = before;
+                self.reader.seek(SeekFrom::Start(before))?;
+                return Ok(());
+            }
+            let length = head.length.ok_or_else(|| invalid("an element of group 2 has no length"))?;
+            if head.tag == tags::TRANSFER_SYNTAX && length <= MAX_VALUE_BYTES {
+                let text = self.value(length)?;
+                set.syntax = String::from_utf8_lossy(&text).trim_end_matches(['\0', ' ']).to_owned();
+            } else {
+                self.skip(length.into())?;
+            }
+        }
+    }
+
+    /// Everything up to pixel data, or to the end.
+    fn body(&mut self, set: &mut DataSet) -> io::Result<()> {
+        let mut levels: Vec<Level> = Vec::new();
+        loop {
+            while levels.last().is_some_and(|l| l.end.is_some_and(|end| self.at >= end)) {
+                self.leave(&mut levels);
+            }
+            let head = match self.head() {
+                // A file may end after any element; what is missing is noticed later.
+                Err(e) if e.kind() == io::ErrorKind::UnexpectedEof && levels.is_empty() => return Ok(()),
+                head => head?,
+            };
+            let end = head.length.map(|n| self.at + u64::from(n));
+            match head.tag {
+                tags::ITEM => {
+                    if levels.last().is_some_and(|l| !l.is_item && l.tag == tags::PER_FRAME_GROUPS) {
+                        set.frames.push(Fields { endian: self.endian, ..Fields::default() });
+                    }
+                    self.enter(&mut levels, head.tag, true, end)?;
+                }
+                tags::ITEM_END | tags::SEQUENCE_END => self.leave(&mut levels),
+                tags::PIXEL_DATA if levels.is_empty() => {
+                    set.pixels = Some((self.at, head.length));
+                    return Ok(());
+                }
+                tag => {
+                    let is_unknown_length = head.length.is_none();
+                    let is_sequence = head.vr == *b"SQ"
+                        || is_unknown_length
+                        || (self.is_implicit && tags::is_sequence(tag));
+                    if is_sequence && (is_unknown_length || tags::is_sequence(tag)) {
+                        self.enter(&mut levels, tag, false, end)?;
+                        if head.vr == *b"UN" {
+                            self.is_implicit = true;
+                        }
+                        continue;
+                    }
+                    let length = head.length.unwrap_or(0);
+                    let fields =
+                        place(set, &levels).filter(|_| tags::is_wanted(tag) && length <= MAX_VALUE_BYTES);
+                    match fields {
+                        Some(fields) => {
+                            let value = self.value(length)?;
+                            // The first of a value counts: a private copy may come later.
+                            fields.values.entry(tag).or_insert(value);
+                        }
+                        None => self.skip(length.into())?,
+                    }
+                }
+            }
+        }
+    }
+
+    fn enter(&self, levels: &mut Vec<Level>, tag: Tag, is_item: bool, end: Option<u64>) -> io::Result<()> {
+        if levels.len() == MAX_DEPTH {
+            return Err(invalid("its sequences are nested too deeply"));
+        }
+        levels.push(Level { tag, is_item, end, was_implicit: self.is_implicit });
+        Ok(())
+    }
+
+    fn leave(&mut self, levels: &mut Vec<Level>) {
+        if let Some(level) = levels.pop() {
+            self.is_implicit = level.was_implicit;
+        }
+    }
+}
+
+/// Where values at this place belong: to the file, to its newest frame, or nowhere.
+fn place<'a>(set: &'a mut DataSet, levels: &[Level]) -> Option<&'a mut Fields> {
+    match levels.first() {
+        None => Some(&mut set.fields),
+        Some(level) if level.tag == tags::SHARED_GROUPS => Some(&mut set.fields),
+        Some(level) if level.tag == tags::PER_FRAME_GROUPS => set.frames.last_mut(),
+        Some(_) => None,
+    }
+}
+
+/// Fills as much of `bytes` as there is.
+fn read_up_to(reader: &mut impl Read, bytes: &mut [u8]) -> io::Result<usize> {
+    let mut n = 0;
+    while n < bytes.len() {
+        match reader.read(&mut bytes[n..])? {
+            0 => break,
+            more => n += more,
+        }
+    }
+    Ok(n)
+}
+
+fn invalid(problem: &'static str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, problem)
+}
+
+/// Types whose length has 32 bits.
+const LONG_VRS: [&[u8; 2]; 13] =
+    [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"];
+/// Longer values are none of those that matter.
+const MAX_VALUE_BYTES: u32 = 4096;
+/// Elements of one file: enough for some ten thousand frames.
+const MAX_ELEMENTS: u32 = 4 << 20;
+const MAX_DEPTH: usize = 32;

@@ -1,0 +1,277 @@
+//! The frames of a file: where their pixels are, and where they lie in the body.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+
+use glam::DVec3;
+
+use super::element::{DataSet, Fields};
+use super::pixels::Coding;
+use super::tags;
+use crate::error::quoted;
+
+/// What the pixels of all frames of a volume have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Shape {
+    pub(super) columns: u16,
+    pub(super) rows: u16,
+    pub(super) samples: u16,
+    /// Whether samples are planes of their own.
+    pub(super) is_planar: bool,
+    pub(super) bits_allocated: u16,
+    pub(super) bits_stored: u16,
+    pub(super) high_bit: u16,
+    pub(super) is_signed: bool,
+    /// Whether the least value is white (MONOCHROME1).
+    pub(super) is_inverted: bool,
+    pub(super) coding: Coding,
+}
+
+impl Shape {
+    fn of(set: &DataSet) -> Result<Self, String> {
+        let number = |tag, name: &str| set.fields.short(tag).ok_or_else(|| format!("{name} is missing"));
+        let (rows, columns) = (number(tags::ROWS, "Rows")?, number(tags::COLUMNS, "Columns")?);
+        let bits_allocated = number(tags::BITS_ALLOCATED, "BitsAllocated")?;
+        let bits_stored = set.fields.short(tags::BITS_STORED).unwrap_or(bits_allocated);
+        let high_bit = set.fields.short(tags::HIGH_BIT).unwrap_or(bits_stored.wrapping_sub(1));
+        let samples = set.fields.short(tags::SAMPLES_PER_PIXEL).unwrap_or(1);
+        let photometric = set.fields.text(tags::PHOTOMETRIC).unwrap_or_default();
+        let coding = Coding::of(&set.syntax)?;
+        let is_known = match samples {
+            1 => !photometric.starts_with("PALETTE"),
+            3 => photometric == "RGB" && coding != Coding::Jpeg,
+            _ => false,
+        };
+        if !is_known {
+            let found = quoted(&photometric);
+            return Err(format!(
+                "pixels are {found} of {samples} samples, expected MONOCHROME1, MONOCHROME2 or RGB"
+            ));
+        }
+        let is_good = matches!(bits_allocated, 8 | 16 | 32)
+            && (1..=bits_allocated).contains(&bits_stored)
+            && (bits_stored - 1..bits_allocated).contains(&high_bit)
+            && rows > 0
+            && columns > 0;
+        if !is_good {
+            return Err(format!(
+                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected some, in 8, 16 or 32"
+            ));
+        }
+        Ok(Self {
+            columns,
+            rows,
+            samples,
+            is_planar: samples > 1
+                && (coding == Coding::Rle || set.fields.short(tags::PLANAR_CONFIGURATION) == Some(1)),
+            bits_allocated,
+            bits_stored,
+            high_bit,
+            is_signed: set.fields.short(tags::PIXEL_REPRESENTATION) == Some(1),
+            is_inverted: photometric == "MONOCHROME1",
+            coding,
+        })
+    }
+
+    /// Pixels of a frame.
+    pub(super) fn num_pixels(&self) -> u64 {
+        u64::from(self.columns) * u64::from(self.rows)
+    }
+
+    /// Bytes of a frame, unpacked.
+    pub(super) fn num_bytes(&self) -> u64 {
+        self.num_pixels() * u64::from(self.samples) * u64::from(self.bits_allocated / 8)
+    }
+}
+
+/// A slice.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    /// Which of the files it is in.
+    pub(super) file: usize,
+    /// Offsets and lengths of the parts of its pixel data.
+    pub(super) parts: Vec<(u64, u64)>,
+    /// Centre of the first pixel, LPS millimetres.
+    pub(super) position: Option<DVec3>,
+    /// What comes first where positions are equal: point in time, acquisition, number.
+    pub(super) order: [f64; 3],
+    pub(super) slope: f64,
+    pub(super) intercept: f64,
+}
+
+/// All frames of a file, and what they have in common.
+#[derive(Clone, Debug)]
+pub(super) struct Slices {
+    pub(super) shape: Shape,
+    pub(super) series_uid: String,
+    /// In words.
+    pub(super) name: String,
+    pub(super) modality: Option<String>,
+    /// Directions of rows and columns.
+    pub(super) orientation: Option<[f64; 6]>,
+    /// Distances of rows and of columns.
+    pub(super) pixel_spacing: Option<[f64; 2]>,
+    /// What the file says of the distance of slices.
+    pub(super) slice_spacing: Option<f64>,
+    pub(super) frames: Vec<Frame>,
+}
+
+impl Slices {
+    /// Reads the header of `file`, the one of this number. An error of kind `InvalidData` says what is wrong.
+    pub(super) fn read(file: File, number: usize) -> io::Result<Self> {
+        let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
+        let mut reader = BufReader::new(file);
+        let set = DataSet::read(&mut reader)?;
+        let (offset, length) = set.pixels.ok_or_else(|| invalid("there are no pixel data".into()))?;
+        let shape = Shape::of(&set).map_err(invalid)?;
+        let fields = &set.fields;
+        let num_frames = fields.decimal(tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
+        if !(1.0..=MAX_FRAMES).contains(&num_frames) {
+            return Err(invalid(format!("it has {num_frames} frames, expected 1 to {MAX_FRAMES}")));
+        }
+        let num_frames = num_frames as usize;
+        let parts = match length {
+            Some(length) => plain_parts(offset, length.into(), num_frames, &shape).map_err(invalid)?,
+            None => fragments(&mut reader, num_frames)?,
+        };
+        let shared = Own::of(fields);
+        let own: Vec<Own> = set.frames.iter().map(Own::of).collect();
+        let get = |i: usize, f: fn(&Own) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
+        let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
+            .map(|tag| fields.decimal(tag).unwrap_or(0.0));
+        let frames = parts.into_iter().enumerate().map(|(i, parts)| {
+            let own_position = own.get(i).and_then(|o| o.position);
+            // A plain file of many frames has one position, that of the first.
+            let position = own_position.or(shared.position.filter(|_| num_frames == 1));
+            let order = [base[0], base[1], base[2] + i as f64 / num_frames as f64];
+            let slope = get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0);
+            Frame {
+                file: number,
+                parts,
+                position,
+                order,
+                slope,
+                intercept: get(i, |o| o.intercept).unwrap_or(0.0),
+            }
+        });
+        let frames = frames.collect();
+        let first = own.first();
+        let number_of_series = fields.decimal(tags::SERIES_NUMBER).map_or("?".into(), |n| n.to_string());
+        let description = fields.text(tags::SERIES_DESCRIPTION).unwrap_or_default();
+        let modality = fields
+            .text(tags::MODALITY)
+            .filter(|m| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_'));
+        Ok(Self {
+            shape,
+            series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
+            name: format!("{number_of_series} {}", quoted(&description)),
+            modality,
+            orientation: first.and_then(|o| o.orientation).or(shared.orientation),
+            pixel_spacing: first.and_then(|o| o.pixel_spacing).or(shared.pixel_spacing),
+            slice_spacing: first.and_then(|o| o.slice_spacing).or(shared.slice_spacing),
+            frames,
+        })
+    }
+}
+
+/// What a frame, or all, say of where they are.
+struct Own {
+    position: Option<DVec3>,
+    orientation: Option<[f64; 6]>,
+    pixel_spacing: Option<[f64; 2]>,
+    slice_spacing: Option<f64>,
+    slope: Option<f64>,
+    intercept: Option<f64>,
+}
+
+impl Own {
+    fn of(fields: &Fields) -> Self {
+        let above_zero = |x: &f64| *x > 0.0;
+        let spacing = |tag| fields.decimal_array::<2>(tag).filter(|s| s.iter().all(above_zero));
+        let slice = |tag| fields.decimal(tag).map(f64::abs).filter(above_zero);
+        Self {
+            position: fields.decimal_array(tags::IMAGE_POSITION).map(DVec3::from_array),
+            orientation: fields.decimal_array(tags::IMAGE_ORIENTATION),
+            pixel_spacing: spacing(tags::PIXEL_SPACING).or_else(|| spacing(tags::IMAGER_PIXEL_SPACING)),
+            slice_spacing: slice(tags::SPACING_BETWEEN_SLICES).or_else(|| slice(tags::SLICE_THICKNESS)),
+            slope: fields.decimal(tags::RESCALE_SLOPE),
+            intercept: fields.decimal(tags::RESCALE_INTERCEPT),
+        }
+    }
+}
+
+/// Frames one after the other.
+fn plain_parts(
+    offset: u64,
+    length: u64,
+    num_frames: usize,
+    shape: &Shape,
+) -> Result<Vec<Vec<(u64, u64)>>, String> {
+    if !matches!(shape.coding, Coding::Plain { .. }) {
+        return Err(format!("{} pixels are not in fragments", shape.coding.name()));
+    }
+    let each = shape.num_bytes();
+    let needed = each.saturating_mul(num_frames as u64);
+    if length < needed {
+        return Err(format!("{num_frames} frames need {needed} bytes, found {length}"));
+    }
+    Ok((0..num_frames as u64).map(|i| vec![(offset + i * each, each)]).collect())
+}
+
+/// The fragments of each frame; `reader` is at the first item, which is the table of offsets.
+fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<Vec<(u64, u64)>>> {
+    let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
+    let length = reader.get_ref().metadata()?.len();
+    let mut list: Vec<(u64, u64)> = Vec::new();
+    let mut table = Vec::new();
+    let mut is_table = true;
+    loop {
+        let mut head = [0; 8];
+        reader.read_exact(&mut head)?;
+        let at = reader.stream_position()?;
+        let size = u64::from(u32::from_le_bytes([head[4], head[5], head[6], head[7]]));
+        match head[..4] {
+            [0xfe, 0xff, 0x00, 0xe0] if at + size <= length => {}
+            [0xfe, 0xff, 0xdd, 0xe0] => break,
+            _ => return Err(invalid("a fragment of pixel data is not where it should be".into())),
+        }
+        if is_table {
+            if size / 4 > MAX_FRAMES as u64 {
+                return Err(invalid("the table of offsets is too long".into()));
+            }
+            let mut bytes = Vec::new();
+            reader.by_ref().take(size).read_to_end(&mut bytes)?;
+            table.extend(bytes.as_chunks::<4>().0.iter().map(|b| u64::from(u32::from_le_bytes(*b))));
+            is_table = false;
+        } else {
+            if list.len() == MAX_FRAGMENTS {
+                return Err(invalid(format!("more than {MAX_FRAGMENTS} fragments")));
+            }
+            list.push((at, size));
+        }
+        reader.seek(SeekFrom::Start(at + size))?;
+    }
+    let start = list.first().map_or(0, |f| f.0 - 8);
+    if num_frames == 1 {
+        return Ok(vec![list]);
+    }
+    if list.len() == num_frames {
+        return Ok(list.into_iter().map(|f| vec![f]).collect());
+    }
+    if table.len() == num_frames && table.is_sorted() {
+        let mut frames = vec![Vec::new(); num_frames];
+        for fragment in list {
+            // The frame that begins at or before the fragment.
+            let i = table.partition_point(|&o| o <= fragment.0 - 8 - start);
+            if let Some(frame) = i.checked_sub(1).and_then(|i| frames.get_mut(i)) {
+                frame.push(fragment);
+            }
+        }
+        return Ok(frames);
+    }
+    Err(invalid(format!("{} fragments for {num_frames} frames and no table of offsets", list.len())))
+}
+
+/// Frames of one file.
+const MAX_FRAMES: f64 = 65_536.0;
+const MAX_FRAGMENTS: usize = 1 << 18;

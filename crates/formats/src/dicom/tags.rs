@@ -1,0 +1,58 @@
+//! The tags that matter for a volume (PS3.6).
+
+/// Group and element.
+pub(super) type Tag = (u16, u16);
+
+macro_rules! tags {
+    ($($name:ident $group:literal $element:literal),* $(,)?) => {
+        $(pub(super) const $name: Tag = ($group, $element);)*
+
+        /// Whether the value of an element is kept.
+        pub(super) fn is_wanted(tag: Tag) -> bool {
+            [$($name),*].contains(&tag)
+        }
+    };
+}
+
+tags! {
+    TRANSFER_SYNTAX 0x0002 0x0010,
+    MODALITY 0x0008 0x0060,
+    SERIES_DESCRIPTION 0x0008 0x103e,
+    SLICE_THICKNESS 0x0018 0x0050,
+    SPACING_BETWEEN_SLICES 0x0018 0x0088,
+    IMAGER_PIXEL_SPACING 0x0018 0x1164,
+    SERIES_UID 0x0020 0x000e,
+    SERIES_NUMBER 0x0020 0x0011,
+    ACQUISITION_NUMBER 0x0020 0x0012,
+    INSTANCE_NUMBER 0x0020 0x0013,
+    IMAGE_POSITION 0x0020 0x0032,
+    IMAGE_ORIENTATION 0x0020 0x0037,
+    TEMPORAL_POSITION 0x0020 0x0100,
+    SAMPLES_PER_PIXEL 0x0028 0x0002,
+    PHOTOMETRIC 0x0028 0x0004,
+    PLANAR_CONFIGURATION 0x0028 0x0006,
+    NUMBER_OF_FRAMES 0x0028 0x0008,
+    ROWS 0x0028 0x0010,
+    COLUMNS 0x0028 0x0011,
+    PIXEL_SPACING 0x0028 0x0030,
+    BITS_ALLOCATED 0x0028 0x0100,
+    BITS_STORED 0x0028 0x0101,
+    HIGH_BIT 0x0028 0x0102,
+    PIXEL_REPRESENTATION 0x0028 0x0103,
+    RESCALE_INTERCEPT 0x0028 0x1052,
+    RESCALE_SLOPE 0x0028 0x1053,
+}
+
+/// Whether an element is a sequence that values are looked for in.
+pub(super) fn is_sequence(tag: Tag) -> bool {
+    const INNER: [Tag; 5] =
+        [(0x0020, 0x9111), (0x0020, 0x9113), (0x0020, 0x9116), (0x0028, 0x9110), (0x0028, 0x9145)];
+    tag == SHARED_GROUPS || tag == PER_FRAME_GROUPS || INNER.contains(&tag)
+}
+
+pub(super) const SHARED_GROUPS: Tag = (0x5200, 0x9229);
+pub(super) const PER_FRAME_GROUPS: Tag = (0x5200, 0x9230);
+pub(super) const PIXEL_DATA: Tag = (0x7fe0, 0x0010);
+pub(super) const ITEM: Tag = (0xfffe, 0xe000);
+pub(super) const ITEM_END: Tag = (0xfffe, 0xe00d);
+pub(super) const SEQUENCE_END: Tag = (0xfffe, 0xe0dd);

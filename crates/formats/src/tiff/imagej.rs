@@ -1,0 +1,39 @@
+//! ImageJ's description of a hyperstack: lines of `name=value`.
+
+use super::{PlaneAxis, Stack};
+
+/// Whether a description is ImageJ's.
+pub(super) fn is_imagej(text: &str) -> bool {
+    text.starts_with("ImageJ=")
+}
+
+/// What it says. `resolution`: pixels per unit along x and y.
+pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
+    let get =
+        |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
+    let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
+    let [images, channels, slices, frames] = ["images", "channels", "slices", "frames"].map(count);
+    // A stack without hyperstack fields is one of slices.
+    let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
+    let unit = match get("unit").unwrap_or_default() {
+        "micron" | "microns" | "um" | "µm" | "μm" | "\\u00B5m" => Some("µm"),
+        "" | "pixel" | "pixels" => None,
+        "millimeter" | "mm" => Some("mm"),
+        "nanometer" | "nm" => Some("nm"),
+        "cm" | "centimeter" => Some("cm"),
+        _ => Some(""),
+    };
+    let in_plane = |i: usize| unit.and(resolution[i]).map(|pixels| 1.0 / pixels);
+    // A negative spacing marks a stack whose slices were taken downwards.
+    let depth = unit.and(get("spacing")).and_then(|v| v.parse::<f64>().ok()).map(f64::abs);
+    Stack {
+        axes: vec![(PlaneAxis::Channel, channels), (PlaneAxis::Z, slices), (PlaneAxis::Time, frames)],
+        spacing: [in_plane(0), in_plane(1), depth],
+        unit: unit.filter(|u| !u.is_empty()).map(str::to_owned),
+        channel_names: Vec::new(),
+        planes: None,
+        other_files: Vec::new(),
+        series: Vec::new(),
+        name: "ImageJ TIFF",
+    }
+}

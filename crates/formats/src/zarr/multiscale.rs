@@ -1,0 +1,264 @@
+//! What the attributes of a group say of its image.
+
+use std::path::{Component, Path, PathBuf};
+
+use glam::DVec3;
+use serde_json::Value;
+
+use super::array::Array;
+use super::json;
+use crate::axes::Geometry;
+use crate::error::{FormatError, quoted, shown};
+use crate::outline::Level;
+use crate::plan::{Axis, Plan, Role};
+
+/// An image of several levels.
+pub(super) struct Multiscale {
+    version: String,
+    /// Slowest first.
+    axes: Vec<NamedAxis>,
+    pub(super) levels: Vec<LevelPath>,
+    channels: Vec<String>,
+    /// Whether the axes are named.
+    is_image: bool,
+}
+
+struct NamedAxis {
+    kind: Kind,
+    /// Metres of its unit, and its short name.
+    unit: Option<(f64, &'static str)>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// x, y or z.
+    Space(usize),
+    Channel,
+    Time,
+}
+
+/// Where the array of a level is, and how its numbers lie.
+pub(super) struct LevelPath {
+    pub(super) path: PathBuf,
+    scale: Vec<f64>,
+    translation: Vec<f64>,
+}
+
+impl Multiscale {
+    /// The image in the folder `path`, if it holds one. An array alone is an image of one level.
+    pub(super) fn read(path: &Path) -> Result<Option<Self>, FormatError> {
+        let bad = |problem: String| FormatError::Malformed {
+            path: shown(path),
+            format: "OME-Zarr".into(),
+            problem,
+        };
+        let attributes = match json::read(&path.join("zarr.json"))? {
+            Some(value) if value.get("node_type").and_then(Value::as_str) == Some("array") => {
+                return Self::of_array(path);
+            }
+            Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
+            None if path.join(".zarray").is_file() => return Self::of_array(path),
+            None => json::read(&path.join(".zattrs"))?,
+        };
+        let Some(attributes) = attributes else { return Ok(None) };
+        let images = attributes.get("multiscales").and_then(Value::as_array);
+        let Some(image) = images.and_then(|l| l.first()) else { return Ok(None) };
+        Self::of(image, &attributes).map(Some).map_err(bad)
+    }
+
+    fn of(image: &Value, attributes: &Value) -> Result<Self, String> {
+        let text = |v: Option<&Value>| v.and_then(Value::as_str).map(str::to_owned);
+        let version =
+            text(attributes.get("version")).or_else(|| text(image.get("version"))).unwrap_or_default();
+        let axes = match image.get("axes").and_then(Value::as_array) {
+            Some(list) if list.len() <= 8 => list.iter().map(NamedAxis::of).collect::<Result<Vec<_>, _>>()?,
+            Some(list) => return Err(format!("it has {} axes, expected two to five", list.len())),
+            // Before version 0.3 there were always five.
+            None => ["t", "c", "z", "y", "x"]
+                .iter()
+                .map(|n| NamedAxis::of(&Value::from(*n)))
+                .collect::<Result<_, _>>()?,
+        };
+        for (i, axis) in axes.iter().enumerate() {
+            if axes[..i].iter().any(|a| a.kind == axis.kind) {
+                return Err(format!("two of its axes are {:?}, expected each once", axis.kind));
+            }
+        }
+        if !(0..2).all(|k| axes.iter().any(|a| a.kind == Kind::Space(k))) {
+            return Err("it has no axes x and y".into());
+        }
+        let datasets =
+            image.get("datasets").and_then(Value::as_array).filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
+        let datasets = datasets.ok_or_else(|| format!("it has no datasets, expected 1 to {MAX_LEVELS}"))?;
+        let all = Transform::of(image.get("coordinateTransformations"), axes.len());
+        let mut levels = Vec::new();
+        for dataset in datasets {
+            let name = dataset.get("path").and_then(Value::as_str).unwrap_or_default();
+            let path = PathBuf::from(name);
+            if name.is_empty() || !path.components().all(|c| matches!(c, Component::Normal(_))) {
+                return Err(format!("a level is at {}, expected a folder in it", quoted(name)));
+            }
+            let own = Transform::of(dataset.get("coordinateTransformations"), axes.len());
+            let scale = own.scale.iter().zip(&all.scale).map(|(a, b)| a * b).collect();
+            let translation =
+                (0..axes.len()).map(|i| own.translation[i] * all.scale[i] + all.translation[i]).collect();
+            levels.push(LevelPath { path, scale, translation });
+        }
+        let omero = attributes.get("omero").or_else(|| image.get("omero"));
+        let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
+        let label = |c: &Value| {
+            quoted(c.get("label").and_then(Value::as_str).unwrap_or_default()).trim_matches('"').to_owned()
+        };
+        let channels = channels.map_or(Vec::new(), |l| l.iter().take(1024).map(label).collect());
+        Ok(Self { version, axes, levels, channels, is_image: true })
+    }
+
+    fn of_array(path: &Path) -> Result<Option<Self>, FormatError> {
+        let array = Array::read(path)?;
+        let n = array.shape.len();
+        let names = ["t", "c", "z", "y", "x"];
+        let bad = |problem: String| FormatError::Malformed {
+            path: shown(path),
+            format: "Zarr array".into(),
+            problem,
+        };
+        if !(2..=5).contains(&n) {
+            return Err(bad(format!("it has {n} axes, expected two to five")));
+        }
+        let axes = names[5 - n..]
+            .iter()
+            .map(|n| NamedAxis::of(&Value::from(*n)))
+            .collect::<Result<_, _>>()
+            .map_err(bad)?;
+        let levels = vec![LevelPath { path: PathBuf::new(), scale: vec![1.0; n], translation: vec![0.0; n] }];
+        Ok(Some(Self { version: String::new(), axes, levels, channels: Vec::new(), is_image: false }))
+    }
+
+    /// Sizes along x, y and z of an array of this shape.
+    pub(super) fn space_of(&self, shape: &[u64]) -> [u64; 3] {
+        let size = |k: usize| {
+            self.axes.iter().zip(shape).find(|(a, _)| a.kind == Kind::Space(k)).map_or(1, |(_, n)| *n)
+        };
+        [size(0), size(1), size(2)]
+    }
+
+    /// The plan of a level.
+    pub(super) fn plan(&self, arrays: &[Array], level: usize) -> Result<Plan, String> {
+        let (array, path) = (&arrays[level], &self.levels[level]);
+        if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {
+            return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));
+        }
+        let unit = self.axes.iter().find(|a| a.kind == Kind::Space(0)).and_then(|a| a.unit);
+        // Lengths in the unit of x.
+        let length = |i: usize, number: f64| match (self.axes[i].unit, unit) {
+            (Some((own, _)), Some((x, _))) => number * own / x,
+            _ => number,
+        };
+        let (mut axes, mut steps, mut origin) = (Vec::new(), Vec::new(), DVec3::ZERO);
+        let mut seen = [false; 3];
+        for i in (0..self.axes.len()).rev() {
+            let role = match self.axes[i].kind {
+                Kind::Space(k) => {
+                    steps.push(DVec3::AXES[k] * length(i, path.scale[i]));
+                    origin[k] = length(i, path.translation[i]);
+                    seen[k] = true;
+                    Role::Space(steps.len() - 1)
+                }
+                Kind::Channel => Role::Channel,
+                Kind::Time => Role::Time,
+            };
+            axes.push(Axis { size: array.shape[i], role });
+        }
+        if let Some(k) = seen.iter().position(|s| !s) {
+            axes.push(Axis { size: 1, role: Role::Space(2) });
+            steps.push(DVec3::AXES[k] * steps[0].length());
+        }
+        let geometry = Geometry {
+            steps: [steps[0], steps[1], steps[2]],
+            origin: self.is_image.then_some(origin),
+            is_body: false,
+            unit: unit.map(|u| u.1.to_owned()),
+        };
+        let name = if self.is_image {
+            format!("OME-Zarr {}", quoted(&self.version).trim_matches('"'))
+        } else {
+            "Zarr array".into()
+        };
+        let format = format!("{}, Zarr {}", name.trim_end(), array.version);
+        let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
+        plan.channel_names.clone_from(&self.channels);
+        plan.level = level;
+        if arrays.len() > 1 {
+            let spacing = |l: &LevelPath, k: usize| {
+                let i = self.axes.iter().position(|a| a.kind == Kind::Space(k));
+                i.map_or(1.0, |i| length(i, l.scale[i]))
+            };
+            plan.levels = arrays
+                .iter()
+                .zip(&self.levels)
+                .map(|(a, l)| Level {
+                    dims: self.space_of(&a.shape),
+                    spacing: [0, 1, 2].map(|k| spacing(l, k)),
+                })
+                .collect();
+        }
+        if !self.is_image {
+            plan.spacing_guess = Some("an array has no spacing; it was taken as 1".into());
+        }
+        Ok(plan)
+    }
+}
+
+impl NamedAxis {
+    /// From a name, or an object with one.
+    fn of(value: &Value) -> Result<Self, String> {
+        let name = value.as_str().or_else(|| value.get("name").and_then(Value::as_str)).unwrap_or_default();
+        let kind = value.get("type").and_then(Value::as_str);
+        let kind = match (name, kind) {
+            ("x", _) => Kind::Space(0),
+            ("y", _) => Kind::Space(1),
+            ("z", _) => Kind::Space(2),
+            ("t", _) | (_, Some("time")) => Kind::Time,
+            ("c", _) | (_, Some("channel")) => Kind::Channel,
+            _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
+        };
+        let unit = match value.get("unit").and_then(Value::as_str).unwrap_or_default() {
+            "angstrom" => Some((1e-10, "Å")),
+            "nanometer" => Some((1e-9, "nm")),
+            "micrometer" => Some((1e-6, "µm")),
+            "millimeter" => Some((1e-3, "mm")),
+            "centimeter" => Some((1e-2, "cm")),
+            "meter" => Some((1.0, "m")),
+            _ => None,
+        };
+        Ok(Self { kind, unit })
+    }
+}
+
+/// Scale and translation of a list of transformations.
+struct Transform {
+    scale: Vec<f64>,
+    translation: Vec<f64>,
+}
+
+impl Transform {
+    fn of(value: Option<&Value>, num_axes: usize) -> Self {
+        let mut transform = Self { scale: vec![1.0; num_axes], translation: vec![0.0; num_axes] };
+        for step in value.and_then(Value::as_array).into_iter().flatten() {
+            let numbers = |name: &str| {
+                let list: Option<Vec<f64>> = step.get(name)?.as_array()?.iter().map(Value::as_f64).collect();
+                list.filter(|l| l.len() == num_axes)
+            };
+            match step.get("type").and_then(Value::as_str) {
+                Some("scale") => transform.scale = numbers("scale").unwrap_or(transform.scale),
+                Some("translation") => {
+                    transform.translation = numbers("translation").unwrap_or(transform.translation);
+                }
+                _ => {}
+            }
+        }
+        transform
+    }
+}
+
+const MAX_LEVELS: usize = 64;
