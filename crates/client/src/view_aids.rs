@@ -202,7 +202,8 @@ fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
     let number = if (1e-3..1e5).contains(&length) { format!("{length:.3}") } else { format!("{length:.0e}") };
     let number =
         if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { &number };
-    Some((length, format!("{number} {}", unit.unwrap_or("units"))))
+    let unit = unit.unwrap_or(if number == "1" { "unit" } else { "units" });
+    Some((length, format!("{number} {unit}")))
 }
 
 const AXES_MARGIN: f32 = 58.0;
@@ -271,6 +272,7 @@ mod tests {
             assert_eq!(round_length(most, Some("mm")).unwrap().1, text, "{most}");
         }
         assert_eq!(round_length(2.0, None).unwrap(), (2.0, "2 units".into()));
+        assert_eq!(round_length(1.5, None).unwrap(), (1.0, "1 unit".into()));
         for most in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!(round_length(most, None), None);
         }
