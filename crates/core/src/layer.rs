@@ -210,6 +210,7 @@ pub fn depth_to_units(camera: &Camera, depth: f32) -> f32 {
 
 /// Packs two non-negative finite numbers as half floats, `lo` in the low bits. Rounds to nearest; values above
 /// [`HALF_MAX`] and NaN become [`HALF_MAX`] and 0.
+#[inline]
 pub fn pack_halves(lo: f32, hi: f32) -> u32 {
     u32::from(half_from_f32(lo)) | u32::from(half_from_f32(hi)) << 16
 }
@@ -226,6 +227,7 @@ fn f32_from_half(h: u16) -> f32 {
     f32::from_bits(u32::from(h & 0x7fff) << 13) * f32::from_bits((254 - 15) << 23)
 }
 
+#[inline]
 #[expect(clippy::manual_clamp, reason = "max and min turn NaN into 0, clamp would keep it")]
 fn half_from_f32(x: f32) -> u16 {
     // The product brings the exponent bias to the half's.

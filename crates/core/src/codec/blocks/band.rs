@@ -56,14 +56,6 @@ impl Band {
         first_plane as usize..first_plane as usize + usize::from(num_planes)
     }
 
-    /// Cells of list `i` of block `block`, as indices of `cells`.
-    pub(super) fn list(&self, block: usize, i: usize) -> std::ops::Range<usize> {
-        let Block { first_cell, ends, .. } = self.blocks[block];
-        let Some(ends) = self.ends.get(ends as usize) else { return 0..0 };
-        let start = if i == 0 { 0 } else { ends[i - 1] };
-        (first_cell + u32::from(start)) as usize..(first_cell + u32::from(ends[i])) as usize
-    }
-
     /// Whether any list of the block has a cell.
     pub(super) fn has_matter(&self, block: usize) -> bool {
         self.blocks[block].ends != NO_ENDS
@@ -80,6 +72,14 @@ impl Band {
             }
             None => CellsOf::NONE,
         }
+    }
+
+    /// The cells of a block to change, and where those of each list end; `None` if there are none.
+    pub(super) fn cells_mut(&mut self, block: usize) -> Option<(&mut [Cell], &[u16; BLOCK_LISTS])> {
+        let Block { first_cell, ends, .. } = self.blocks[block];
+        let ends = self.ends.get(ends as usize)?;
+        let first = first_cell as usize;
+        Some((&mut self.cells[first..first + usize::from(ends[BLOCK_LISTS - 1])], ends))
     }
 
     /// Appends a block that is one of another band.
@@ -131,6 +131,7 @@ impl<'a> CellsOf<'a> {
     pub(super) const NONE: Self = Self { cells: &[], ends: &[0; BLOCK_LISTS] };
 
     /// Those of list `i`.
+    #[inline(always)]
     pub(super) fn list(&self, i: usize) -> &'a [Cell] {
         let start = if i == 0 { 0 } else { self.ends[i - 1] };
         &self.cells[usize::from(start)..usize::from(self.ends[i])]
@@ -201,29 +202,57 @@ impl Lists {
     ) {
         let Some(cells) = self.layers.get_mut(self.num_layers) else { return };
         (cells.u, cells.ycc) = (*u, *ycc);
-        for (i, alpha) in alphas.iter().enumerate() {
-            let last = self.last[i];
-            let front = lesser(greater(planes.0.at(i), last), MAX_FRONT) + 0.5;
-            let front = whole(front) as i32 as f32;
-            let back = lesser(greater(planes.1.at(i), front + LEAST_LENGTH), MAX_BACK) + 0.5;
-            let back = whole(back) as i32 as f32;
-            // The cell before may end so deep that none fits behind it.
-            let fits = (mask >> i & 1 == 1) & (back > front) & (front >= last);
-            cells.front[i] = front as i32 as u16;
-            cells.back[i] = back as i32 as u16;
-            self.present[i] |= u32::from(fits) << self.num_layers;
-            self.last[i] = if fits { back } else { last };
-            self.kappa[i] *= if fits { 1.0 - alpha } else { 1.0 };
+        let fits = place(cells, planes, mask, alphas, &mut self.last, &mut self.kappa);
+        for (present, fits) in self.present.iter_mut().zip(fits) {
+            *present |= u32::from(fits) << self.num_layers;
         }
         self.num_layers += 1;
     }
 }
 
+wide! {
+    /// Places the cells of a layer behind the `last` of each list. Returns which lists get theirs.
+    fn place(
+        cells: &mut Cells,
+        planes: &Planes,
+        mask: u64,
+        alphas: &[f32; BLOCK_LISTS],
+        last: &mut [f32; BLOCK_LISTS],
+        kappa: &mut [f32; BLOCK_LISTS],
+    ) -> [bool; BLOCK_LISTS] = place_any;
+}
+
+#[inline(always)]
+fn place_any(
+    cells: &mut Cells,
+    planes: &Planes,
+    mask: u64,
+    alphas: &[f32; BLOCK_LISTS],
+    last: &mut [f32; BLOCK_LISTS],
+    kappa: &mut [f32; BLOCK_LISTS],
+) -> [bool; BLOCK_LISTS] {
+    let mut fits = [false; BLOCK_LISTS];
+    for i in 0..BLOCK_LISTS {
+        let front = whole(lesser(greater(planes.0.at(i), last[i]), MAX_FRONT) + 0.5);
+        let after = front as i32 as f32;
+        let back = whole(lesser(greater(planes.1.at(i), after + LEAST_LENGTH), MAX_BACK) + 0.5);
+        // The cell before may end so deep that none fits behind it.
+        fits[i] = (mask >> i & 1 == 1) & (back > front) & (after >= last[i]);
+        cells.front[i] = front as u16;
+        cells.back[i] = back as u16;
+        last[i] = if fits[i] { back as i32 as f32 } else { last[i] };
+        kappa[i] *= if fits[i] { 1.0 - alphas[i] } else { 1.0 };
+    }
+    fits
+}
+
 /// As the machine has it: without a thought for NaN.
+#[inline(always)]
 fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
+#[inline(always)]
 fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }

@@ -267,25 +267,49 @@ impl Band {
     fn write(&self, width: usize, offset: u32, ends: &mut [u32], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
         let mut to = 0;
         for (y, ends) in ends.chunks_mut(width).enumerate() {
-            for (x, end) in ends.iter_mut().enumerate() {
-                let block = y / BLOCK * self.across + x / BLOCK;
-                for cell in &self.cells[self.list(block, y % BLOCK * BLOCK + x % BLOCK)] {
-                    [depth[to], c_rg[to], c_b_tau[to]] = words(cell);
-                    to += 1;
+            for (x, ends) in ends.chunks_mut(BLOCK).enumerate() {
+                // The lists of a row of a block lie side by side in both.
+                let of = self.cells_of(y / BLOCK * self.across + x);
+                let first = y % BLOCK * BLOCK;
+                let start = if first == 0 { 0 } else { of.ends[first - 1] };
+                let cells = &of.cells[usize::from(start)..usize::from(of.ends[first + ends.len() - 1])];
+                let planes = [&mut *depth, &mut *c_rg, &mut *c_b_tau];
+                write_words(cells, planes.map(|plane| &mut plane[to..to + cells.len()]));
+                for (end, own) in ends.iter_mut().zip(&of.ends[first..]) {
+                    *end = offset + to as u32 + u32::from(own - start);
                 }
-                *end = offset + to as u32;
+                to += cells.len();
             }
         }
     }
 }
 
-/// A segment in the packed form of [`LayeredFrame`].
-fn words(cell: &Cell) -> [u32; 3] {
+wide! {
+    /// Writes segments in the packed form of [`LayeredFrame`], into as many words of each plane.
+    fn write_words(cells: &[Cell], planes: [&mut [u32]; 3]) = write_words_any;
+}
+
+#[inline(always)]
+fn write_words_any(cells: &[Cell], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
     let scales = scales();
-    let alpha = scales.alpha[usize::from(cell.u)];
-    let [r, g, b] = roots(cell).map(|root| root * root * alpha);
-    let tau = u32::from(scales.tau_half[usize::from(cell.u)]);
-    [u32::from(cell.front) | u32::from(cell.back) << 16, pack_halves(r, g), pack_halves(b, 0.0) | tau << 16]
+    for (n, cells) in cells.chunks(BATCH).enumerate() {
+        let words = n * BATCH..n * BATCH + cells.len();
+        let (mut alpha, mut tau, mut ycc) = ([0.0; BATCH], [0; BATCH], [[0; 3]; BATCH]);
+        for (i, (cell, depth)) in cells.iter().zip(&mut depth[words.clone()]).enumerate() {
+            *depth = u32::from(cell.front) | u32::from(cell.back) << 16;
+            alpha[i] = scales.alpha[usize::from(cell.u)];
+            tau[i] = u32::from(scales.tau_half[usize::from(cell.u)]);
+            ycc[i] = cell.ycc;
+        }
+        let (mut rg, mut b_tau) = ([0; BATCH], [0; BATCH]);
+        for i in 0..BATCH {
+            let [r, g, b] = roots(ycc[i]).map(|root| root * root * alpha[i]);
+            rg[i] = pack_halves(r, g);
+            b_tau[i] = pack_halves(b, 0.0) | tau[i] << 16;
+        }
+        c_rg[words.clone()].copy_from_slice(&rg[..cells.len()]);
+        c_b_tau[words].copy_from_slice(&b_tau[..cells.len()]);
+    }
 }
 
 /// Cuts the first `n` elements off a slice.
@@ -295,5 +319,7 @@ fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
     head
 }
 
+/// Segments that are packed at once.
+const BATCH: usize = 32;
 /// Bytes of [`Head`].
 pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

@@ -16,7 +16,7 @@ use depth::{bounded, continued};
 use layer::{Around, Coded};
 
 pub(super) use depth::PlaneCode;
-pub(super) use layer::residual;
+pub(super) use layer::{fixed_of, residual};
 
 /// Where the planes of a block come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,13 +1,13 @@
 //! Choosing layers for the lists of a band, and coding them.
 
 use super::super::{CodecError, MAX_CHUNK_SEGMENTS};
-use super::band::{Band, Planes};
+use super::band::{Band, CellsOf, Planes};
 use super::chunk::Head;
 use super::coding::{BandCoder, Origin, Place, Plan, Source};
 use super::entropy::Encoder;
 use super::model::BLOCK_LISTS;
 use super::motion::Motion;
-use super::picture::{self, composite_roots};
+use super::picture::{self, Composer, composite_roots};
 use super::reference::Reference;
 use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
@@ -39,11 +39,12 @@ pub(super) fn band(
     if !head.has_corrections(&decoded) {
         return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded });
     }
+    let Layering { wanted, wanted_of, composer, .. } = &mut layering;
     let source = |block: usize, planes: &mut [Plane; 3]| {
         // A block of the reference has its corrections in it.
         let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
-        match layering.wanted.get(layering.wanted_of[block] as usize) {
-            Some(wanted) if !is_corrected => miss(wanted, &decoded, block, planes),
+        match wanted.get(wanted_of[block] as usize) {
+            Some(wanted) if !is_corrected => miss(composer, wanted, decoded.cells_of(block), planes),
             _ => 0,
         }
     };
@@ -59,14 +60,13 @@ pub(super) fn band(
 }
 
 /// By how much the lists of a block composite to too little, as roots, when they should composite to `wanted`; and
-/// which have matter in the band.
-fn miss(wanted: &[Plane; 3], band: &Band, block: usize, planes: &mut [Plane; 3]) -> u64 {
+/// which have matter.
+fn miss(composer: &mut Composer, wanted: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
+    composite_roots(composer, cells, planes);
     let mut mask = 0;
     for i in 0..BLOCK_LISTS {
-        let cells = &band.cells[band.list(block, i)];
-        mask |= u64::from(!cells.is_empty()) << i;
-        let found = composite_roots(cells);
-        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c][i] - found[c]));
+        mask |= u64::from(!cells.list(i).is_empty()) << i;
+        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c][i] - planes[c][i]));
         for (plane, value) in planes.iter_mut().zip(ycc) {
             plane[i] = value;
         }
@@ -108,6 +108,7 @@ struct Layering<'a> {
     planes: Vec<Planes>,
     best: Vec<Planes>,
     usual: Usual,
+    composer: Box<Composer>,
     /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
     /// [`NO_WANTED`] where there is nothing.
     wanted: Vec<[Plane; 3]>,
@@ -133,13 +134,14 @@ impl<'a> Layering<'a> {
             planes: Vec::new(),
             best: Vec::new(),
             usual: Usual::default(),
+            composer: Composer::new(),
             wanted: Vec::new(),
             wanted_of: Vec::with_capacity(place.across * place.num_rows),
         }
     }
 
     /// Whether the reference, from the same camera and no coarser, shows the block as well as it could be coded.
-    fn is_same(&self, x: usize, y: usize) -> bool {
+    fn is_same(&mut self, x: usize, y: usize) -> bool {
         let Some((reference, motion)) = self.reference else { return false };
         let is_fine =
             reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth);
@@ -150,7 +152,7 @@ impl<'a> Layering<'a> {
         }
         let Some(wanted) = self.wanted.last() else { return false };
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
-        miss(wanted, band, block, &mut planes);
+        miss(&mut self.composer, wanted, band.cells_of(block), &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
         mean <= SAME * self.steps.picture
     }

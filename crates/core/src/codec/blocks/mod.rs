@@ -11,6 +11,29 @@
 //! products, quotients and square roots, or single and double precision operations in the order written. No
 //! function of a mathematics library takes part.
 
+/// Defines a function by one that is always inlined, compiled twice: as every machine can run it, and with wider
+/// instructions for those that have them. No multiplication is fused with an addition, so the bits are the same.
+macro_rules! wide {
+    ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $out:ty)? = $any:ident;) => {
+        $(#[$meta])*
+        $vis fn $name($($arg: $ty),*) $(-> $out)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn with_avx2($($arg: $ty),*) $(-> $out)? {
+                    $any($($arg),*)
+                }
+                if $crate::codec::blocks::is_wide() {
+                    #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
+                    // SAFETY: this processor has them.
+                    return unsafe { with_avx2($($arg),*) };
+                }
+            }
+            $any($($arg),*)
+        }
+    };
+}
+
 mod band;
 mod chunk;
 mod coding;
@@ -37,6 +60,8 @@ use rayon::prelude::*;
 use super::header::{self, ChunkHeader};
 use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, at_most};
 use crate::ids::ChunkIndex;
+#[cfg(target_arch = "x86_64")]
+use crate::kernels::march::has_avx2;
 use crate::layer::{FrameHeader, LayeredFrame};
 use chunk::Head;
 use model::MAX_LAYERS;
@@ -85,6 +110,7 @@ pub fn encode(
     };
     let bands: Vec<_> = (0..num_bands)
         .into_par_iter()
+        .with_max_len(1)
         .map(|band| {
             let place = chunk::place(&ChunkHeader { band, ..first });
             let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
@@ -117,6 +143,16 @@ pub fn encode(
         })
         .collect::<Result<_, CodecError>>()?;
     Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, Some(steps), decoded)))
+}
+
+/// Whether functions run with wider instructions.
+#[cfg(target_arch = "x86_64")]
+fn is_wide() -> bool {
+    #[cfg(test)]
+    if tests::IS_NARROW.load(std::sync::atomic::Ordering::Relaxed) {
+        return false;
+    }
+    has_avx2()
 }
 
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.

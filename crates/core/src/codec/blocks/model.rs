@@ -32,6 +32,7 @@ pub struct DepthPlane {
 
 impl DepthPlane {
     /// Depth at list `i` of the block, counted row by row.
+    #[inline]
     pub fn at(&self, i: usize) -> f32 {
         const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;
         let (x, y) = ((i % BLOCK) as f32 - MIDDLE, (i / BLOCK) as f32 - MIDDLE);

@@ -2,10 +2,10 @@
 //! many small errors, and one more plane a block takes most of it back.
 
 use super::super::{CodecError, MAX_CHUNK_SEGMENTS, at_most};
-use super::band::{Band, Cell};
-use super::coding::{Place, residual};
+use super::band::{Band, Cell, CellsOf};
+use super::coding::{Place, fixed_of, residual};
 use super::entropy::Coder;
-use super::model::BLOCK_LISTS;
+use super::model::{BLOCK_LISTS, MAX_LAYERS};
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
 use super::steps::Steps;
 use super::syntax::{Contexts, NO_CLASS};
@@ -67,7 +67,7 @@ pub(super) fn code<C: Coder>(
                 );
                 own[c] = class;
                 class_before = class;
-                planes[c] = values.map(|v| fixed_from_f32(v.clamp(-1.0, 1.0)));
+                fixed_of(&values, [-1.0, 1.0], &mut planes[c]);
             }
             out.places.push(out.planes.len() as u32);
             out.planes.push(planes);
@@ -83,50 +83,129 @@ pub(super) fn code<C: Coder>(
     Ok((coder, out))
 }
 
-/// The roots of red, green and blue that the lists of a cell composite to.
-pub(super) fn composite_roots(cells: &[Cell]) -> [f32; 3] {
-    let mut sum = [0.0; 3];
-    let mut kappa = 1.0;
-    for cell in cells {
-        let alpha = scales().alpha[usize::from(cell.u)];
-        for (sum, root) in sum.iter_mut().zip(roots(cell)) {
-            *sum += kappa * alpha * root * root;
-        }
-        kappa *= 1.0 - alpha;
+/// Scratch memory to composite the cells of a block with, cell by cell.
+#[derive(Clone, Debug)]
+pub(super) struct Composer {
+    alpha: [f32; MOST_CELLS],
+    /// Y, Co, Cg in units of 1/8192.
+    ycc: [[i16; MOST_CELLS]; 3],
+    /// Of red, green and blue.
+    roots: [[f32; MOST_CELLS]; 3],
+}
+
+impl Composer {
+    pub(super) fn new() -> Box<Self> {
+        Box::new(Self { alpha: [0.0; MOST_CELLS], ycc: [[0; MOST_CELLS]; 3], roots: [[0.0; MOST_CELLS]; 3] })
     }
-    sum.map(|s: f32| s.max(LEAST).sqrt())
+}
+
+wide! {
+    /// The roots of red, green and blue that the lists of a block composite to, into `found`.
+    pub(super) fn composite_roots(composer: &mut Composer, of: CellsOf<'_>, found: &mut [Plane; 3])
+        = composite_roots_any;
+}
+
+wide! {
+    /// Changes the colours of the cells of a block by what `differences` says that each list composites to too little.
+    fn correct(
+        composer: &mut Composer,
+        cells: &mut [Cell],
+        ends: &[u16; BLOCK_LISTS],
+        differences: &[[i16; BLOCK_LISTS]; 3],
+    ) = correct_any;
+}
+
+#[inline(always)]
+fn composite_roots_any(composer: &mut Composer, of: CellsOf<'_>, found: &mut [Plane; 3]) {
+    let scales = scales();
+    let Composer { alpha, ycc: [y, co, cg], roots: [r, g, b] } = composer;
+    let num = of.cells.len().min(MOST_CELLS);
+    for (i, cell) in of.cells[..num].iter().enumerate() {
+        alpha[i] = scales.alpha[usize::from(cell.u)];
+        [y[i], co[i], cg[i]] = cell.ycc;
+    }
+    for i in 0..num {
+        [r[i], g[i], b[i]] = roots([y[i], co[i], cg[i]]);
+    }
+    let mut start = 0;
+    for (i, &end) in of.ends.iter().enumerate() {
+        let end = usize::from(end).min(num);
+        let (mut sum, mut kappa) = ([0.0; 3], 1.0);
+        for n in start..end {
+            for (sum, root) in sum.iter_mut().zip([r[n], g[n], b[n]]) {
+                *sum += kappa * alpha[n] * root * root;
+            }
+            kappa *= 1.0 - alpha[n];
+        }
+        (found[0][i], found[1][i], found[2][i]) = sum.into();
+        start = end;
+    }
+    for found in found.as_flattened_mut() {
+        *found = found.max(LEAST).sqrt();
+    }
+}
+
+/// By the same factor in all cells of a list.
+#[inline(always)]
+fn correct_any(
+    composer: &mut Composer,
+    cells: &mut [Cell],
+    ends: &[u16; BLOCK_LISTS],
+    differences: &[[i16; BLOCK_LISTS]; 3],
+) {
+    let mut factors = [[0.0; BLOCK_LISTS]; 3];
+    composite_roots_any(composer, CellsOf { cells, ends }, &mut factors);
+    for i in 0..BLOCK_LISTS {
+        let difference = [differences[0][i], differences[1][i], differences[2][i]];
+        let difference = roots_from_ycc(difference.map(f32_from_fixed));
+        for (factor, difference) in factors.iter_mut().zip(difference) {
+            factor[i] = ((factor[i] + difference) / factor[i]).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
+        }
+    }
+    let Composer { ycc: [y, co, cg], roots: [r, g, b], .. } = composer;
+    let num = cells.len().min(MOST_CELLS);
+    let mut start = 0;
+    for (i, &end) in ends.iter().enumerate() {
+        let end = usize::from(end).min(num);
+        for n in start..end {
+            r[n] *= factors[0][i];
+            g[n] *= factors[1][i];
+            b[n] *= factors[2][i];
+        }
+        start = end;
+    }
+    for i in 0..num {
+        let changed = [r[i].min(MAX_ROOT), g[i].min(MAX_ROOT), b[i].min(MAX_ROOT)];
+        [y[i], co[i], cg[i]] = ycc_from_roots(changed).map(fixed_from_f32);
+    }
+    start = 0;
+    for (i, &end) in ends.iter().enumerate() {
+        let end = usize::from(end).min(num);
+        // What is right stays as it is, to the bit.
+        if [differences[0][i], differences[1][i], differences[2][i]] != [0; 3] {
+            for n in start..end {
+                cells[n].ycc = [y[n], co[n], cg[n]];
+            }
+        }
+        start = end;
+    }
 }
 
 /// The roots of red, green and blue of a cell, within what colours can be.
-pub(super) fn roots(cell: &Cell) -> [f32; 3] {
-    roots_from_ycc(cell.ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
+#[inline(always)]
+pub(super) fn roots(ycc: [i16; 3]) -> [f32; 3] {
+    roots_from_ycc(ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
 }
 
 impl Corrections {
     /// Changes the colours of a band's cells so that every list composites to what it should, by the same factor in all
     /// cells of a list.
     pub(super) fn apply(&self, band: &mut Band) {
+        let mut composer = Composer::new();
         for (block, &place) in self.places.iter().enumerate() {
             let Some(planes) = self.planes.get(place as usize) else { continue };
-            if !band.has_matter(block) {
-                continue;
-            }
-            for i in 0..BLOCK_LISTS {
-                let difference = planes.map(|plane| plane[i]);
-                let cells = band.list(block, i);
-                if difference == [0; 3] || cells.is_empty() {
-                    continue;
-                }
-                let difference = roots_from_ycc(difference.map(f32_from_fixed));
-                let found = composite_roots(&band.cells[cells.clone()]);
-                let factors: [f32; 3] = std::array::from_fn(|c| {
-                    ((found[c] + difference[c]) / found[c]).clamp(1.0 / MAX_FACTOR, MAX_FACTOR)
-                });
-                for cell in &mut band.cells[cells] {
-                    let own = roots(cell);
-                    let changed = [0, 1, 2].map(|c| (own[c] * factors[c]).min(MAX_ROOT));
-                    cell.ycc = ycc_from_roots(changed).map(fixed_from_f32);
-                }
+            if let Some((cells, ends)) = band.cells_mut(block) {
+                correct(&mut composer, cells, ends, planes);
             }
         }
     }
@@ -140,3 +219,5 @@ const MAX_FACTOR: f32 = 2.0;
 /// Least colour of a list.
 const LEAST: f32 = 1e-5;
 const NONE: u32 = u32::MAX;
+/// Cells of a block.
+const MOST_CELLS: usize = MAX_LAYERS * BLOCK_LISTS;

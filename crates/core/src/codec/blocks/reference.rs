@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::band::{Band, Cell, CellsOf};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::Shift;
-use super::scales::{f32_from_fixed, scales};
+use super::scales::{Scales, f32_from_fixed, scales};
 use super::steps::Steps;
 use super::transform::Plane;
 use crate::ids::FrameId;
@@ -110,85 +110,116 @@ impl Fetched {
     pub(super) fn new() -> Self {
         Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0 }
     }
+}
 
+wide! {
     /// Fetches what the reference has between two planes of the block at (`x`, `y`) of blocks, moved by `shift`: to a
-    /// quarter of a list, between lists by nearness, colours also by opacity.
+    /// quarter of a list, between lists by nearness, colours also by opacity. Where it has nothing in any list, the
+    /// planes stay what they were.
     pub(super) fn fetch(
-        &mut self,
+        fetched: &mut Fetched,
         reference: &Reference,
-        (x, y): (usize, usize),
-        (front, back): &(DepthPlane, DepthPlane),
+        at: (usize, usize),
+        planes: &(DepthPlane, DepthPlane),
         shift: Shift,
         least_length: f32,
-    ) {
-        let quarter = |s: f32| (s * 4.0 + 0.5).floor() as i32;
-        let (qx, qy) = (quarter(shift.x), quarter(shift.y));
-        let (fx, fy) = ((qx & 3) as f32 * 0.25, (qy & 3) as f32 * 0.25);
-        let (left, top) = ((x * BLOCK) as i32 + (qx >> 2), (y * BLOCK) as i32 + (qy >> 2));
-        let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
-        const SIDE: i32 = BLOCK as i32;
-        let (first_x, first_y) = (left.div_euclid(SIDE), top.div_euclid(SIDE));
-        let blocks = [0, 1].map(|dy| {
-            [0, 1].map(|dx| {
-                let found = reference.block(first_x + dx, first_y + dy);
-                found.map_or(CellsOf::NONE, |(band, block)| band.cells_of(block))
-            })
-        });
-        let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
-        let mut content = Contents::NOTHING;
-        for row in 0..rows {
-            let y = inner_y + row;
-            for column in 0..columns {
-                let x = inner_x + column;
-                let cells = blocks[y / BLOCK][x / BLOCK].list(y % BLOCK * BLOCK + x % BLOCK);
-                if !cells.is_empty() {
-                    let (dx, dy) = (column as f32 - fx - MIDDLE, row as f32 - fy - MIDDLE);
-                    let at = |p: &DepthPlane| p.z + p.dx * dx + p.dy * dy + shift.z;
-                    let low = at(front);
-                    content.set(row, column, &between(cells, low, at(back).max(low + least_length)));
+    ) = fetch_any;
+}
+
+#[inline(always)]
+fn fetch_any(
+    fetched: &mut Fetched,
+    reference: &Reference,
+    (x, y): (usize, usize),
+    (front, back): &(DepthPlane, DepthPlane),
+    shift: Shift,
+    least_length: f32,
+) {
+    fetched.mask = 0;
+    let quarter = |s: f32| (s * 4.0 + 0.5).floor() as i32;
+    let (qx, qy) = (quarter(shift.x), quarter(shift.y));
+    let (fx, fy) = ((qx & 3) as f32 * 0.25, (qy & 3) as f32 * 0.25);
+    let (left, top) = ((x * BLOCK) as i32 + (qx >> 2), (y * BLOCK) as i32 + (qy >> 2));
+    let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
+    const SIDE: i32 = BLOCK as i32;
+    let (first_x, first_y) = (left.div_euclid(SIDE), top.div_euclid(SIDE));
+    let blocks = [0, 1].map(|dy| {
+        [0, 1].map(|dx| {
+            let found = reference.block(first_x + dx, first_y + dy);
+            found.map_or(CellsOf::NONE, |(band, block)| band.cells_of(block))
+        })
+    });
+    if blocks.as_flattened().iter().all(|block| block.cells.is_empty()) {
+        return;
+    }
+    let scales = scales();
+    let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
+    let mut content = Contents::NOTHING;
+    let mut has_any = false;
+    for row in 0..rows {
+        let y = inner_y + row;
+        for column in 0..columns {
+            let x = inner_x + column;
+            let cells = blocks[y / BLOCK][x / BLOCK].list(y % BLOCK * BLOCK + x % BLOCK);
+            if !cells.is_empty() {
+                let (dx, dy) = (column as f32 - fx - MIDDLE, row as f32 - fy - MIDDLE);
+                let low = front.z + front.dx * dx + front.dy * dy + shift.z;
+                let high = (back.z + back.dx * dx + back.dy * dy + shift.z).max(low + least_length);
+                has_any |= content.set(row, column, &between(scales, cells, low, high));
+            }
+        }
+    }
+    if !has_any {
+        return;
+    }
+    let (gx, gy) = (1.0 - fx, 1.0 - fy);
+    let taps = [(0, 0, gx * gy), (0, 1, fx * gy), (1, 0, gx * fy), (1, 1, fx * fy)];
+    let mut sums = [[0.0; BLOCK_LISTS]; 6];
+    // What has no weight adds zeros.
+    for (dy, dx, w) in taps.into_iter().filter(|(.., w)| *w > 0.0) {
+        let [weight, sums @ ..] = &mut sums;
+        for row in 0..BLOCK {
+            let alpha = &content.values[0][row + dy][dx..dx + BLOCK];
+            // Where nothing is, all is zero.
+            for (sum, alpha) in weight[row * BLOCK..][..BLOCK].iter_mut().zip(alpha) {
+                *sum += if *alpha > 0.0 { w } else { 0.0 };
+            }
+            for (sums, values) in sums.iter_mut().zip(&content.values) {
+                let values = &values[row + dy][dx..dx + BLOCK];
+                for (sum, value) in sums[row * BLOCK..][..BLOCK].iter_mut().zip(values) {
+                    *sum += w * value;
                 }
             }
         }
-        let (gx, gy) = (1.0 - fx, 1.0 - fy);
-        let weights = [gx * gy, fx * gy, gx * fy, fx * fy];
-        let (right, below) = (usize::from(fx > 0.0), usize::from(fy > 0.0));
-        let mut sums = [[0.0; BLOCK_LISTS]; 6];
-        for ((dx, dy), w) in [(0, 0), (right, 0), (0, below), (right, below)].into_iter().zip(weights) {
-            for row in 0..BLOCK {
-                let tap = |of: &Rows| -> [f32; BLOCK] { std::array::from_fn(|x| of[row + dy][x + dx]) };
-                let alpha = tap(&content.values[0]);
-                // Where nothing is, all is zero.
-                let there = alpha.map(|alpha| if alpha > 0.0 { w } else { 0.0 });
-                add(&mut sums[0], row, &there);
-                for (sums, values) in sums[1..].iter_mut().zip(&content.values) {
-                    add(sums, row, &tap(values).map(|value| w * value));
-                }
+    }
+    let [weight, alpha, u, ycc @ ..] = &sums;
+    let [fetched_u, fetched_ycc @ ..] = &mut fetched.planes;
+    let mut is_there = [0u8; BLOCK_LISTS];
+    for i in 0..BLOCK_LISTS {
+        is_there[i] = u8::from(weight[i] > 0.5);
+        fetched_u[i] = u[i] / weight[i];
+    }
+    for (plane, ycc) in fetched_ycc.iter_mut().zip(ycc) {
+        for ((value, ycc), alpha) in plane.iter_mut().zip(ycc).zip(alpha) {
+            *value = ycc / alpha;
+        }
+    }
+    let mask = is_there.iter().enumerate().fold(0, |mask, (i, there)| mask | u64::from(*there) << i);
+    fetched.mask = mask;
+    if mask != 0 && mask != u64::MAX {
+        let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
+        for i in lists_of(mask) {
+            sums[0] += fetched.planes[0][i];
+            count += 1.0;
+            sum_alpha += alpha[i];
+            for (sum, ycc) in sums[1..].iter_mut().zip(ycc) {
+                *sum += ycc[i];
             }
         }
-        let [weight, alpha, u, ycc @ ..] = &sums;
-        self.mask = 0;
-        for i in 0..BLOCK_LISTS {
-            self.mask |= u64::from(weight[i] > 0.5) << i;
-            self.planes[0][i] = u[i] / weight[i];
-            for (plane, ycc) in self.planes[1..].iter_mut().zip(ycc) {
-                plane[i] = ycc[i] / alpha[i];
-            }
-        }
-        if self.mask != 0 && self.mask != u64::MAX {
-            let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
-            for i in lists_of(self.mask) {
-                sums[0] += self.planes[0][i];
-                count += 1.0;
-                sum_alpha += alpha[i];
-                for (sum, ycc) in sums[1..].iter_mut().zip(ycc) {
-                    *sum += ycc[i];
-                }
-            }
-            let means = [sums[0] / count, sums[1] / sum_alpha, sums[2] / sum_alpha, sums[3] / sum_alpha];
-            for i in lists_of(!self.mask) {
-                for (plane, mean) in self.planes.iter_mut().zip(means) {
-                    plane[i] = mean;
-                }
+        let means = [sums[0] / count, sums[1] / sum_alpha, sums[2] / sum_alpha, sums[3] / sum_alpha];
+        for i in lists_of(!mask) {
+            for (plane, mean) in fetched.planes.iter_mut().zip(means) {
+                plane[i] = mean;
             }
         }
     }
@@ -205,25 +236,21 @@ struct Contents {
 impl Contents {
     const NOTHING: Self = Self { values: [[[0.0; BLOCK + 1]; BLOCK + 1]; 5] };
 
-    fn set(&mut self, row: usize, column: usize, content: &Content) {
+    /// Returns whether there is anything.
+    #[inline(always)]
+    fn set(&mut self, row: usize, column: usize, content: &Content) -> bool {
         let &Content { u, alpha, ycc: [y, co, cg] } = content;
         for (rows, value) in self.values.iter_mut().zip([alpha, u, y, co, cg]) {
             rows[row][column] = value;
         }
-    }
-}
-
-/// Adds to a row of a plane.
-fn add(plane: &mut Plane, row: usize, values: &[f32; BLOCK]) {
-    for (sum, value) in plane[row * BLOCK..][..BLOCK].iter_mut().zip(values) {
-        *sum += value;
+        alpha > 0.0
     }
 }
 
 /// The parts of a list's cells between two depths, composited: the colour of parts is that of their cells, mixed by
 /// what of them is seen.
-fn between(cells: &[Cell], low: f32, high: f32) -> Content {
-    let scales = scales();
+#[inline(always)]
+fn between(scales: &Scales, cells: &[Cell], low: f32, high: f32) -> Content {
     let mut sum = Content::default();
     let mut tau = 0.0;
     let mut kappa = 1.0;

@@ -65,6 +65,7 @@ impl Scales {
     }
 
     /// u of an optical depth.
+    #[inline(always)]
     pub(super) fn u_from_tau(&self, tau: f32) -> f32 {
         let bits = tau.clamp(LEAST_TAU, TAU_MAX).to_bits();
         let place = (bits - LEAST_TAU.to_bits()) >> REST_BITS;
@@ -74,6 +75,7 @@ impl Scales {
     }
 
     /// The code of a cell with matter: at least 1.
+    #[inline(always)]
     pub(super) fn code(&self, u: f32) -> u16 {
         let code = u * self.codes_per_u + 0.5;
         let most = f32::from(CODES - 1);
@@ -87,17 +89,20 @@ impl Scales {
 }
 
 /// Y, Co, Cg of the roots of red, green and blue.
+#[inline(always)]
 pub(super) fn ycc_from_roots([r, g, b]: [f32; 3]) -> [f32; 3] {
     [(r + 2.0 * g + b) * 0.25, (r - b) * 0.5, (2.0 * g - r - b) * 0.25]
 }
 
 /// Inverse of [`ycc_from_roots`].
+#[inline(always)]
 pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
     let rest = y - cg;
     [rest + co, y + cg, rest - co]
 }
 
 /// A colour difference or brightness as it is kept.
+#[inline(always)]
 pub(super) fn fixed_from_f32(x: f32) -> i16 {
     let size = whole((x * FIXED_ONE).abs() + 0.5) as i16;
     if x < 0.0 { -size } else { size }
@@ -113,6 +118,7 @@ pub(super) fn whole(x: f32) -> u32 {
 }
 
 /// Inverse of [`fixed_from_f32`].
+#[inline(always)]
 pub(super) fn f32_from_fixed(x: i16) -> f32 {
     f32::from(x) * (1.0 / FIXED_ONE)
 }

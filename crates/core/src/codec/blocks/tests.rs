@@ -1,3 +1,5 @@
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::Vec3;
 
 use super::*;
@@ -50,6 +52,34 @@ fn error(frame: &LayeredFrame, reference: &LayeredFrame, degrees: f32) -> (f64, 
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
     let e = image_error::compare(&picture(frame), &picture(reference), width, height, [0; 3]).unwrap();
     (e.dssim, e.psnr_db)
+}
+
+/// Whether functions run as on machines without wider instructions; it makes no difference to tests that run at once.
+pub(super) static IS_NARROW: AtomicBool = AtomicBool::new(false);
+
+#[test]
+fn machines_with_and_without_wider_instructions_decode_alike() {
+    let decoded = |coded: &EncodedFrame, references: &References, is_narrow: bool| {
+        IS_NARROW.store(is_narrow, Ordering::Relaxed);
+        let found = assemble(&bytes(coded), references).unwrap().to_frame_and_reference();
+        IS_NARROW.store(false, Ordering::Relaxed);
+        (found.0, found.1.unwrap())
+    };
+    for builtin in ALL {
+        let scene = scene(builtin);
+        let mut references = References::default();
+        for id in 1..4 {
+            // The picture moves by parts of a list, and the size is no multiple of a block.
+            let frame = made(&scene, id, 140, 93, id as f32);
+            let encoded =
+                |quality| encode(&frame, &whole(quality), references.newest().map(|r| &**r)).unwrap().0;
+            let (ours, other) = (encoded(70), encoded(71));
+            let [wide, narrow] = [false, true].map(|is_narrow| decoded(&ours, &references, is_narrow));
+            assert!(wide == narrow, "{builtin:?} {id}");
+            assert!(wide != decoded(&other, &references, true));
+            references.insert(wide.1);
+        }
+    }
 }
 
 const ALL: [Builtin; 3] = [Builtin::Cubus, Builtin::Cloud, Builtin::Shells];

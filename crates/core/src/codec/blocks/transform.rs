@@ -7,8 +7,24 @@ use super::model::{BLOCK, BLOCK_LISTS};
 /// Values of the lists of a block, row by row.
 pub(super) type Plane = [f32; BLOCK_LISTS];
 
-/// The orthonormal transform, frequencies row by row, horizontal ones along a row.
-pub(super) fn forward(values: &Plane) -> Plane {
+wide! {
+    /// The orthonormal transform, frequencies row by row, horizontal ones along a row.
+    pub(super) fn forward(values: &Plane) -> Plane = forward_any;
+}
+
+wide! {
+    /// Inverse of [`forward`].
+    pub(super) fn inverse(coefficients: &Plane) -> Plane = inverse_any;
+}
+
+wide! {
+    /// Gives the lists outside of `mask` smooth values, so that the transform has little to say of them: the mean, and
+    /// then relaxed towards their neighbours'.
+    pub(super) fn fill_in(values: &mut Plane, mask: u64) = fill_in_any;
+}
+
+#[inline(always)]
+fn forward_any(values: &Plane) -> Plane {
     let mut rows = [[0.0; BLOCK]; BLOCK];
     for (row, values) in rows.iter_mut().zip(values.as_chunks::<BLOCK>().0) {
         for (x, &value) in values.iter().enumerate() {
@@ -24,8 +40,8 @@ pub(super) fn forward(values: &Plane) -> Plane {
     out
 }
 
-/// Inverse of [`forward`].
-pub(super) fn inverse(coefficients: &Plane) -> Plane {
+#[inline(always)]
+fn inverse_any(coefficients: &Plane) -> Plane {
     let mut rows = [[0.0; BLOCK]; BLOCK];
     for (frequency, coefficients) in coefficients.as_chunks::<BLOCK>().0.iter().enumerate() {
         if coefficients.iter().any(|&c| c != 0.0) {
@@ -43,9 +59,8 @@ pub(super) fn inverse(coefficients: &Plane) -> Plane {
     out
 }
 
-/// Gives the lists outside of `mask` smooth values, so that the transform has little to say of them: the mean, and
-/// then relaxed towards their neighbours'.
-pub(super) fn fill_in(values: &mut Plane, mask: u64) {
+#[inline(always)]
+fn fill_in_any(values: &mut Plane, mask: u64) {
     if mask == 0 || mask == u64::MAX {
         return;
     }
@@ -72,6 +87,7 @@ pub(super) fn fill_in(values: &mut Plane, mask: u64) {
     }
 }
 
+#[inline(always)]
 fn add_scaled(to: &mut [f32; BLOCK], what: &[f32; BLOCK], by: f32) {
     for (to, what) in to.iter_mut().zip(what) {
         *to += what * by;

@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::super::band::Planes;
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
+use super::super::reference::fetch;
 use super::super::scales::{fixed_from_f32, scales, whole, ycc_from_roots};
 use super::super::syntax::{Contexts, Levels, NO_CLASS};
 use super::super::transform::{Plane, ZIGZAG, fill_in, forward, inverse};
@@ -142,15 +143,14 @@ impl<C: Coder> BandCoder<'_, C> {
             coded.classes[c] = class;
             coded.means[c] += mean;
             if c == 0 {
-                codes = values[0].map(|u| scales.code(u));
+                codes_of(&values[0], &mut codes);
                 alphas = codes.map(|code| scales.alpha[usize::from(code)]);
             }
         }
-        let ycc = [
-            values[1].map(|y| fixed_from_f32(y.clamp(0.0, MAX_BRIGHTNESS))),
-            values[2].map(|co| fixed_from_f32(co.clamp(-1.0, 1.0))),
-            values[3].map(|cg| fixed_from_f32(cg.clamp(-1.0, 1.0))),
-        ];
+        let mut ycc = [[0; BLOCK_LISTS]; 3];
+        for (c, range) in [[0.0, MAX_BRIGHTNESS], [-1.0, 1.0], [-1.0, 1.0]].into_iter().enumerate() {
+            fixed_of(&values[c + 1], range, &mut ycc[c]);
+        }
         self.lists.push(&planes, mask, &codes, &ycc, &alphas);
         coded
     }
@@ -161,7 +161,7 @@ impl<C: Coder> BandCoder<'_, C> {
         let y = y + self.place.first_row;
         let [mx, my] = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
         let shift = motion.at(mx, my, 0.5 * (planes.0.z + planes.1.z))?;
-        self.fetched.fetch(reference, (x, y), planes, shift, self.steps.depth);
+        fetch(&mut self.fetched, reference, (x, y), planes, shift, self.steps.depth);
         Some(self.fetched.mask)
     }
 
@@ -237,16 +237,61 @@ pub(in super::super) fn residual<C: Coder>(
     (class, mean)
 }
 
-/// Levels of coefficients.
-fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
+wide! {
+    /// Codes of opacities.
+    fn codes_of(values: &Plane, codes: &mut [u16; BLOCK_LISTS]) = codes_of_any;
+}
+
+wide! {
+    /// Colours as they are kept, within a range.
+    pub(in super::super) fn fixed_of(values: &Plane, range: [f32; 2], fixed: &mut [i16; BLOCK_LISTS])
+        = fixed_of_any;
+}
+
+wide! {
+    /// Levels of coefficients.
+    fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) = quantize_any;
+}
+
+wide! {
+    /// u, Y, Co, Cg of a layer's lists; those outside of `mask` mean nothing.
+    fn planes_of(layer: &BlockLayer, mask: u64) -> [Plane; 4] = planes_of_any;
+}
+
+#[inline(always)]
+fn codes_of_any(values: &Plane, codes: &mut [u16; BLOCK_LISTS]) {
+    let scales = scales();
+    for (code, u) in codes.iter_mut().zip(values) {
+        *code = scales.code(*u);
+    }
+}
+
+#[inline(always)]
+fn fixed_of_any(values: &Plane, [least, most]: [f32; 2], fixed: &mut [i16; BLOCK_LISTS]) {
+    for (fixed, value) in fixed.iter_mut().zip(values) {
+        *fixed = fixed_from_f32(value.clamp(least, most));
+    }
+}
+
+#[inline(always)]
+fn quantize_any(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
     let size = |c: f32, rounding: f32| {
         let size = c.abs() / step + rounding;
         whole(if size < MAX_SIZE { size } else { MAX_SIZE }) as i32
     };
-    let mut all = coefficients.map(|c| if c < 0.0 { -size(c, rounding[1]) } else { size(c, rounding[1]) });
+    let mut all = [0; BLOCK_LISTS];
+    let mut any = 0;
+    for (level, &c) in all.iter_mut().zip(coefficients) {
+        let size = size(c, rounding[1]);
+        *level = if c < 0.0 { -size } else { size };
+        any |= size;
+    }
     let first = size(coefficients[0], rounding[0]);
     all[0] = if coefficients[0] < 0.0 { -first } else { first };
     levels.length = 0;
+    if any | first == 0 {
+        return;
+    }
     for (k, &place) in ZIGZAG.iter().enumerate() {
         levels.values[k] = all[usize::from(place)];
         if levels.values[k] != 0 {
@@ -255,20 +300,18 @@ fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Le
     }
 }
 
-/// u, Y, Co, Cg of a layer's lists.
-fn planes_of(layer: &BlockLayer, mask: u64) -> [Plane; 4] {
+#[inline(always)]
+fn planes_of_any(layer: &BlockLayer, mask: u64) -> [Plane; 4] {
     let mut planes = [[0.0; BLOCK_LISTS]; 4];
-    let mut roots = [[0.0; BLOCK_LISTS]; 3];
+    let [u, y, co, cg] = &mut planes;
     for i in 0..BLOCK_LISTS {
         let per_alpha = 1.0 / opacity(layer.tau[i]).max(LEAST_ALPHA);
-        for (roots, c) in roots.iter_mut().zip(layer.c[i].to_array()) {
-            roots[i] = (c * per_alpha).clamp(0.0, MAX_COLOR).sqrt();
-        }
+        let roots = layer.c[i].to_array().map(|c| (c * per_alpha).clamp(0.0, MAX_COLOR).sqrt());
+        [y[i], co[i], cg[i]] = ycc_from_roots(roots);
     }
+    let scales = scales();
     for i in lists_of(mask) {
-        planes[0][i] = scales().u_from_tau(layer.tau[i]);
-        let ycc = ycc_from_roots([roots[0][i], roots[1][i], roots[2][i]]);
-        (planes[1][i], planes[2][i], planes[3][i]) = ycc.into();
+        u[i] = scales.u_from_tau(layer.tau[i]);
     }
     planes
 }
