@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::codec::{Coding, blocks};
 use isinglass_core::ids::PoseId;
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::layering::Layering;
@@ -16,6 +15,7 @@ use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
+use isinglass_core::session::rate::{Mode, Plan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_gpu::Backend;
@@ -34,16 +34,16 @@ fn runtime() -> tokio::runtime::Runtime {
 }
 
 async fn serve(builtin: Builtin) -> RunningServer {
-    serve_as(builtin, Coding::default()).await
+    serve_as(builtin, Plan::EXACT).await
 }
 
-async fn serve_as(builtin: Builtin, codec: Coding) -> RunningServer {
+async fn serve_as(builtin: Builtin, plan: Plan) -> RunningServer {
     start(ServeOptions {
         volume: Arc::new(builtin.volume(48)),
         look: look(builtin),
         backend: Backend::Cpu,
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-        codec,
+        plan,
         max_viewers: 4,
     })
     .unwrap()
@@ -108,7 +108,7 @@ fn what_the_viewer_sees_is_what_the_volume_looks_like() {
 #[test]
 fn frames_in_blocks_reach_the_viewer_for_a_fraction_of_the_bytes() {
     let runtime = runtime();
-    let blocks = Coding::Blocks(blocks::Settings { quality: 60, is_split: false });
+    let blocks = Plan { mode: Mode::Blocks, ..Plan::default() };
     let server = runtime.block_on(serve_as(Builtin::Cubus, blocks));
     let exact = runtime.block_on(serve(Builtin::Cubus));
     let connect = |server: &RunningServer| {
@@ -190,5 +190,93 @@ fn a_bad_link_delays_but_does_not_harm() {
         let (set, arrived) = (frame.times.pose_set.unwrap(), frame.times.first_byte);
         assert!(arrived - set >= 120_000, "faster than the link: {:?}", frame.times);
     }
+    runtime.block_on(server.close());
+}
+
+/// What a viewer sees over a narrow link whose camera turns for two seconds: by how many of its poses the frame shown is
+/// late, on average over the second half, and the frames that came.
+fn turned_over(runtime: &tokio::runtime::Runtime, plan: Plan, link: &LinkModel) -> (f64, usize, Client) {
+    let server = runtime.block_on(serve_as(Builtin::Shells, plan));
+    let address = runtime.block_on(server.mint_link(None)).unwrap();
+    let options = ClientOptions { conditioner: Some(link.clone()), ..Default::default() };
+    let client = Client::connect(&address, options).unwrap();
+    let bounds = Builtin::Shells.volume(48).bounds();
+    let pose = |n: u32| Pose::orbit(Vec3::ZERO, 0.01 * n as f32, 0.3, bounds.radius() * SIZE.fit_distance());
+    frame_for(&client, client.set_pose(pose(0), SIZE));
+    let (mut late, mut counted) = (0.0, 0.0);
+    let mut last = PoseId(0);
+    for n in 1..=60 {
+        last = client.set_pose(pose(n), SIZE);
+        std::thread::sleep(Duration::from_millis(33));
+        if n > 30 {
+            let shown = client.latest_frame().unwrap().frame.header.pose;
+            late += f64::from(last.0 - shown.0);
+            counted += 1.0;
+        }
+    }
+    let frames = client.ledger().iter().filter(|t| t.complete.is_some()).count();
+    let at_rest = frame_for(&client, last);
+    assert_eq!(at_rest.frame.header.camera.pose, pose(60));
+    // The server goes with its connections; the test waits for what it needs of them first.
+    let patience = Instant::now() + Duration::from_secs(60);
+    while plan.mode != Mode::Blocks && !client.latest_frame().is_some_and(|f| f.is_exact) {
+        assert!(Instant::now() < patience, "the rest is never exact");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    runtime.block_on(server.close());
+    (late / counted, frames, client)
+}
+
+/// At 2 Mbit/s an exact frame of this size takes a fifth of a second, one in blocks as long as there is time for it.
+#[test]
+fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
+    let runtime = runtime();
+    let link =
+        LinkModel { rtt: Duration::from_millis(40), bandwidth_mbit: Some(2.0), ..LinkModel::default() };
+    let (late, frames, client) = turned_over(&runtime, Plan::default(), &link);
+    let (late_exact, frames_exact, other) = turned_over(&runtime, Plan::EXACT, &link);
+    assert!(late * 2.0 < late_exact, "{late} against {late_exact} poses late");
+    assert!(frames > 2 * frames_exact, "{frames} against {frames_exact} frames");
+    // The rest ends with the same lists and depths as if all frames had been exact.
+    let [ours, theirs] = [client, other].map(|c| c.latest_frame().unwrap().frame.clone());
+    let as_theirs = isinglass_core::layer::FrameHeader { frame: theirs.header.frame, ..ours.header };
+    assert_eq!(as_theirs, theirs.header);
+    assert!(ours.offsets == theirs.offsets && ours.depth == theirs.depth);
+    assert!(ours.c_rg == theirs.c_rg && ours.c_b_tau == theirs.c_b_tau);
+    // A rate makes any link as narrow: 0.25 MB/s leave no room for more than 33 kB in a second of frames.
+    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(0.25e6) };
+    let (late, frames, client) = turned_over(&runtime, plan, &LinkModel::default());
+    assert!(late * 2.0 < late_exact && frames > 2 * frames_exact, "{late} poses late, {frames} frames");
+    let ledger = client.ledger();
+    let (first, last) = (ledger.first().unwrap(), ledger.last().unwrap());
+    let seconds = (last.complete.unwrap() - first.complete.unwrap()) as f64 / 1e6;
+    let bytes: u64 = ledger.iter().skip(1).map(|t| t.bytes).sum();
+    // A tenth for the burst that a pause leaves room for.
+    assert!(bytes as f64 <= 0.25e6 * 1.1 * seconds + 8e3, "{bytes} bytes in {seconds} s");
+}
+
+/// The frame of a resting camera is large; it is not finished when the camera moves. Sizes are counted, not times: the first
+/// frame takes some seconds on a few cores, and the camera moves after a third of one.
+#[test]
+fn a_frame_for_a_rest_that_is_over_is_given_up() {
+    let runtime = runtime();
+    let server = runtime.block_on(serve(Builtin::Cloud));
+    let address = runtime.block_on(server.mint_link(None)).unwrap();
+    let client = Client::connect(&address, ClientOptions::default()).unwrap();
+    let bounds = Builtin::Cloud.volume(48).bounds();
+    let pose = |azimuth| Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * SIZE.fit_distance());
+    frame_for(&client, client.set_pose(pose(0.0), SIZE));
+    let large = Intrinsics { width: 1600, height: 1200, ..SIZE };
+    let resting = client.set_pose(pose(0.1), large);
+    std::thread::sleep(Duration::from_millis(350));
+    if client.ledger().iter().any(|t| t.pose == resting) {
+        // So many cores are in no hurry.
+        return runtime.block_on(server.close());
+    }
+    let moving = client.set_pose(pose(0.2), SIZE);
+    frame_for(&client, moving);
+    assert!(client.ledger().iter().all(|t| t.pose != resting), "the frame at rest was made to its end");
+    // The control: where the camera stays, it is.
+    assert_eq!(frame_for(&client, client.set_pose(pose(0.1), large)).frame.header.camera.intrinsics, large);
     runtime.block_on(server.close());
 }

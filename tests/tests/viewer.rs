@@ -284,7 +284,7 @@ impl StillSource {
         };
         let frame: LayeredFrame = generate(&self.scene, header, Layering::VisibilityMerge);
         let times = FrameTimes::default();
-        Arc::new(ReceivedFrame { frame, is_complete: true, times })
+        Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
     }
 }
 

@@ -108,7 +108,7 @@ mod tests {
             k: 4,
         };
         let times = FrameTimes { connection: 1, ..Default::default() };
-        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, times })
+        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })
     }
 
     #[test]

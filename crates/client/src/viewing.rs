@@ -28,9 +28,10 @@ pub enum Standing {
     Moving,
     /// The camera rests; its own frame is not complete yet.
     Refining,
-    /// The camera's own frame is complete, but of another size than the picture, or the picture is for two eyes.
+    /// The camera's own frame is complete, but in blocks or of another size than the picture, or the picture is for two
+    /// eyes.
     Settled,
-    /// The camera's own frame is complete and of the picture's size: casting it gives the server's picture.
+    /// The camera's own frame is complete, exact and of the picture's size: casting it gives the server's picture.
     Exact,
 }
 
@@ -178,13 +179,13 @@ impl<S: FrameSource> Viewing<S> {
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
-        let frame = self.choose(newest, (pose, full));
+        let frame = self.choose(now, newest, (pose, full));
         if self.last.as_ref().is_some_and(|(last, _)| last.pose != pose) {
             self.moved_at = now;
         }
         self.predictor.observe(now, pose, bounds.center());
         let ahead = self.predictor.predict().filter(|_| self.foresight.predicts).unwrap_or(pose);
-        let has_own = frame.as_deref().filter(|f| self.is_settled(f, (pose, full)));
+        let has_own = frame.as_deref().filter(|f| self.is_settled(now, f, (pose, full)));
         let size = self.size(now, Camera { pose: ahead, ..camera }, pose, has_own, max_side, bounds);
         if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != ahead) {
             if self.left.len() == MAX_LEFT {
@@ -273,15 +274,19 @@ impl<S: FrameSource> Viewing<S> {
     }
 
     /// The frame to show: the newest, unless the picture is the server's own already and the newest, of the same
-    /// pose, is not complete.
+    /// pose, is not complete, or no longer exact.
     fn choose(
         &self,
+        now: Duration,
         newest: Option<Arc<ReceivedFrame>>,
         own: (Pose, Intrinsics),
     ) -> Option<Arc<ReceivedFrame>> {
         let newest = newest?;
         let shown = self.last.as_ref().and_then(|(_, frame)| frame.as_ref());
-        let shown = shown.filter(|f| !newest.is_complete && is_own(&newest, own) && self.is_settled(f, own));
+        let shown = shown.filter(|f| {
+            let is_less = !newest.is_complete || f.is_exact && !newest.is_exact;
+            is_less && is_own(&newest, own) && self.is_settled(now, f, own)
+        });
         Some(shown.cloned().unwrap_or(newest))
     }
 
@@ -365,8 +370,8 @@ impl<S: FrameSource> Viewing<S> {
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
-        if self.is_settled(frame, (pose, full)) {
-            if full == picture { Standing::Exact } else { Standing::Settled }
+        if self.is_settled(now, frame, (pose, full)) {
+            if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
         } else {
@@ -374,9 +379,12 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// Whether a frame is the camera's own, complete, and of the look that is wished for.
-    fn is_settled(&self, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
-        is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame)
+    /// Whether a frame is the camera's own, complete, of the look that is wished for, and no better one is to come.
+    fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
+        // A server may send a frame in blocks again exactly, or leave it at that.
+        let complete_since = frame.times.complete_decoded.map(Duration::from_micros);
+        let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
+        is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, pose: &Pose) -> Option<Duration> {
@@ -409,6 +417,11 @@ const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
 const LEAST_MOVING_SCALE: f32 = 0.25;
 /// Looks go to the server at most so often: 30 times a second.
 const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
+/// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
+/// asked for too early, no more.
+const FINER_PATIENCE: Duration = Duration::from_millis(1500);
+/// How long a wish for a look is shown as if granted.
+const LOOK_PATIENCE: Duration = Duration::from_secs(3);
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
 const MAX_LEFT: usize = 256;
 

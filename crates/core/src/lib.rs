@@ -4,7 +4,7 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`space`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
+//! Modules use only those above them: [`ids`], [`wanted`], [`space`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
 //! [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 pub mod camera;
@@ -20,4 +20,5 @@ pub mod session;
 pub mod space;
 pub mod transfer;
 pub mod volume;
+pub mod wanted;
 pub mod wire;

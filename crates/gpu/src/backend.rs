@@ -13,6 +13,7 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
+use isinglass_core::wanted::Wanted;
 
 use crate::device::Gpu;
 use crate::error::GpuError;
@@ -211,6 +212,21 @@ impl Renderer {
             Self::Gpu(renderer) => renderer.generate(header, layering),
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(scene) => Ok(layering::generate(scene, header, layering)),
+        }
+    }
+
+    /// The same; `None` when the frame is no longer wanted, which is asked for each row on the CPU and between some
+    /// passes on a GPU.
+    pub fn generate_while(
+        &mut self,
+        header: FrameHeader,
+        layering: Layering,
+        wanted: Wanted<'_>,
+    ) -> Result<Option<LayeredFrame>, GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.generate_while(header, layering, wanted),
+            Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(scene) => Ok(layering::generate_while(scene, header, layering, wanted)),
         }
     }
 }

@@ -4,6 +4,7 @@
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::layering::visibility_merge::{COST_BINS, sample_stride};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
+use isinglass_core::wanted::Wanted;
 
 use crate::device::{Gpu, bands, bind, rows_per_band};
 use crate::error::GpuError;
@@ -117,7 +118,8 @@ impl FrameTarget {
         gpu: &Gpu,
         scene: &SceneOnGpu,
         header: FrameHeader,
-    ) -> Result<LayeredFrame, GpuError> {
+        wanted: Wanted<'_>,
+    ) -> Result<Option<LayeredFrame>, GpuError> {
         if !header.camera.is_valid() {
             return Err(GpuError::Camera);
         }
@@ -129,7 +131,9 @@ impl FrameTarget {
         let mut frame = LayeredFrame::empty(header);
         let num_offsets = header.camera.intrinsics.num_pixels() + 1;
         loop {
-            self.fill_planes(gpu, scene);
+            if !self.fill_planes(gpu, scene, wanted)? {
+                return Ok(None);
+            }
             frame.offsets.clear();
             self.readback.read(gpu, encoder(gpu), [(&self.offsets, num_offsets)], [&mut frame.offsets])?;
             let total = frame.offsets.last().map_or(0, |&total| total as usize);
@@ -141,7 +145,7 @@ impl FrameTarget {
                     self.planes.each_ref().map(|plane| (plane, total)),
                     [depth, c_rg, c_b_tau],
                 )?;
-                return Ok(frame);
+                return Ok(Some(frame));
             }
             self.raise_threshold(gpu)?;
         }
@@ -185,12 +189,15 @@ impl FrameTarget {
         Ok(())
     }
 
-    /// Generates and compacts band by band.
-    fn fill_planes(&self, gpu: &Gpu, scene: &SceneOnGpu) {
+    /// Generates and compacts band by band. `false` if the frame is no longer wanted, which is asked when a band but the
+    /// last is done.
+    fn fill_planes(&self, gpu: &Gpu, scene: &SceneOnGpu, wanted: Wanted<'_>) -> Result<bool, GpuError> {
         let march = gpu.pipeline(Kernel::Generate(scene.kind, self.layering, self.k), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
-        let max_pixels = self.max_pixels / marches_at_most(self.layering);
+        let asked_at = self.width * self.height.div_ceil(BANDS_AT_LEAST);
+        let max_pixels =
+            (self.max_pixels / marches_at_most(self.layering)).min(asked_at.max(PIXELS_AT_LEAST));
         for band in bands(self.width, self.height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);
@@ -211,7 +218,14 @@ impl FrameTarget {
                 }
             }
             gpu.queue().submit([encoder.finish()]);
+            if band.first_row + band.num_rows < self.height {
+                gpu.wait("generating a layered frame")?;
+                if !wanted() {
+                    return Ok(false);
+                }
+            }
         }
+        Ok(true)
     }
 }
 
@@ -231,6 +245,10 @@ fn clamp_k(k: u8) -> u8 {
 
 /// Bytes of slots that a band may take: half of a storage binding, so that bands are long and memory is not.
 const SLOT_BYTES: u32 = 64 << 20;
+/// A large frame has so many bands, so that it can be given up early, but none of fewer pixels: a device in hardware fills
+/// those in about a millisecond, beside which waiting for it does not count.
+const BANDS_AT_LEAST: u32 = 8;
+const PIXELS_AT_LEAST: u32 = 1 << 15;
 /// Segments beyond the budget that any frame has room for.
 const SLACK_SEGMENTS: u64 = 1 << 14;
 /// Word of `Budget` that holds the threshold, and the first of its bins.

@@ -7,6 +7,7 @@ use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
+use isinglass_core::wanted::{ALWAYS, Wanted};
 
 use crate::device::Gpu;
 use crate::error::GpuError;
@@ -75,13 +76,23 @@ impl GpuRenderer {
 
     /// See [`isinglass_core::kernels::layering::generate`].
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+        Ok(self.generate_while(header, layering, ALWAYS)?.unwrap_or_else(|| LayeredFrame::empty(header)))
+    }
+
+    /// The same; `None` when the frame is no longer wanted, which is asked between its passes.
+    pub fn generate_while(
+        &mut self,
+        header: FrameHeader,
+        layering: Layering,
+        wanted: Wanted<'_>,
+    ) -> Result<Option<LayeredFrame>, GpuError> {
         let Self { gpu, on_gpu, frame, .. } = self;
         gpu.attempt("generating a layered frame", || {
             let target = match frame.take().filter(|target| target.fits(&header, layering)) {
                 Some(target) => frame.insert(target),
                 None => frame.insert(FrameTarget::new(gpu, &header, layering)?),
             };
-            target.generate(gpu, on_gpu, header)
+            target.generate(gpu, on_gpu, header, wanted)
         })
     }
 }

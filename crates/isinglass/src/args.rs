@@ -13,9 +13,9 @@ use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE};
-use isinglass_core::codec::{Coding, blocks};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
+use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 use isinglass_core::volume::Volume;
 use isinglass_formats::{Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, open, outline};
 use isinglass_gpu::{Backend, BackendChoice};
@@ -250,7 +250,44 @@ pub(crate) struct LayeringArgs {
     pub(crate) k: u8,
 }
 
-/// How frames become bytes.
+/// How the frames of a server become bytes.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Coding")]
+pub(crate) struct PlanArgs {
+    /// Codec: exact, which keeps every list and depth; blocks, which takes far fewer bytes; or auto: blocks while the camera
+    /// moves and exact frames where it rests
+    #[arg(long, value_enum, default_value_t = ModeChoice::Auto)]
+    codec: ModeChoice,
+    /// Best quality of frames in blocks, from 0 to 100; less where the link is too narrow for it
+    #[arg(long, value_name = "Q", default_value_t = DEFAULT_QUALITY, value_parser = clap::value_parser!(u8).range(0..=100))]
+    quality: u8,
+}
+
+/// The codings of a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ModeChoice {
+    /// Both.
+    Auto,
+    /// All lists and depths as they are.
+    Exact,
+    /// Lists in blocks.
+    Blocks,
+}
+
+impl PlanArgs {
+    /// In the server's terms, with at most `rate_mbit` megabits a second.
+    pub(crate) fn plan(&self, rate_mbit: Option<f64>) -> Plan {
+        let mode = match self.codec {
+            ModeChoice::Auto => Mode::Auto,
+            ModeChoice::Exact => Mode::Exact,
+            ModeChoice::Blocks => Mode::Blocks,
+        };
+        let bytes_per_second = rate_mbit.map(|mbit| mbit * 1e6 / 8.0);
+        Plan { mode, quality: self.quality, bytes_per_second }
+    }
+}
+
+/// How one frame becomes bytes.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct CodecArgs {
     /// Codec: exact, which keeps every list and depth, or blocks, which takes far fewer bytes
@@ -259,6 +296,9 @@ pub(crate) struct CodecArgs {
     /// Quality of --codec blocks, from 0 to 100
     #[arg(long, value_name = "Q", default_value_t = 60, value_parser = clap::value_parser!(u8).range(0..=100))]
     pub(crate) quality: u8,
+    /// The best quality of --codec blocks that makes the frame no larger than so many bytes
+    #[arg(long, value_name = "N", conflicts_with = "quality")]
+    pub(crate) bytes: Option<usize>,
 }
 
 /// A codec.
@@ -268,18 +308,6 @@ pub(crate) enum CodecChoice {
     Exact,
     /// Lists in blocks.
     Blocks,
-}
-
-impl CodecArgs {
-    /// The coding.
-    pub(crate) fn coding(&self) -> Coding {
-        match self.codec {
-            CodecChoice::Exact => Coding::default(),
-            CodecChoice::Blocks => {
-                Coding::Blocks(blocks::Settings { quality: self.quality, is_split: false })
-            }
-        }
-    }
 }
 
 /// How a frame becomes a picture.
@@ -376,6 +404,12 @@ pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
         Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
         None => Err(format!("expected a time of at most {MAX_SECONDS} s, such as 200ms or 0.2s")),
     }
+}
+
+/// Megabits a second.
+pub(crate) fn parse_mbit(text: &str) -> Result<f64, String> {
+    let rate = text.parse::<f64>().ok().filter(|r| (0.1..=100_000.0).contains(r));
+    rate.ok_or_else(|| "expected 0.1 to 100000 megabits a second".into())
 }
 
 /// `WxH`.

@@ -1,6 +1,8 @@
 //! The thread that owns the renderer.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use isinglass_core::kernels::march::Scene;
@@ -26,6 +28,24 @@ pub struct Generated {
     pub generate_micros: u64,
 }
 
+/// Whether a frame is still wanted. Clones are the same wish.
+#[derive(Clone, Debug, Default)]
+pub struct Wish {
+    is_over: Arc<AtomicBool>,
+}
+
+impl Wish {
+    /// Whoever makes the frame stops as soon as it asks.
+    pub fn give_up(&self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the frame is wanted.
+    pub fn holds(&self) -> bool {
+        !self.is_over.load(Ordering::Relaxed)
+    }
+}
+
 /// Why there is no frame. The next one may succeed.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
@@ -35,11 +55,15 @@ pub enum GenerateError {
     /// A defect. Frames are made on the CPU from then on.
     #[error("the renderer failed on this frame")]
     Panicked,
+    /// The wish was given up.
+    #[error("the frame is no longer wanted")]
+    GivenUp,
 }
 
 struct Job {
     look: Look,
     header: FrameHeader,
+    wish: Wish,
     reply: oneshot::Sender<Result<Generated, GenerateError>>,
 }
 
@@ -61,7 +85,7 @@ impl Generator {
         Ok(Self { jobs })
     }
 
-    /// The frame for `header` under a valid look. `None` if the thread has ended.
+    /// The frame for `header` under a valid look, as long as the wish holds. `None` if the thread has ended.
     ///
     /// # Errors
     /// If this frame cannot be made.
@@ -69,9 +93,10 @@ impl Generator {
         &self,
         look: Look,
         header: FrameHeader,
+        wish: Wish,
     ) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
-        self.jobs.send(Job { look, header, reply }).await.ok()?;
+        self.jobs.send(Job { look, header, wish, reply }).await.ok()?;
         answer.await.ok()
     }
 }
@@ -99,7 +124,8 @@ fn generate(renderer: &mut Renderer, look: &mut Look, job: &Job) -> Result<Gener
         renderer.set_look(&job.look.transfer, march_settings(&job.look))?;
         *look = job.look.clone();
     }
-    let frame = renderer.generate(job.header, job.look.layering)?;
+    let frame = renderer.generate_while(job.header, job.look.layering, &|| job.wish.holds())?;
+    let frame = frame.ok_or(GenerateError::GivenUp)?;
     Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64 })
 }
 

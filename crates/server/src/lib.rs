@@ -3,7 +3,7 @@
 //!
 //! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
 //! waiting, so all get the same share. A viewer's frame is always made for the newest pose that has arrived, and none
-//! is made for a pose that has been answered. This crate opens no files and no window.
+//! is made for a pose that has been answered; at rest the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod generator;
 mod serving;
@@ -11,10 +11,10 @@ mod serving;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use isinglass_core::codec;
 use isinglass_core::ids::LookVersion;
 use isinglass_core::kernels::march::{MarchSettings, Scene, Shading};
 use isinglass_core::look::Look;
+use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_gpu::{Backend, GpuError};
@@ -22,7 +22,7 @@ use isinglass_net::{BindError, Greeting, Identity, Link, Server};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-pub use generator::{GenerateError, Generated, Generator};
+pub use generator::{GenerateError, Generated, Generator, Wish};
 
 /// What to serve, and how.
 pub struct ServeOptions {
@@ -34,8 +34,8 @@ pub struct ServeOptions {
     pub backend: Backend,
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
-    /// How frames are encoded.
-    pub codec: codec::Coding,
+    /// How frames are coded.
+    pub plan: Plan,
     /// Viewers at the same time.
     pub max_viewers: u32,
 }
@@ -78,7 +78,7 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, codec, max_viewers } = options;
+    let ServeOptions { volume, look, backend, listen, plan, max_viewers } = options;
     let scene = Scene::new(volume, &look.transfer, march_settings(&look));
     let bounds = scene.volume.bounds();
     let greeting = Greeting {
@@ -91,7 +91,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
     let generator = Generator::start(&backend, scene, look.clone())?;
     let (commands, receiver) = mpsc::channel(1);
-    let serving = tokio::spawn(serving::serve(server, generator, bounds, look, codec, receiver));
+    let serving = tokio::spawn(serving::serve(server, generator, bounds, look, plan, receiver));
     tracing::info!(%address, backend = backend.description(), "serving");
     Ok(RunningServer { address, commands, serving })
 }

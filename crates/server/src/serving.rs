@@ -1,24 +1,28 @@
 //! The task of the server, and one task for each viewer.
 
+use std::pin::pin;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics};
-use isinglass_core::codec::Coding;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{Reference, References};
+use isinglass_core::codec::{CodecError, Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
+use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::{PoseRequest, ServerStats};
+use isinglass_net::server::{ControlSender, FrameSender};
 use isinglass_net::{Server, Session, SessionClosed};
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, JoinSet};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use crate::Command;
-use crate::generator::{Generated, Generator};
+use crate::generator::{GenerateError, Generated, Generator, Wish};
 
 /// Lets viewers in until told to close.
 pub(crate) async fn serve(
@@ -26,7 +30,7 @@ pub(crate) async fn serve(
     generator: Generator,
     bounds: Aabb,
     look: Look,
-    codec: Coding,
+    plan: Plan,
     mut commands: mpsc::Receiver<Command>,
 ) {
     let mut viewers = JoinSet::new();
@@ -35,7 +39,7 @@ pub(crate) async fn serve(
             session = server.accept() => {
                 let Some(session) = session else { break };
                 let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
-                let viewer = Viewer::new(session, generator.clone(), bounds, look.clone(), codec);
+                let viewer = Viewer::new(session, generator.clone(), bounds, look.clone(), plan);
                 viewers.spawn(viewer.run().instrument(span));
             }
             Some(_) = viewers.join_next() => {}
@@ -57,29 +61,68 @@ struct Viewer {
     bounds: Aabb,
     look: Arc<Look>,
     version: LookVersion,
-    codec: Coding,
+    mode: Mode,
+    pilot: Pilot,
     frame: FrameId,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
     /// Encoding and handing over of the frame before: runs while the next one is generated.
-    sending: Option<JoinHandle<Result<Option<Arc<Reference>>, SessionClosed>>>,
+    sending: Option<Sending>,
     /// Frames that later ones may be predicted from.
     sent: References,
+    /// The newest frame, once the network has it: at rest it is sent again, finer.
+    resting: Option<Sent>,
+    /// Whether the frame before was given up, so that this one is not.
+    has_given_up: bool,
+}
+
+/// A frame on its way to the network.
+struct Sending {
+    task: JoinHandle<Result<Option<Sent>, SessionClosed>>,
+    ticket: Ticket,
+}
+
+/// What a frame is sent as.
+#[derive(Clone)]
+struct Ticket {
+    request: PoseRequest,
+    version: LookVersion,
+    /// When the request was taken up.
+    asked_at: Instant,
+    coding: Coding,
+    reference: Option<Arc<Reference>>,
+    /// Whether the same frame was sent before, less fine.
+    is_finer: bool,
+    wish: Wish,
+}
+
+/// A frame that the network has taken.
+struct Sent {
+    ticket: Ticket,
+    generated: Generated,
+    /// What later frames may be predicted from.
+    reference: Option<Arc<Reference>>,
+    bytes: usize,
+    encode_micros: u64,
 }
 
 impl Viewer {
-    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, codec: Coding) -> Self {
+    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, plan: Plan) -> Self {
+        session.frames.set_rate(plan.bytes_per_second);
         Self {
             session,
             generator,
             bounds,
             look: Arc::new(look),
             version: LookVersion(1),
-            codec,
+            mode: plan.mode,
+            pilot: Pilot::new(plan),
             frame: FrameId(0),
             answered: None,
             sending: None,
             sent: References::default(),
+            resting: None,
+            has_given_up: false,
         }
     }
 
@@ -97,15 +140,43 @@ impl Viewer {
         tracing::info!(frames = self.frame.0, "viewer gone");
     }
 
-    /// Waits for a pose or a request; false when the viewer has left.
+    /// Waits for a pose or a request, and meanwhile sends the frame of a resting camera finer and finer; false when the
+    /// viewer has left.
     async fn wait_for_work(&mut self) -> bool {
+        // An outdated frame is not made finer: another is about to be asked for.
+        let finer = self.resting.as_ref().and_then(|sent| self.finer(sent));
+        let finer_at = finer.zip(self.resting.as_ref()).map(|(_, sent)| sent.ticket.asked_at + REST);
         tokio::select! {
+            biased;
             changed = self.session.poses.changed() => changed.is_ok(),
             request = self.session.requests.recv() => match request {
                 Some(request) => self.take(request).await,
                 None => false,
             },
+            ended = finished(&mut self.sending), if self.sending.is_some() => self.note_sent(ended),
+            () = tokio::time::sleep_until(finer_at.unwrap_or_else(Instant::now)),
+                if finer_at.is_some() && self.sending.is_none() => {
+                if let (Some(coding), Some(sent)) = (finer, self.resting.take()) {
+                    self.send_finer(sent, coding);
+                }
+                true
+            }
         }
+    }
+
+    /// How a frame that was sent shall be sent again if the camera rests where it is.
+    fn finer(&self, sent: &Sent) -> Option<Coding> {
+        let header = &sent.generated.frame.header;
+        let is_newest = self.answered == Some((header.pose, self.version)) && header.look == self.version;
+        let num_lists = header.camera.intrinsics.num_pixels();
+        is_newest.then(|| self.pilot.finer(num_lists, &sent.ticket.coding)).flatten()
+    }
+
+    fn send_finer(&mut self, sent: Sent, coding: Coding) {
+        self.frame = self.frame.next();
+        let mut generated = sent.generated;
+        generated.frame.header.frame = self.frame;
+        self.send(generated, Ticket { coding, is_finer: true, ..sent.ticket });
     }
 
     /// Takes all that has come by now. Of several looks the newest wins: none is rendered that is out of date.
@@ -131,6 +202,8 @@ impl Viewer {
 
     /// Generates the frame for a pose, and hands it over to be encoded and sent; false when the viewer has left.
     async fn answer(&mut self, request: &PoseRequest) -> bool {
+        let asked_at = Instant::now();
+        self.give_up_finer(&request.pose);
         self.frame = self.frame.next();
         self.answered = Some((request.id, self.version));
         let header = FrameHeader {
@@ -140,19 +213,27 @@ impl Viewer {
             camera: Camera::new(request.pose, bounded(request.intrinsics, self.look.k), &self.bounds),
             k: self.look.k,
         };
-        let Some(result) = self.generator.generate((*self.look).clone(), header).await else { return false };
-        let generated = match result {
-            Ok(generated) => generated,
-            Err(e) => {
+        let generated = match self.generate(request, header).await {
+            Some(Ok(generated)) => generated,
+            None => return false,
+            Some(Err(GenerateError::GivenUp)) => {
+                tracing::trace!("frame {} given up: the camera moves on", self.frame);
+                self.has_given_up = true;
+                self.answered = None;
+                return true;
+            }
+            Some(Err(e)) => {
                 tracing::warn!("frame {}: {e}", self.frame);
                 return self.session.control.notice(&format!("the server cannot render: {e}")).await.is_ok();
             }
         };
-        if let Some(sending) = self.sending.take() {
+        self.has_given_up = false;
+        self.pilot.handle_generated(generated.generate_micros);
+        if self.sending.is_some() {
             let waiting = Instant::now();
-            let Ok(Ok(reference)) = sending.await else { return false };
-            if let Some(reference) = reference {
-                self.sent.insert(reference);
+            let ended = finished(&mut self.sending).await;
+            if !self.note_sent(ended) {
+                return false;
             }
             // Where the network is slower than the renderer, a frame for the newest pose is made sooner than this one
             // has waited. It finds the network free, so no frame is passed over twice in a row.
@@ -164,34 +245,140 @@ impl Viewer {
                 return true;
             }
         }
-        let span = tracing::debug_span!("frame", id = self.frame.0);
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
+        let num_lists = header.camera.intrinsics.num_pixels();
+        let coding = if self.shows_exactly(&request.pose) {
+            Coding::Exact(Settings { num_groups: 1, ..Settings::default() })
+        } else {
+            self.pilot.next(num_lists, reference.is_some())
+        };
+        let ticket = Ticket {
+            request: *request,
+            version: header.look,
+            asked_at,
+            coding,
+            reference,
+            is_finer: false,
+            wish: Wish::default(),
+        };
+        self.send(generated, ticket);
+        true
+    }
+
+    /// The frame; none when the viewer has left. One for a camera that has rested is given up as soon as the camera moves:
+    /// it is larger than those of a moving camera, and none of them can be made before it is done.
+    async fn generate(
+        &mut self,
+        request: &PoseRequest,
+        header: FrameHeader,
+    ) -> Option<Result<Generated, GenerateError>> {
+        let wish = Wish::default();
+        let asked_at = Instant::now();
+        let mut generating = pin!(self.generator.generate((*self.look).clone(), header, wish.clone()));
+        // Never twice in a row: a viewer that is slow to ask would get no frame at all.
+        let mut is_watching = !self.has_given_up;
+        loop {
+            tokio::select! {
+                biased;
+                generated = &mut generating => return generated,
+                changed = self.session.poses.changed(), if is_watching => {
+                    is_watching = false;
+                    let newest = *self.session.poses.borrow();
+                    let has_moved = changed.is_err() || newest.is_some_and(|n| n.pose != request.pose);
+                    if has_moved && asked_at.elapsed() >= LONG_REST {
+                        wish.give_up();
+                    }
+                    // It has yet to be answered.
+                    self.session.poses.mark_changed();
+                }
+            }
+        }
+    }
+
+    /// Whether the viewer has, or will have, the exact picture from this pose: a frame for it has another margin only.
+    fn shows_exactly(&self, pose: &Pose) -> bool {
+        let sent = self.resting.as_ref();
+        let is_exact = sent.is_some_and(|sent| {
+            matches!(sent.ticket.coding, Coding::Exact(_))
+                && sent.ticket.request.pose == *pose
+                && sent.generated.frame.header.look == self.version
+        });
+        self.mode == Mode::Auto && is_exact
+    }
+
+    /// Ends the sending of a frame that the camera no longer looks from, if it was only to be finer. Others may name one in
+    /// blocks, so that is sent to its end when it has begun.
+    fn give_up_finer(&mut self, pose: &Pose) {
+        let version = self.version;
+        let is_outdated = |t: &Ticket| t.is_finer && (t.request.pose != *pose || t.version != version);
+        if let Some(sending) = self.sending.take_if(|s| is_outdated(&s.ticket)) {
+            sending.ticket.wish.give_up();
+            match sending.ticket.coding {
+                Coding::Exact(_) => sending.task.abort(),
+                Coding::Blocks(_) => self.sending = Some(sending),
+            }
+        }
+    }
+
+    /// Hands a frame over.
+    fn send(&mut self, generated: Generated, ticket: Ticket) {
+        let span = tracing::debug_span!("frame", id = self.frame.0);
         let (frames, control) = (self.session.frames.clone(), self.session.control.clone());
-        let send = send(frames, control, generated, *request, self.codec, reference);
-        self.sending = Some(tokio::spawn(send.instrument(span)));
+        let task = tokio::spawn(send(frames, control, generated, ticket.clone()).instrument(span));
+        self.sending = Some(Sending { task, ticket });
+    }
+
+    /// Learns from a frame that was handed over; false when the viewer has left.
+    fn note_sent(&mut self, ended: Result<Option<Sent>, SessionClosed>) -> bool {
+        let Ok(sent) = ended else { return false };
+        self.resting = sent;
+        if let Some(sent) = &self.resting {
+            if let Some(reference) = &sent.reference {
+                self.sent.insert(reference.clone());
+            }
+            let num_lists = sent.generated.frame.header.camera.intrinsics.num_pixels();
+            let is_predicted = sent.ticket.reference.is_some();
+            let coding = &sent.ticket.coding;
+            // What a frame takes that is predicted from itself says nothing of others.
+            if !sent.ticket.is_finer || matches!(coding, Coding::Exact(_)) {
+                self.pilot.handle_encoded(coding, is_predicted, num_lists, sent.bytes, sent.encode_micros);
+            }
+            self.pilot.handle_link(self.session.frames.link_state());
+        }
         true
     }
 }
 
-/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base: what later frames
-/// may be predicted from.
+/// Returns when the frame is with the network; at once if there is none. Nothing is lost if this is dropped.
+async fn finished(sending: &mut Option<Sending>) -> Result<Option<Sent>, SessionClosed> {
+    let Some(running) = sending else { return Ok(None) };
+    let ended = (&mut running.task).await;
+    *sending = None;
+    ended.unwrap_or(Err(SessionClosed))
+}
+
+/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base. None if it was given up
+/// or cannot be encoded.
 async fn send(
-    frames: isinglass_net::server::FrameSender,
-    control: isinglass_net::server::ControlSender,
+    frames: FrameSender,
+    control: ControlSender,
     generated: Generated,
-    request: PoseRequest,
-    codec: Coding,
-    reference: Option<Arc<Reference>>,
-) -> Result<Option<Arc<Reference>>, SessionClosed> {
+    ticket: Ticket,
+) -> Result<Option<Sent>, SessionClosed> {
     let header = generated.frame.header;
     let segments = generated.frame.num_segments() as u64;
     let started = Instant::now();
-    let encoded =
-        tokio::task::spawn_blocking(move || codec.encode(&generated.frame, reference.as_deref())).await;
+    let Ticket { coding, reference, wish, .. } = ticket.clone();
+    let encoded = tokio::task::spawn_blocking(move || {
+        let encoded = coding.encode_while(&generated.frame, reference.as_deref(), &|| wish.holds());
+        (encoded, generated)
+    });
+    let encoded = encoded.await;
     let encode_micros = started.elapsed().as_micros() as u64;
-    let (encoded, reference) = match encoded {
-        Ok(Ok(encoded)) => encoded,
-        Ok(Err(e)) => {
+    let (encoded, reference, generated) = match encoded {
+        Ok((Ok((encoded, reference)), generated)) => (encoded, reference, generated),
+        Ok((Err(CodecError::Abandoned), _)) => return Ok(None),
+        Ok((Err(e), _)) => {
             tracing::warn!("{e}");
             return control.notice(&format!("the server cannot encode a frame: {e}")).await.map(|()| None);
         }
@@ -200,17 +387,25 @@ async fn send(
             return Err(SessionClosed);
         }
     };
-    control.stats(ServerStats {
-        frame: header.frame,
-        pose: header.pose,
-        pose_stamp_micros: request.stamp_micros,
-        generate_micros: generated.generate_micros,
-        encode_micros,
-        bytes: encoded.num_bytes() as u64,
-        segments,
-    });
-    frames.send(header.frame, header.pose, encoded.chunks).await?;
-    Ok(reference)
+    if !ticket.wish.holds() {
+        return Ok(None);
+    }
+    let bytes = encoded.num_bytes();
+    if ticket.is_finer {
+        frames.send_finer(header.frame, header.pose, encoded.chunks).await?;
+    } else {
+        control.stats(ServerStats {
+            frame: header.frame,
+            pose: header.pose,
+            pose_stamp_micros: ticket.request.stamp_micros,
+            generate_micros: generated.generate_micros,
+            encode_micros,
+            bytes: bytes as u64,
+            segments,
+        });
+        frames.send(header.frame, header.pose, encoded.chunks).await?;
+    }
+    Ok(Some(Sent { ticket, generated, reference, bytes, encode_micros }))
 }
 
 /// The picture size that is rendered for a wish: the same shape, at most [`max_lists`] pixels.
@@ -222,6 +417,12 @@ fn bounded(wish: Intrinsics, k: u8) -> Intrinsics {
     let shrink = |side: u32| ((side as f32 / excess.sqrt()) as u32).max(1);
     Intrinsics { width: shrink(wish.width), height: shrink(wish.height), ..wish }
 }
+
+/// A camera that no newer pose has come of for so long rests: three refreshes at 30 Hz.
+const REST: Duration = Duration::from_millis(100);
+/// And one that none has come of for so long does even where the viewer refreshes four times a second only: what it waits
+/// for is given up when it moves.
+const LONG_REST: Duration = Duration::from_millis(250);
 
 #[cfg(test)]
 mod tests {

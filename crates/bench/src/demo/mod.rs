@@ -15,9 +15,9 @@ use std::path::Path;
 use glam::Vec3;
 use isinglass_client::{CameraPath, Foresight};
 use isinglass_core::camera::Intrinsics;
-use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::look::Look;
+use isinglass_core::session::rate::Plan;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
@@ -64,6 +64,8 @@ pub struct DemoOptions {
     pub backend: BackendChoice,
     /// The link between server and viewer.
     pub link: LinkModel,
+    /// How frames are coded.
+    pub plan: Plan,
     /// Speed of the camera while it moves.
     pub degrees_per_second: f32,
     /// Pictures shown in a second.
@@ -90,6 +92,7 @@ impl Default for DemoOptions {
             intrinsics: Intrinsics { width: 256, height: 256, fov_y: 40f32.to_radians() },
             backend: BackendChoice::default(),
             link: LinkModel::default(),
+            plan: Plan::default(),
             degrees_per_second: 30.0,
             refresh_hz: 30.0,
             max_evaluated: 64,
@@ -164,7 +167,7 @@ fn serve_and_play(
         look,
         backend: backend.clone(),
         listen: ([127, 0, 0, 1], 0).into(),
-        codec: codec::Coding::default(),
+        plan: options.plan,
         max_viewers: 1,
     };
     let (server, link) = runtime.block_on(async {

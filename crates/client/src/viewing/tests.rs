@@ -21,6 +21,8 @@ pub(crate) struct FakeSource {
     pub(crate) shown: Vec<FrameId>,
     pub(crate) max_side: Option<u32>,
     pub(crate) stats: LinkStats,
+    /// Whether frames come in blocks.
+    pub(crate) in_blocks: bool,
 }
 
 impl FrameSource for FakeSource {
@@ -90,9 +92,11 @@ impl FakeSource {
             camera: Camera::new(at, intrinsics, &BOUNDS),
             k: 4,
         };
-        let times = FrameTimes { pose_set: Some(pose_set.as_micros() as u64), ..Default::default() };
+        let micros = pose_set.as_micros() as u64;
+        let times =
+            FrameTimes { pose_set: Some(micros), complete_decoded: Some(micros), ..Default::default() };
         let frame = LayeredFrame::empty(header);
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, times }));
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, is_exact: !self.in_blocks, times }));
     }
 }
 
@@ -219,6 +223,36 @@ fn a_moving_camera_asks_for_where_it_will_be_and_a_resting_one_for_where_it_is()
         (last.standing, last.is_ahead, last.frame_age),
         (Standing::Exact, false, Some(Duration::ZERO))
     );
+}
+
+#[test]
+fn a_frame_in_blocks_is_waited_behind_for_the_exact_one() {
+    let near = Pose::orbit(Vec3::ZERO, 0.0, 0.2, 2.0);
+    let foresight = Foresight { predicts: false, ..Foresight::default() };
+    let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+    let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+    let refresh = |v: &mut Viewing<FakeSource>, at| {
+        let r = v.refresh(ms(at), near, picture, &BOUNDS);
+        (r.standing, r.frame.is_some_and(|f| f.is_exact), v.source.asked.len())
+    };
+    v.source.in_blocks = true;
+    refresh(&mut v, 0);
+    v.source.answer(1, ms(10), true);
+    assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
+    v.source.in_blocks = false;
+    v.source.answer(1, ms(100), true);
+    // Now a margin is asked for; as long as that comes in blocks, the picture stays exact.
+    assert_eq!(refresh(&mut v, 110), (Standing::Exact, true, 2));
+    v.source.in_blocks = true;
+    v.source.answer(2, ms(200), true);
+    assert_eq!(refresh(&mut v, 210), (Standing::Exact, true, 2));
+    // A server that leaves it at blocks.
+    let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
+    refresh(&mut v, 0);
+    v.source.in_blocks = true;
+    v.source.answer(1, ms(10), true);
+    assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
+    assert_eq!(refresh(&mut v, 2000), (Standing::Settled, false, 2));
 }
 
 #[test]

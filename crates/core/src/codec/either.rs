@@ -118,6 +118,11 @@ impl Assembly {
         }
     }
 
+    /// Whether the frame is the server's own, all lists and depths as they are.
+    pub fn is_exact(&self) -> bool {
+        matches!(self.0, Kind::Exact(_))
+    }
+
     /// Whether the chunk is there.
     pub fn contains(&self, index: ChunkIndex) -> bool {
         match &self.0 {

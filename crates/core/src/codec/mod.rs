@@ -32,6 +32,7 @@ use rayon::prelude::*;
 
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+use crate::wanted::{ALWAYS, Wanted};
 use blocks::{Reference, References};
 
 pub use either::{Assembly, DecodedChunk, bytes_by_plane, decode_chunk};
@@ -75,9 +76,20 @@ impl Coding {
         frame: &LayeredFrame,
         reference: Option<&Reference>,
     ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
+        self.encode_while(frame, reference, ALWAYS)
+    }
+
+    /// The same; ends early with [`CodecError::Abandoned`] when the frame is no longer wanted, which is asked for each
+    /// band or row of blocks.
+    pub fn encode_while(
+        &self,
+        frame: &LayeredFrame,
+        reference: Option<&Reference>,
+        wanted: Wanted<'_>,
+    ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
         match self {
-            Self::Exact(settings) => Ok((encode(frame, settings)?, None)),
-            Self::Blocks(settings) => blocks::encode(frame, settings, reference)
+            Self::Exact(settings) => Ok((encode_while(frame, settings, wanted)?, None)),
+            Self::Blocks(settings) => blocks::encode_while(frame, settings, reference, wanted)
                 .map(|(encoded, reference)| (encoded, Some(Arc::new(reference)))),
         }
     }
@@ -176,6 +188,9 @@ pub enum CodecError {
         /// The frame that it names.
         reference: crate::ids::FrameId,
     },
+    /// Nobody waits for the frame any more.
+    #[error("the frame is no longer wanted")]
+    Abandoned,
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {
@@ -191,6 +206,14 @@ pub enum CodecError {
 /// Fails only on settings out of range and on frames above [`MAX_FRAME_LISTS`], [`MAX_FRAME_SEGMENTS`],
 /// [`MAX_CHUNK_SEGMENTS`] or [`MAX_CHUNK_BYTES`].
 pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame, CodecError> {
+    encode_while(frame, settings, ALWAYS)
+}
+
+fn encode_while(
+    frame: &LayeredFrame,
+    settings: &Settings,
+    wanted: Wanted<'_>,
+) -> Result<EncodedFrame, CodecError> {
     let scale = scale::of(settings.color_bits)?;
     if !(1..=2).contains(&settings.num_groups) {
         return Err(CodecError::Header {
@@ -211,12 +234,18 @@ pub fn encode(frame: &LayeredFrame, settings: &Settings) -> Result<EncodedFrame,
         .map(|band| {
             let rows = header::band_rows(intrinsics.height, num_bands, band);
             let lists = rows.start as usize * width..rows.end as usize * width;
-            quantize::band(frame, lists, base_k, scale).map(|mut group| {
+            if !wanted() {
+                return Err(CodecError::Abandoned);
+            }
+            Ok(quantize::band(frame, lists, base_k, scale).map(|mut group| {
+                if !wanted() {
+                    return Err(CodecError::Abandoned);
+                }
                 let payload = planes::encode(&mut group.lists, width, scale)?;
                 Ok((group, payload))
-            })
+            }))
         })
-        .collect();
+        .collect::<Result<_, _>>()?;
 
     // (group, contribution, band, payload); a refinement without segments is not sent.
     let mut parts = Vec::with_capacity(MAX_CHUNKS);

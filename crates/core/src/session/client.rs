@@ -240,9 +240,26 @@ impl Session {
         Ok(())
     }
 
-    /// Ends the frames before the newest one that can be decoded.
+    /// Whether a frame that others can be predicted from, older than `frame`, can still be decoded when all of it is there.
+    fn is_reference_coming(&self, frame: FrameId) -> bool {
+        let mut coming = Vec::with_capacity(MAX_ASSEMBLING);
+        for (&id, a) in self.assembling.range(..frame) {
+            let Some(Prediction { reference }) = a.place.prediction else { continue };
+            if reference.is_none_or(|r| self.references.contains(&r) || coming.contains(&r)) {
+                coming.push(id);
+            }
+        }
+        !coming.is_empty()
+    }
+
+    /// Ends the frames before the newest one that can be decoded. One that is not predicted from waits for those that are:
+    /// the frames after it may name them.
     fn choose(&mut self) {
-        let ready = self.assembling.iter().rev().find(|(_, a)| a.is_ready(&self.references));
+        let can_be_next = |(frame, a): &(&FrameId, &Assembling)| {
+            a.is_ready(&self.references)
+                && (a.place.prediction.is_some() || !self.is_reference_coming(**frame))
+        };
+        let ready = self.assembling.iter().rev().find(can_be_next);
         let Some((&frame, assembling)) = ready else { return };
         if self.newest_base.is_some_and(|newest| frame <= newest) {
             return;
@@ -333,6 +350,8 @@ impl Session {
                 self.newest_base =
                     self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
             }
+            // Others may have waited for it.
+            self.choose();
         }
     }
 
@@ -578,6 +597,57 @@ mod tests {
         s.handle_connected();
         arrive(&mut s, 1, 13);
         assert_eq!((decode(&mut s), s.newest_complete()), (None, None));
+    }
+
+    /// An exact frame among predicted ones neither overtakes those that later frames may name, nor waits for what can
+    /// never be decoded.
+    #[test]
+    fn an_exact_frame_comes_after_the_references_before_it() {
+        let decode = |s: &mut Session| {
+            let job = s.poll_decode(0)?;
+            s.handle_decoded(0, job.connection, job.frame, job.is_last);
+            Some(job.frame.0)
+        };
+        let arrive = |s: &mut Session, frame: u32, index: u16, prediction: Option<Option<u32>>| {
+            let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
+            let place = ChunkPlace { num_chunks: 2, num_base_chunks: 2, prediction, ..place(frame, index) };
+            s.handle_chunk(0, 0, place, vec![]).unwrap();
+        };
+        let whole = |s: &mut Session, frame: u32, prediction| {
+            arrive(s, frame, 0, prediction);
+            arrive(s, frame, 1, prediction);
+        };
+        let begun = || {
+            let mut s = Session::default();
+            s.handle_connected();
+            whole(&mut s, 1, Some(None));
+            assert_eq!(decode(&mut s), Some(1));
+            s
+        };
+        // Half of 2 is there when all of 3 is, which is exact.
+        let mut s = begun();
+        arrive(&mut s, 2, 0, Some(Some(1)));
+        whole(&mut s, 3, None);
+        assert_eq!(decode(&mut s), None);
+        arrive(&mut s, 2, 1, Some(Some(1)));
+        assert_eq!((decode(&mut s), decode(&mut s)), (Some(2), Some(3)));
+        assert_eq!(s.newest_complete(), Some(FrameId(3)));
+        whole(&mut s, 4, Some(Some(2)));
+        assert_eq!((decode(&mut s), s.newest_complete()), (Some(4), Some(FrameId(4))));
+        // Frame 5 is lost: 6 and 7 cannot be decoded, and 8 waits for neither.
+        whole(&mut s, 6, Some(Some(5)));
+        whole(&mut s, 7, Some(Some(6)));
+        assert_eq!(decode(&mut s), None);
+        whole(&mut s, 8, None);
+        assert_eq!((decode(&mut s), s.assembling.len()), (Some(8), 0));
+        // A broken one is not waited for either.
+        let mut s = begun();
+        whole(&mut s, 2, Some(Some(1)));
+        let job = s.poll_decode(0).unwrap();
+        arrive(&mut s, 3, 0, Some(Some(2)));
+        whole(&mut s, 4, None);
+        s.handle_broken(job.connection, job.frame);
+        assert_eq!(decode(&mut s), Some(4));
     }
 
     #[test]

@@ -4,9 +4,11 @@
 //!
 //! - [`admission`]: who is let in.
 //! - [`server`]: which poses count, which chunks are worth sending, and in which order.
+//! - [`rate`]: how each frame is coded.
 //! - [`client`]: which chunks make a frame, what is decoded next, and the ledger of every frame's life.
 
 pub mod admission;
 mod bucket;
 pub mod client;
+pub mod rate;
 pub mod server;

@@ -25,7 +25,7 @@ use serde::Serialize;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, Switch,
+    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, PlanArgs, Switch,
     parse_duration, parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
@@ -193,6 +193,8 @@ struct LatencyArgs {
     #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
     speed: Vec<f32>,
     #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
     path: PathArgs,
     /// Pictures of each run that are compared with the truth, at most
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -344,6 +346,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             intrinsics: common.intrinsics(),
             backend: args.backend.backend,
             link: args.link.model(Duration::ZERO)?,
+            plan: args.plan.plan(None),
             max_evaluated: args.compared as usize,
             ..DemoOptions::default()
         },

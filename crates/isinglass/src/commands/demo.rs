@@ -10,13 +10,13 @@ use isinglass_bench::progress::note;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
-use isinglass_core::codec;
 use isinglass_core::look::Look;
 use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, RawArgs,
+    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
+    RawArgs,
     VolumeArgs, open_volume, parse_duration, parse_fov, parse_size,
 };
 use crate::report::{print, print_json};
@@ -68,6 +68,8 @@ pub(crate) struct DemoArgs {
     #[command(flatten)]
     method: MethodArgs,
     #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
     backend: BackendArgs,
     /// Print the report as JSON
     #[arg(long)]
@@ -108,6 +110,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         foresight: args.foresight.foresight(),
         backend: args.backend.backend,
         link,
+        plan: args.plan.plan(None),
         degrees_per_second: args.speed,
         refresh_hz: args.rate,
         ..DemoOptions::default()
@@ -145,7 +148,7 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
         look,
         backend: args.backend.open()?,
         listen: ([127, 0, 0, 1], 0).into(),
-        codec: codec::Coding::default(),
+        plan: args.plan.plan(None),
         max_viewers: 1,
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;

@@ -7,12 +7,13 @@ use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
-use isinglass_core::codec::{Coding, Settings};
+use isinglass_core::codec::{self, Settings, blocks};
 use isinglass_formats::iglf;
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, CodecArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_output,
+    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume,
+    parse_output,
 };
 use crate::report::print_json;
 
@@ -53,12 +54,21 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
     let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
-    // Nobody waits for a part of a file.
-    let coding = match args.codec.coding() {
-        Coding::Exact(settings) => Coding::Exact(Settings { num_groups: 1, ..settings }),
-        coding => coding,
+    let (encoded, quality) = match (args.codec.codec, args.codec.bytes) {
+        (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
+        // Nobody waits for a part of a file.
+        (CodecChoice::Exact, None) => {
+            (codec::encode(&frame, &Settings { num_groups: 1, ..Settings::default() })?, None)
+        }
+        (CodecChoice::Blocks, None) => {
+            let quality = args.codec.quality;
+            (blocks::encode(&frame, &blocks::Settings { quality, is_split: false }, None)?.0, Some(quality))
+        }
+        (CodecChoice::Blocks, Some(bytes)) => {
+            let (encoded, _, quality) = blocks::encode_within(&frame, bytes, None)?;
+            (encoded, Some(quality))
+        }
     };
-    let (encoded, _) = coding.encode(&frame, None)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded)?;
     if args.json {
@@ -71,6 +81,7 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
             "k": args.layering.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
+            "quality": quality,
             "generate_ms": generate_ms,
             "encode_ms": encode_ms,
         }))?;

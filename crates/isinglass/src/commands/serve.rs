@@ -9,7 +9,7 @@ use isinglass_core::look::Look;
 use isinglass_server::ServeOptions;
 use serde_json::json;
 
-use crate::args::{BackendArgs, CodecArgs, LayeringArgs, LookArgs, VolumeArgs, open_volume};
+use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, open_volume, parse_mbit};
 use crate::report::{print, print_json};
 
 #[derive(Args)]
@@ -30,7 +30,11 @@ pub(crate) struct ServeArgs {
     #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
-    codec: CodecArgs,
+    plan: PlanArgs,
+    /// Send each viewer no more than so many megabits a second, in frames as good as that allows [default: what its link
+    /// carries]
+    #[arg(long, value_name = "MBIT", value_parser = parse_mbit)]
+    rate: Option<f64>,
     #[command(flatten)]
     backend: BackendArgs,
     /// Print the links as JSON
@@ -53,7 +57,7 @@ pub(crate) fn run(args: ServeArgs) -> Result<()> {
         look,
         backend,
         listen: args.listen,
-        codec: args.codec.coding(),
+        plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;

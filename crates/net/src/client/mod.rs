@@ -101,6 +101,8 @@ pub struct ReceivedFrame {
     pub frame: LayeredFrame,
     /// Whether its refinements are there too. The same frame comes once more when they are.
     pub is_complete: bool,
+    /// Whether all lists and depths are the server's own.
+    pub is_exact: bool,
     /// Stamps of its life so far.
     pub times: FrameTimes,
 }

@@ -5,11 +5,14 @@
 //! pose instead of queueing behind older ones.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId};
+use isinglass_core::session::rate::LinkState;
 use isinglass_core::session::server::priority;
-use quinn::{Connection, SendStream, WriteError};
+use quinn::{SendStream, WriteError};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::session::{CloseOnDrop, Link, SessionClosed};
@@ -36,7 +39,36 @@ impl FrameSender {
     /// If the connection is over.
     pub async fn send(&self, frame: FrameId, pose: PoseId, chunks: Vec<Chunk>) -> Result<(), SessionClosed> {
         let span = tracing::debug_span!("frame", frame = frame.0, pose = pose.0);
-        self.send_inner(frame, chunks).instrument(span).await
+        self.send_inner(frame, chunks, false).instrument(span).await
+    }
+
+    /// The same for a frame that only makes the one before finer: nothing of it goes ahead of what is left of others.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn send_finer(
+        &self,
+        frame: FrameId,
+        pose: PoseId,
+        chunks: Vec<Chunk>,
+    ) -> Result<(), SessionClosed> {
+        let span = tracing::debug_span!("frame", frame = frame.0, pose = pose.0, finer = true);
+        self.send_inner(frame, chunks, true).instrument(span).await
+    }
+
+    /// The link as QUIC sees it.
+    pub fn link_state(&self) -> LinkState {
+        let path = self.link.connection.stats().path;
+        LinkState {
+            window_bytes: path.cwnd,
+            rtt_micros: path.rtt.as_micros() as u64,
+            least_rtt_micros: path.min_rtt.as_micros() as u64,
+        }
+    }
+
+    /// From now on no more than so many bytes a second are written; none: no limit.
+    pub fn set_rate(&self, bytes_per_second: Option<f64>) {
+        self.link.pace().bytes_per_second = bytes_per_second;
     }
 
     /// The newest frame that the viewer has decoded, where frames are predicted from each other; 0 for none.
@@ -49,12 +81,12 @@ impl FrameSender {
         self.link.state().newest_complete()
     }
 
-    /// Round-trip time as QUIC measures it.
-    pub fn rtt(&self) -> std::time::Duration {
-        self.link.connection.rtt()
-    }
-
-    async fn send_inner(&self, frame: FrameId, chunks: Vec<Chunk>) -> Result<(), SessionClosed> {
+    async fn send_inner(
+        &self,
+        frame: FrameId,
+        chunks: Vec<Chunk>,
+        is_finer: bool,
+    ) -> Result<(), SessionClosed> {
         let link = &self.link;
         // From here on refinements of older frames are superseded, which frees the window for this base.
         link.state().handle_base_handed(frame);
@@ -64,8 +96,8 @@ impl FrameSender {
         let (base, refinements): (Vec<_>, Vec<_>) = chunks.into_iter().partition(|c| c.is_base);
         let mut streams = Vec::with_capacity(base.len());
         for chunk in base {
-            let mut stream = ChunkStream::open(&link.connection, frame, &chunk).await?;
-            stream.write(&link.connection, &chunk.bytes).await?;
+            let mut stream = ChunkStream::open(link, frame, &chunk, !is_finer).await?;
+            stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
         }
         tracing::trace!("base taken");
@@ -80,7 +112,7 @@ impl FrameSender {
 }
 
 /// Waits until the base is acknowledged, or gives it up when a newer one is, unless it is kept.
-async fn deliver_base(link: &Link, frame: FrameId, mut streams: Vec<ChunkStream>, is_kept: bool) {
+async fn deliver_base(link: &Link, frame: FrameId, streams: Vec<ChunkStream>, is_kept: bool) {
     tokio::select! {
         biased;
         is_delivered = all_delivered(&streams) => {
@@ -90,7 +122,7 @@ async fn deliver_base(link: &Link, frame: FrameId, mut streams: Vec<ChunkStream>
                 link.progress.send_replace(());
             }
         }
-        () = superseded(link, frame, true), if !is_kept => streams.iter_mut().for_each(ChunkStream::give_up),
+        () = superseded(link, frame, true), if !is_kept => drop(streams),
     }
 }
 
@@ -99,8 +131,8 @@ async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
     let mut streams = Vec::with_capacity(chunks.len());
     let writing = async {
         for chunk in &chunks {
-            let mut stream = ChunkStream::open(&link.connection, frame, chunk).await?;
-            stream.write(&link.connection, &chunk.bytes).await?;
+            let mut stream = ChunkStream::open(link, frame, chunk, false).await?;
+            stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
         }
         Ok::<_, SessionClosed>(())
@@ -115,7 +147,7 @@ async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
         biased;
         () = superseded(link, frame, false) => {
             tracing::trace!("refinements given up");
-            streams.iter_mut().for_each(ChunkStream::give_up);
+            drop(streams);
         }
         _ = all_delivered(&streams) => tracing::trace!("refinements delivered"),
     }
@@ -141,51 +173,98 @@ async fn all_delivered(streams: &[ChunkStream]) -> bool {
     true
 }
 
-/// A stream that is reset when it is dropped half-written: quinn would end it as if it were whole.
+/// A stream that is reset when it is dropped, which does nothing to one that the client has all of: quinn would deliver what
+/// was written, and end a half of it as if it were whole.
 #[derive(Debug)]
 struct ChunkStream {
     stream: SendStream,
-    is_whole: bool,
 }
 
 impl ChunkStream {
-    async fn open(connection: &Connection, frame: FrameId, chunk: &Chunk) -> Result<Self, SessionClosed> {
-        let stream = connection.open_uni().await.map_err(|_| SessionClosed)?;
-        let _ = stream.set_priority(priority(frame, chunk.index, chunk.is_base));
-        Ok(Self { stream, is_whole: false })
+    async fn open(
+        link: &Link,
+        frame: FrameId,
+        chunk: &Chunk,
+        is_urgent: bool,
+    ) -> Result<Self, SessionClosed> {
+        let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
+        let _ = stream.set_priority(priority(frame, chunk.index, chunk.is_base && is_urgent));
+        Ok(Self { stream })
     }
 
-    /// Writes a whole chunk as the window lets it. A client that stops the stream has no use for it: not an error.
-    async fn write(&mut self, connection: &Connection, bytes: &[u8]) -> Result<(), SessionClosed> {
+    /// Writes a whole chunk as the window and the rate let it. A client that stops the stream has no use for it: not an
+    /// error.
+    async fn write(&mut self, link: &Link, bytes: &[u8]) -> Result<(), SessionClosed> {
         // In pieces, so that the window follows the congestion window while a long chunk is written.
         for piece in bytes.chunks(PIECE) {
-            connection.set_send_window(connection.stats().path.cwnd + SLACK);
+            let at = link.pace().take(Instant::now(), piece.len());
+            tokio::time::sleep_until(at).await;
+            link.connection.set_send_window(link.connection.stats().path.cwnd + SLACK);
             match self.stream.write_all(piece).await {
                 Ok(()) => {}
                 Err(WriteError::Stopped(_)) => return Ok(()),
                 Err(_) => return Err(SessionClosed),
             }
         }
-        self.is_whole = self.stream.finish().is_ok();
+        let _ = self.stream.finish();
         Ok(())
-    }
-
-    fn give_up(&mut self) {
-        let _ = self.stream.reset(transport::RESET_SUPERSEDED);
     }
 }
 
 impl Drop for ChunkStream {
     fn drop(&mut self) {
-        if !self.is_whole {
-            self.give_up();
-        }
+        let _ = self.stream.reset(transport::RESET_SUPERSEDED);
     }
 }
 
+/// Holds writes back so that no more than a rate leaves, over any time longer than [`BURST`].
+#[derive(Debug, Default)]
+pub(super) struct Pace {
+    bytes_per_second: Option<f64>,
+    /// When all that was taken has left at this rate.
+    free_at: Option<Instant>,
+}
+
+impl Pace {
+    /// Takes room for so many bytes, and says when they may be written.
+    fn take(&mut self, now: Instant, bytes: usize) -> Instant {
+        let Some(rate) = self.bytes_per_second else { return now };
+        let earliest = now.checked_sub(BURST).unwrap_or(now);
+        let from = self.free_at.map_or(earliest, |at| at.max(earliest));
+        let until = from + Duration::from_secs_f64((bytes as f64 / rate).min(MAX_WAIT_SECONDS));
+        self.free_at = Some(until);
+        until.max(now)
+    }
+}
+
+/// What may leave at once after a pause, as time at the rate: half a frame at 30 a second.
+const BURST: Duration = Duration::from_millis(16);
+/// Bounds the arithmetic where a rate is absurdly small.
+const MAX_WAIT_SECONDS: f64 = 60.0;
 /// Bytes written at a time.
 const PIECE: usize = 16_000;
 /// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
 /// not widen the congestion window of those. At 300 ms and without a bandwidth limit it made no difference above the
 /// noise; more would queue in front of the next frame.
 const SLACK: u64 = 2 * PIECE as u64;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_holds_after_its_burst() {
+        let now = Instant::now();
+        let mut pace = Pace { bytes_per_second: Some(1e6), free_at: None };
+        let last = (0..100).map(|_| pace.take(now, PIECE)).last().unwrap_or(now);
+        // 1.6 MB at 1 MB/s, less the burst.
+        assert_eq!((last - now).as_millis(), 1600 - BURST.as_millis());
+        // A pause is worth no more than the burst.
+        let later = now + Duration::from_secs(60);
+        assert_eq!(pace.take(later, PIECE), later);
+        assert_eq!((pace.take(later, PIECE) - later).as_millis(), 16);
+        // The control: without a rate nothing waits.
+        let mut free = Pace::default();
+        assert_eq!((0..100).map(|_| free.take(now, PIECE)).last(), Some(now));
+    }
+}

@@ -13,7 +13,7 @@ use quinn::{Connection, RecvStream, SendStream};
 use tokio::sync::{mpsc, watch};
 use tracing::Instrument;
 
-use super::frames::FrameSender;
+use super::frames::{FrameSender, Pace};
 use super::{Admitted, refuse};
 use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
@@ -90,6 +90,7 @@ impl ControlSender {
 pub(super) struct Link {
     pub(super) connection: Connection,
     state: Mutex<server::Session>,
+    pace: Mutex<Pace>,
     /// Sent on whenever a chunk may have been superseded.
     pub(super) progress: watch::Sender<()>,
 }
@@ -98,6 +99,10 @@ impl Link {
     pub(super) fn state(&self) -> MutexGuard<'_, server::Session> {
         // Its methods change single numbers.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn pace(&self) -> MutexGuard<'_, Pace> {
+        self.pace.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -120,6 +125,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let link = Arc::new(Link {
         connection: connection.clone(),
         state: Mutex::new(server::Session::new(clock.now_micros())),
+        pace: Mutex::default(),
         progress: watch::Sender::new(()),
     });
     let close = Arc::new(CloseOnDrop(connection.clone()));

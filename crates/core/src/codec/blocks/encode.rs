@@ -14,6 +14,7 @@ use super::scales::ycc_from_roots;
 use super::steps::Steps;
 use super::transform::Plane;
 use crate::layer::LayeredFrame;
+use crate::wanted::Wanted;
 
 /// An encoded band.
 pub(super) struct EncodedBand {
@@ -31,11 +32,15 @@ pub(super) fn band(
     rule: Rule,
     head: &Head,
     reference: Option<(&Reference, Motion)>,
+    wanted: Wanted<'_>,
 ) -> Result<EncodedBand, CodecError> {
     let steps = head.steps;
-    let mut layering = Layering::new(frame, place, rule, steps, reference);
+    let mut layering = Layering::new(frame, place, rule, steps, reference, wanted);
     let coder = BandCoder::new(Encoder::new(), steps, place, reference);
     let (coder, mut decoded, origins) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
+    if layering.is_abandoned {
+        return Err(CodecError::Abandoned);
+    }
     if !head.has_corrections(&decoded) {
         return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded });
     }
@@ -113,6 +118,9 @@ struct Layering<'a> {
     /// [`NO_WANTED`] where there is nothing.
     wanted: Vec<[Plane; 3]>,
     wanted_of: Vec<u32>,
+    is_wanted: Wanted<'a>,
+    /// Blocks are empty from now on: nobody waits for the band.
+    is_abandoned: bool,
 }
 
 impl<'a> Layering<'a> {
@@ -122,6 +130,7 @@ impl<'a> Layering<'a> {
         rule: Rule,
         steps: Steps,
         reference: Option<(&'a Reference, Motion)>,
+        is_wanted: Wanted<'a>,
     ) -> Self {
         Self {
             frame,
@@ -137,6 +146,8 @@ impl<'a> Layering<'a> {
             composer: Composer::new(),
             wanted: Vec::new(),
             wanted_of: Vec::with_capacity(place.across * place.num_rows),
+            is_wanted,
+            is_abandoned: false,
         }
     }
 
@@ -168,6 +179,10 @@ impl Source for Layering<'_> {
     ) {
         plan.layers.clear();
         plan.origin = Origin::Fresh;
+        self.is_abandoned |= x == 0 && !(self.is_wanted)();
+        if self.is_abandoned {
+            return;
+        }
         let at = [x as u32, (y + self.place.first_row) as u32];
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
             self.wanted_of.push(NO_WANTED);

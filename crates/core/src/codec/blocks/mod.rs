@@ -43,6 +43,7 @@ pub mod model;
 mod motion;
 mod picture;
 pub mod raster;
+mod rate;
 mod reference;
 pub mod relayer;
 mod scales;
@@ -63,14 +64,16 @@ use crate::ids::ChunkIndex;
 #[cfg(target_arch = "x86_64")]
 use crate::kernels::march::has_avx2;
 use crate::layer::{FrameHeader, LayeredFrame};
+use crate::wanted::{ALWAYS, Wanted};
 use chunk::Head;
 use model::MAX_LAYERS;
 use motion::Motion;
 
 pub(super) use chunk::{BlocksAssembly, decode};
 pub use chunk::{BlocksChunk, reference_named};
+pub use rate::{MAX_ENCODES, RateControl, encode_within};
 pub use reference::{MAX_REFERENCES, Reference, References};
-pub use steps::{MAX_QUALITY, RateControl};
+pub use steps::MAX_QUALITY;
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +96,16 @@ pub fn encode(
     settings: &Settings,
     reference: Option<&Reference>,
 ) -> Result<(EncodedFrame, Reference), CodecError> {
+    encode_while(frame, settings, reference, ALWAYS)
+}
+
+/// The same; ends early with [`CodecError::Abandoned`] when the frame is no longer wanted.
+pub(super) fn encode_while(
+    frame: &LayeredFrame,
+    settings: &Settings,
+    reference: Option<&Reference>,
+    wanted: Wanted<'_>,
+) -> Result<(EncodedFrame, Reference), CodecError> {
     let camera = frame.header.camera;
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
@@ -114,7 +127,7 @@ pub fn encode(
         .map(|band| {
             let place = chunk::place(&ChunkHeader { band, ..first });
             let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
-            encode::band(frame, place, rule, &head, motion)
+            encode::band(frame, place, rule, &head, motion, wanted)
         })
         .collect::<Result<_, _>>()?;
 

@@ -75,9 +75,10 @@ impl References {
     }
 
     /// What to predict the next frame from, if the last that the receiver is known to have decoded is `decoded`: the
-    /// newest, which will arrive; but where many are on their way, or one may be lost, the one it is known to have.
+    /// newest, which will arrive; but where many are on their way, or one may be lost, the one it is known to have, if
+    /// that can be predicted from.
     pub fn next(&self, decoded: FrameId) -> Option<&Arc<Reference>> {
-        let ahead = self.newest_last.iter().rev().take_while(|r| r.frame() != decoded).count();
+        let ahead = self.newest_last.iter().rev().take_while(|r| r.frame() > decoded).count();
         if ahead <= MAX_AHEAD { self.newest() } else { self.get(decoded) }
     }
 

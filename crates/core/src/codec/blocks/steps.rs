@@ -1,4 +1,4 @@
-//! Quality: from one number to the steps that a chunk carries, and from bytes back to the number.
+//! Quality: from one number to the steps that a chunk carries.
 
 use crate::camera::Camera;
 
@@ -68,34 +68,6 @@ pub(super) fn from_quality(quality: u8, camera: &Camera) -> (Rule, Steps) {
     (Rule { lambda, units_per_pixel }, steps)
 }
 
-/// Finds the quality that frames of about so many bytes have.
-#[derive(Clone, Copy, Debug)]
-pub struct RateControl {
-    quality: f32,
-    target_bytes: f32,
-}
-
-impl RateControl {
-    /// Begins in the middle.
-    pub fn new(target_bytes: usize) -> Self {
-        Self { quality: f32::from(MAX_QUALITY) * 0.5, target_bytes: target_bytes.max(1) as f32 }
-    }
-
-    /// The quality for the next frame.
-    pub fn quality(&self) -> u8 {
-        self.quality.round() as u8
-    }
-
-    /// Learns what the last frame took with the quality that was asked for.
-    pub fn observe(&mut self, bytes: usize) {
-        // From one frame to the next a picture changes little, so the bytes a step of quality costs are all there is
-        // to know; half of the correction keeps it from swinging.
-        let excess = (bytes.max(1) as f32 / self.target_bytes).log2();
-        let change = -excess * f32::from(MAX_QUALITY) / OCTAVES_OF_BYTES * 0.5;
-        self.quality = (self.quality + change).clamp(0.0, f32::from(MAX_QUALITY));
-    }
-}
-
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
 /// Bytes of [`Steps`].
@@ -112,5 +84,3 @@ const FAMILY: [[f32; 6]; 6] = [
     [0.8, 1.0, 0.1, 0.04, 0.016, 2.5],
     [0.16, 1.0, 0.055, 0.025, 0.01, 2.5],
 ];
-/// Doublings of the bytes from the least to the best quality.
-const OCTAVES_OF_BYTES: f32 = 3.7;

@@ -68,13 +68,14 @@ fn generate_with<T: Texels>(
     if found < f32::from(MIN_UNITS + 1) {
         return Err(AllSamplesError::TooThin { found });
     }
-    let frame = gather_rows(FrameHeader { k: u8::MAX, ..header }, |y, row| {
+    // Nothing more is done for a frame that is refused.
+    let is_within = || num_steps.load(Ordering::Relaxed) <= limit;
+    let frame = gather_rows(FrameHeader { k: u8::MAX, ..header }, &is_within, |y, row| {
         let mut all = All::default();
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
             all.0.clear();
-            // Nothing more is done for a frame that is refused.
-            if num_steps.load(Ordering::Relaxed) <= limit
+            if is_within()
                 && let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth)
             {
                 marcher.march(&ray, lattice, &mut all);
@@ -89,7 +90,7 @@ fn generate_with<T: Texels>(
             row.offsets.push(row.depth.len() as u32);
         }
     });
-    if num_steps.into_inner() > limit { Err(AllSamplesError::TooMany(limit)) } else { Ok(frame) }
+    frame.filter(|_| is_within()).ok_or(AllSamplesError::TooMany(limit))
 }
 
 /// Most segments of such a frame: 1.6 GB, twice that while its rows are gathered.

@@ -423,3 +423,26 @@ fn names_are_read_as_they_are_written() {
     let error = "single-depth:middle".parse::<Layering>().unwrap_err();
     assert!(error.contains("'single-depth:middle'") && error.contains("single-depth:midpoint"), "{error}");
 }
+
+/// Counts how often the march asks: once a row. When the answer is no, at most the rows that are under way are finished.
+#[test]
+fn a_frame_that_is_given_up_is_left_at_the_next_row() {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    let scene = scene(Builtin::Shells.volume(24), 0.5, MarchSettings::default());
+    let intrinsics = Intrinsics { width: 64, height: 48, fov_y: 0.6 };
+    let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.2, scene.volume.bounds().radius() * intrinsics.fit_distance());
+    let camera = Camera::new(pose, intrinsics, &scene.volume.bounds());
+    let (frame, pose) = (crate::ids::FrameId(1), crate::ids::PoseId(1));
+    let header = FrameHeader { frame, pose, look: crate::ids::LookVersion(1), camera, k: 8 };
+    let asked = AtomicUsize::new(0);
+    let generate = |times: usize| {
+        asked.store(0, Ordering::Relaxed);
+        let wanted = || asked.fetch_add(1, Ordering::Relaxed) < times;
+        generate_while(&scene, header, Layering::VisibilityMerge, &wanted)
+    };
+    assert_eq!(generate(usize::MAX), Some(super::generate(&scene, header, Layering::VisibilityMerge)));
+    assert_eq!(asked.load(Ordering::Relaxed), 48);
+    assert_eq!(generate(5), None);
+    let threads = rayon::current_num_threads();
+    assert!(asked.load(Ordering::Relaxed) <= 5 + 2 * threads.max(8), "{asked:?} rows were begun");
+}

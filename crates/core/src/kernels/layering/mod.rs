@@ -21,6 +21,7 @@ use super::march::{Marcher, Scene, Step, Texels, opacity, with_texels};
 use crate::camera::{Basis, Camera, Intrinsics};
 use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::space::Ray;
+use crate::wanted::{ALWAYS, Wanted};
 
 /// The rules by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -148,7 +149,17 @@ fn split(step: &Step, part: f32) -> (Step, Step) {
 /// Generates a layered frame by the rule `layering` with `header.k` segments a list: on average for
 /// [`Layering::VisibilityMerge`], else at most. The header of the frame has the longest list that can occur.
 pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> LayeredFrame {
-    with_texels!(scene, texels => generate_with(scene, &Marcher::new(scene, texels), header, layering))
+    generate_while(scene, header, layering, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header))
+}
+
+/// The same; `None` when the frame is no longer wanted, which is asked for each row.
+pub fn generate_while(
+    scene: &Scene,
+    header: FrameHeader,
+    layering: Layering,
+    wanted: Wanted<'_>,
+) -> Option<LayeredFrame> {
+    with_texels!(scene, texels => generate_with(scene, &Marcher::new(scene, texels), header, layering, wanted))
 }
 
 fn generate_with<T: Texels>(
@@ -156,7 +167,8 @@ fn generate_with<T: Texels>(
     marcher: &Marcher<'_, T>,
     header: FrameHeader,
     layering: Layering,
-) -> LayeredFrame {
+    wanted: Wanted<'_>,
+) -> Option<LayeredFrame> {
     let camera = header.camera;
     let basis = camera.basis();
     let k = usize::from(header.k).clamp(1, MAX_K);
@@ -167,7 +179,7 @@ fn generate_with<T: Texels>(
     } else {
         0.0
     };
-    gather_rows(header, |y, row| {
+    gather_rows(header, wanted, |y, row| {
         let mut gather = visibility_merge::Gather::default();
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
@@ -185,11 +197,19 @@ fn generate_with<T: Texels>(
 }
 
 /// The frame of the rows that `fill` makes, in parallel: it pushes the segments and the end of each list of row `y`.
-fn gather_rows(header: FrameHeader, fill: impl Fn(u32, &mut LayeredFrame) + Sync) -> LayeredFrame {
+/// `None` as soon as it is no longer wanted.
+fn gather_rows(
+    header: FrameHeader,
+    wanted: Wanted<'_>,
+    fill: impl Fn(u32, &mut LayeredFrame) + Sync,
+) -> Option<LayeredFrame> {
     let Intrinsics { width, height, .. } = header.camera.intrinsics;
     let rows: Vec<LayeredFrame> = (0..height)
         .into_par_iter()
         .map(|y| {
+            if !wanted() {
+                return None;
+            }
             let mut row = LayeredFrame {
                 header,
                 offsets: Vec::with_capacity(width as usize),
@@ -198,9 +218,9 @@ fn gather_rows(header: FrameHeader, fill: impl Fn(u32, &mut LayeredFrame) + Sync
                 c_b_tau: Vec::new(),
             };
             fill(y, &mut row);
-            row
+            Some(row)
         })
-        .collect();
+        .collect::<Option<_>>()?;
     let mut frame = LayeredFrame::empty(header);
     frame.offsets.truncate(1);
     let total = rows.iter().map(LayeredFrame::num_segments).sum();
@@ -214,7 +234,7 @@ fn gather_rows(header: FrameHeader, fill: impl Fn(u32, &mut LayeredFrame) + Sync
         frame.c_rg.extend_from_slice(&row.c_rg);
         frame.c_b_tau.extend_from_slice(&row.c_b_tau);
     }
-    frame
+    Some(frame)
 }
 
 /// What a rule knows of the frame, and the ray.

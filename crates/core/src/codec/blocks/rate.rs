@@ -1,0 +1,115 @@
+//! From bytes that a frame may have to the quality to ask for.
+
+use super::super::{CodecError, EncodedFrame};
+use super::{MAX_QUALITY, Reference, Settings, encode};
+use crate::layer::LayeredFrame;
+
+/// Finds the quality of frames that follow each other, so that each has at most so many bytes.
+///
+/// From one frame to the next a picture changes little, so what the last frame took tells what the next one will. Frames
+/// that are predicted and others are kept apart: they differ by a factor.
+#[derive(Clone, Copy, Debug)]
+pub struct RateControl {
+    target_bytes: f32,
+    /// log₂ of the bytes that a frame would have with quality 0; first of frames that are not predicted.
+    floor_octaves: [Option<f32>; 2],
+}
+
+impl RateControl {
+    /// Frames shall have at most so many bytes.
+    pub fn new(target_bytes: usize) -> Self {
+        Self { target_bytes: target_bytes.max(1) as f32, floor_octaves: [None; 2] }
+    }
+
+    /// From now on frames shall have at most so many bytes.
+    pub fn set_target(&mut self, target_bytes: usize) {
+        self.target_bytes = target_bytes.max(1) as f32;
+    }
+
+    /// The quality for the next frame; a middle one as long as nothing is known.
+    pub fn quality(&self, is_predicted: bool) -> u8 {
+        let Some(floor) = self.floor(is_predicted) else { return MAX_QUALITY / 2 };
+        let octaves = (self.target_bytes * AIM).log2() - floor;
+        (octaves / OCTAVES_PER_QUALITY).floor().clamp(0.0, f32::from(MAX_QUALITY)) as u8
+    }
+
+    /// The bytes that the next frame is expected to have with this quality, if any frame was seen.
+    pub fn expected_bytes(&self, is_predicted: bool, quality: u8) -> Option<f32> {
+        Some((self.floor(is_predicted)? + f32::from(quality) * OCTAVES_PER_QUALITY).exp2())
+    }
+
+    /// Learns what a frame took.
+    pub fn observe(&mut self, is_predicted: bool, quality: u8, bytes: usize) {
+        let found = (bytes.max(1) as f32).log2() - f32::from(quality) * OCTAVES_PER_QUALITY;
+        let floor = &mut self.floor_octaves[usize::from(is_predicted)];
+        // More bytes than expected are believed at once, fewer by half: one easy frame among hard ones says little.
+        let gain = if floor.is_none_or(|known| found > known) { 1.0 } else { 0.5 };
+        let known = floor.unwrap_or(found);
+        *floor = Some(known + gain * (found - known));
+    }
+
+    fn floor(&self, is_predicted: bool) -> Option<f32> {
+        let [whole, predicted] = self.floor_octaves;
+        if is_predicted {
+            predicted.or(whole.map(|o| o - PREDICTION_OCTAVES))
+        } else {
+            whole.or(predicted.map(|o| o + PREDICTION_OCTAVES))
+        }
+    }
+}
+
+/// The best picture of at most `max_bytes`, by at most [`MAX_ENCODES`] trials: the encoded frame, what a receiver will
+/// have as a reference, and its quality.
+///
+/// # Errors
+/// Those of [`encode`], and [`CodecError::TooLarge`] if not even the least quality is found to be so small.
+pub fn encode_within(
+    frame: &LayeredFrame,
+    max_bytes: usize,
+    reference: Option<&Reference>,
+) -> Result<(EncodedFrame, Reference, u8), CodecError> {
+    let mut control = RateControl::new(max_bytes);
+    let mut best = None;
+    // The best quality that fits and the least that does not, with log₂ of their bytes.
+    let mut fits = None::<(u8, f32)>;
+    let mut exceeds = None::<(u8, f32)>;
+    for trial in 0..MAX_ENCODES {
+        let least = fits.map_or(0, |(q, _)| q + 1);
+        let most = exceeds.map_or(MAX_QUALITY, |(q, _)| q.saturating_sub(1));
+        if least > most || exceeds.is_some_and(|(q, _)| q == 0) {
+            break;
+        }
+        let guess = match (fits, exceeds) {
+            (Some((q, octaves)), Some((above, above_octaves))) => {
+                let share = ((max_bytes as f32).log2() - octaves) / (above_octaves - octaves).max(1e-3);
+                q + (share.clamp(0.0, 1.0) * f32::from(above - q)) as u8
+            }
+            // The last chance for a frame that fits.
+            (None, Some(_)) if trial + 1 == MAX_ENCODES => 0,
+            _ => control.quality(reference.is_some()),
+        };
+        let quality = guess.clamp(least, most);
+        let (encoded, decoded) = encode(frame, &Settings { quality, is_split: false }, reference)?;
+        let bytes = encoded.num_bytes();
+        control = RateControl::new(max_bytes);
+        control.observe(reference.is_some(), quality, bytes);
+        let found = Some((quality, (bytes as f32).log2()));
+        if bytes <= max_bytes {
+            fits = found;
+            best = Some((encoded, decoded, quality));
+        } else {
+            exceeds = found;
+        }
+    }
+    let least = exceeds.map_or(0, |(_, octaves)| octaves.exp2() as usize);
+    best.ok_or(CodecError::TooLarge { what: "bytes with the least quality", found: least, limit: max_bytes })
+}
+
+/// Trials of [`encode_within`]: the first few come within some steps of the quality, the others do not show.
+pub const MAX_ENCODES: usize = 6;
+/// Part of the bytes that is aimed at, so that frames may grow a little from one to the next.
+const AIM: f32 = 0.92;
+/// Doublings of the bytes for one step of quality: 3.7 from the least to the best.
+const OCTAVES_PER_QUALITY: f32 = 3.7 / MAX_QUALITY as f32;
+/// Halvings of the bytes by prediction, before any predicted frame was seen.
+const PREDICTION_OCTAVES: f32 = 0.8;

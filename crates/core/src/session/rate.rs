@@ -1,0 +1,383 @@
+//! How each frame of a connection is coded: what is shown earliest and best over the link as it is.
+//!
+//! While the camera moves, frames in blocks get the quality whose bytes the link carries in the time that a frame may
+//! take, at most the one asked for. When it rests, the same frame goes out again finer, and then exactly.
+
+use crate::codec::blocks::{self, RateControl};
+use crate::codec::{Coding, Settings};
+
+/// Which codings a connection uses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Exact frames only.
+    Exact,
+    /// Frames in blocks only.
+    Blocks,
+    /// Blocks while the camera moves and exact frames where it rests, or where they are shown hardly later.
+    #[default]
+    Auto,
+}
+
+/// What was asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// The codings.
+    pub mode: Mode,
+    /// Best quality of frames in blocks while the camera moves, 0 to [`blocks::MAX_QUALITY`].
+    pub quality: u8,
+    /// Most bytes a second; none: what the link carries.
+    pub bytes_per_second: Option<f64>,
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self { mode: Mode::default(), quality: DEFAULT_QUALITY, bytes_per_second: None }
+    }
+}
+
+impl Plan {
+    /// Nothing but exact frames.
+    pub const EXACT: Self = Self { mode: Mode::Exact, quality: DEFAULT_QUALITY, bytes_per_second: None };
+}
+
+/// What the transport knows of the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkState {
+    /// Bytes that may be on their way at the same time.
+    pub window_bytes: u64,
+    /// Round-trip time now, smoothed, µs.
+    pub rtt_micros: u64,
+    /// The least there was, µs.
+    pub least_rtt_micros: u64,
+}
+
+impl LinkState {
+    /// What passes in a second with this window.
+    fn bytes_per_second(&self) -> f64 {
+        self.window_bytes as f64 * 1e6 / self.rtt_micros.max(MIN_RTT_MICROS) as f64
+    }
+
+    /// How long packets wait somewhere on the way, s.
+    fn queue_seconds(&self) -> f64 {
+        self.rtt_micros.saturating_sub(self.least_rtt_micros) as f64 / 1e6
+    }
+
+    /// Whether packets wait somewhere on the way, so that the window is all that the link carries.
+    fn is_queueing(&self) -> bool {
+        self.rtt_micros > self.least_rtt_micros + (self.least_rtt_micros / 4).max(QUEUE_MICROS)
+    }
+}
+
+/// Decides how the frames of one connection are coded.
+///
+/// For each frame: `handle_generated`, `handle_link`, then `next` (or `finer` for one that is sent again because the
+/// camera rests), and `handle_encoded` when that is done.
+#[derive(Clone, Debug)]
+pub struct Pilot {
+    plan: Plan,
+    control: RateControl,
+    /// What the link carries, bytes a second, as far as it has shown; none: no queue was seen.
+    ceiling: Option<f64>,
+    link: Option<LinkState>,
+    generate_micros: f64,
+    /// Time to encode a list, µs, exactly and in blocks, and bytes of a list of an exact frame.
+    exact_micros: Mean,
+    blocks_micros: Mean,
+    exact_bytes: Mean,
+}
+
+impl Pilot {
+    /// Knows nothing of the link yet.
+    pub fn new(plan: Plan) -> Self {
+        Self {
+            plan,
+            control: RateControl::new(usize::MAX),
+            ceiling: None,
+            link: None,
+            generate_micros: 0.0,
+            exact_micros: Mean::default(),
+            blocks_micros: Mean::default(),
+            exact_bytes: Mean::default(),
+        }
+    }
+
+    /// A frame was generated in so many µs.
+    pub fn handle_generated(&mut self, micros: u64) {
+        self.generate_micros = micros as f64;
+    }
+
+    /// The link is like this now.
+    pub fn handle_link(&mut self, link: LinkState) {
+        self.link = Some(link);
+        // A full queue shows what the link carries. Later, the window may stand for the queue too, so it is believed only
+        // step by step.
+        self.ceiling =
+            if link.is_queueing() { Some(link.bytes_per_second()) } else { self.ceiling.map(|c| c * GROWTH) };
+    }
+
+    /// What the link is taken to carry, bytes a second: infinite as long as it is not known.
+    pub fn bytes_per_second(&self) -> f64 {
+        let link = self.link.map_or(f64::INFINITY, |link| {
+            // A window without a queue is not all that the link carries: it grows when it is filled.
+            let open = if link.is_queueing() {
+                (FILLING - link.queue_seconds() / DRAINED_IN_SECONDS).max(FILLING / 3.0)
+            } else {
+                OPENING
+            };
+            (link.bytes_per_second() * open).min(self.ceiling.map_or(f64::INFINITY, |c| c * FILLING))
+        });
+        link.min(self.plan.bytes_per_second.unwrap_or(f64::INFINITY))
+    }
+
+    /// The coding of the next frame, of `num_lists` lists; `is_predicted` if there is a frame to predict it from.
+    pub fn next(&mut self, num_lists: usize, is_predicted: bool) -> Coding {
+        let rate = self.bytes_per_second();
+        let lists = num_lists as f64;
+        // Generating a frame and encoding the one before go on at the same time.
+        let making = self.generate_micros.max(self.blocks_micros.get() * lists);
+        let budget = rate * (FRAME_MICROS.max(making * SHARE_OF_MAKING) / 1e6);
+        self.control.set_target(budget as usize);
+        let quality =
+            self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
+        let in_blocks = Coding::Blocks(blocks::Settings { quality, is_split: false });
+        match self.plan.mode {
+            Mode::Exact => Coding::default(),
+            Mode::Blocks => in_blocks,
+            Mode::Auto => {
+                let bytes = self.control.expected_bytes(is_predicted, quality);
+                let (Some(bytes), true) = (bytes, self.exact_bytes.is_known()) else { return in_blocks };
+                let exact = self.exact_bytes.get() * lists;
+                let later = (self.exact_micros.get() - self.blocks_micros.get()) * lists
+                    + (exact - f64::from(bytes)) * 1e6 / rate;
+                let may_be_later = EXACT_LATER_MICROS.max(making * EXACT_SHARE_OF_MAKING);
+                if later < may_be_later { Coding::default() } else { in_blocks }
+            }
+        }
+    }
+
+    /// How a frame that was last sent as `sent` is sent once more, because the camera rests; `None` if it cannot be
+    /// better.
+    pub fn finer(&self, num_lists: usize, sent: &Coding) -> Option<Coding> {
+        let exact = Coding::Exact(Settings { num_groups: 1, ..Settings::default() });
+        let at = |quality| Coding::Blocks(blocks::Settings { quality, is_split: false });
+        let Coding::Blocks(last) = sent else { return None };
+        match self.plan.mode {
+            Mode::Exact => None,
+            Mode::Blocks => (last.quality < self.plan.quality).then(|| at(self.plan.quality)),
+            Mode::Auto => {
+                let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
+                let takes_long = bytes / self.bytes_per_second() > LONG_SECONDS;
+                Some(if takes_long && last.quality < FINE_QUALITY { at(FINE_QUALITY) } else { exact })
+            }
+        }
+    }
+
+    /// A frame was encoded.
+    pub fn handle_encoded(
+        &mut self,
+        coding: &Coding,
+        is_predicted: bool,
+        num_lists: usize,
+        bytes: usize,
+        micros: u64,
+    ) {
+        let lists = num_lists.max(1) as f64;
+        match coding {
+            Coding::Exact(_) => {
+                self.exact_micros.add(micros as f64 / lists);
+                self.exact_bytes.add(bytes as f64 / lists);
+            }
+            Coding::Blocks(settings) => {
+                self.blocks_micros.add(micros as f64 / lists);
+                self.control.observe(is_predicted, settings.quality, bytes);
+            }
+        }
+    }
+}
+
+/// A mean that forgets.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mean(Option<f64>);
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.0 = Some(self.0.map_or(value, |mean| mean + 0.3 * (value - mean)));
+    }
+
+    fn get(&self) -> f64 {
+        self.get_or(0.0)
+    }
+
+    fn get_or(&self, unknown: f64) -> f64 {
+        self.0.unwrap_or(unknown)
+    }
+
+    fn is_known(&self) -> bool {
+        self.0.is_some()
+    }
+}
+
+/// The best quality if none is asked for: where the link carries it, a picture's fault is worth more than its bytes.
+pub const DEFAULT_QUALITY: u8 = blocks::MAX_QUALITY;
+/// Frames get no worse than this, however narrow the link: below, bytes hardly fall any more.
+pub const LEAST_QUALITY: u8 = 5;
+/// Quality between that of a moving camera and an exact frame.
+const FINE_QUALITY: u8 = 90;
+/// Time that a frame of a moving camera may take on the link: 30 a second. If it is long in the making, it may take a part of
+/// that more, as the age that it is shown with hardly grows.
+const FRAME_MICROS: f64 = 1e6 / 30.0;
+const SHARE_OF_MAKING: f64 = 0.25;
+/// An exact frame is worth so much delay, µs: half a refresh at 30 Hz, or a part of the time in the making.
+const EXACT_LATER_MICROS: f64 = 16_000.0;
+const EXACT_SHARE_OF_MAKING: f64 = 0.15;
+/// A wait for the exact frame so long is worth a finer one on the way.
+const LONG_SECONDS: f64 = 0.25;
+/// What a list of an exact frame takes as long as none was seen.
+const EXACT_BYTES_PER_LIST: f64 = 8.0;
+/// Part of what the link carries that frames may fill.
+const FILLING: f64 = 0.9;
+/// A queue on the way shall be gone after so long.
+const DRAINED_IN_SECONDS: f64 = 0.5;
+/// Times the window that frames may fill when nothing queues: in one round trip more would not be noticed.
+const OPENING: f64 = 2.0;
+/// By how much a frame without a queue raises what the link is taken to carry: doubled within a second at 30 a second.
+const GROWTH: f64 = 1.025;
+/// Waits beyond the least round trip that are a queue and not jitter.
+const QUEUE_MICROS: u64 = 15_000;
+/// Clocks and threads do not tell shorter round trips.
+const MIN_RTT_MICROS: u64 = 500;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LISTS: usize = 1 << 16;
+
+    fn quality(coding: Coding) -> Option<u8> {
+        match coding {
+            Coding::Blocks(settings) => Some(settings.quality),
+            Coding::Exact(_) => None,
+        }
+    }
+
+    /// A link of so many bytes a second that carries one frame after the other: 100 ms, and whatever queues.
+    struct FakeLink {
+        bytes_per_second: f64,
+        window: f64,
+        queued: f64,
+    }
+
+    impl FakeLink {
+        /// 33 ms in which `bytes` are handed over, and what the transport sees then.
+        fn send(&mut self, bytes: f64) -> LinkState {
+            let in_flight = self.bytes_per_second * 0.1;
+            self.queued = (self.queued + bytes - self.bytes_per_second / 30.0).max(0.0);
+            // Never more than the window is on its way; it grows as long as it is filled and nothing is lost.
+            if bytes * 3.0 + self.queued > self.window {
+                self.window = (self.window * 1.3).min(in_flight * 3.0);
+            }
+            self.queued = self.queued.min(self.window - in_flight.min(self.window));
+            LinkState {
+                window_bytes: self.window as u64,
+                rtt_micros: (1e5 + self.queued / self.bytes_per_second * 1e6) as u64,
+                least_rtt_micros: 100_000,
+            }
+        }
+    }
+
+    /// Bytes of a frame of a quality: what the codec does, with a slope of its own.
+    fn bytes_at(quality: u8, hardness: f64) -> f64 {
+        hardness * 4_000.0 * (f64::from(quality) * 0.033).exp2()
+    }
+
+    #[test]
+    fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
+        for megabytes in [0.6, 1.25, 6.0] {
+            let mut link = FakeLink { bytes_per_second: megabytes * 1e6, window: 76_800.0, queued: 0.0 };
+            let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+            let mut waits = vec![];
+            for n in 0..300 {
+                // A harder scene from the 150th frame on.
+                let hardness = if n < 150 { 1.0 } else { 1.6 };
+                let coding = pilot.next(LISTS, n > 0);
+                let bytes = bytes_at(quality(coding).unwrap(), hardness);
+                pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+                pilot.handle_link(link.send(bytes));
+                waits.push(link.queued / link.bytes_per_second);
+            }
+            // Half a second to settle, each time; then what queues is a few frames' worth.
+            let calm = waits[15..150].iter().chain(&waits[165..]).fold(0f64, |a, &b| a.max(b));
+            assert!(calm < 0.1, "{megabytes}: {calm} s of queue");
+            let best = pilot.bytes_per_second();
+            assert!(best > megabytes * 0.5e6, "{megabytes}: {best} of the link is used");
+            // The control: a fixed quality fills the narrow link's queue.
+            let mut link = FakeLink { bytes_per_second: megabytes * 1e6, window: 76_800.0, queued: 0.0 };
+            for _ in 0..300 {
+                link.send(bytes_at(90, 1.0));
+            }
+            assert_eq!(link.queued > 0.1 * link.bytes_per_second, megabytes < 0.7, "{megabytes}");
+        }
+    }
+
+    #[test]
+    fn a_rate_is_kept_whatever_the_link_carries() {
+        let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(1e6) };
+        let mut pilot = Pilot::new(plan);
+        let wide = LinkState { window_bytes: 10_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
+        let mut last = 0.0;
+        for n in 0..20 {
+            pilot.handle_link(wide);
+            let coding = pilot.next(LISTS, n > 0);
+            last = bytes_at(quality(coding).unwrap(), 1.0);
+            pilot.handle_encoded(&coding, n > 0, LISTS, last as usize, 1000);
+        }
+        assert!((20_000.0..=33_400.0).contains(&last), "{last} bytes a frame");
+        pilot.plan.bytes_per_second = None;
+        assert!(bytes_at(quality(pilot.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
+    }
+
+    #[test]
+    fn a_rest_ends_exactly_and_by_a_finer_frame_only_where_that_takes_long() {
+        let mut pilot = Pilot::new(Plan { quality: 50, ..Plan::default() });
+        let first = pilot.next(LISTS, false);
+        assert_eq!(quality(first), Some(50), "nothing is known of the link or of exact frames");
+        pilot.handle_encoded(&first, false, LISTS, 30_000, 20_000);
+        let link = |window_bytes| LinkState { window_bytes, rtt_micros: 100_000, least_rtt_micros: 100_000 };
+        let steps = |pilot: &Pilot| {
+            let mut steps = vec![];
+            let mut last = first;
+            while let Some(finer) = pilot.finer(LISTS, &last) {
+                steps.push(quality(finer));
+                last = finer;
+            }
+            steps
+        };
+        pilot.handle_link(link(10_000_000));
+        assert_eq!(steps(&pilot), [None]);
+        pilot.handle_link(link(80_000));
+        assert_eq!(steps(&pilot), [Some(FINE_QUALITY), None]);
+        pilot.plan.mode = Mode::Blocks;
+        assert_eq!(steps(&pilot), []);
+        pilot.plan.quality = 70;
+        assert_eq!(steps(&pilot), [Some(70)]);
+        pilot.plan.mode = Mode::Exact;
+        assert_eq!(steps(&pilot), []);
+    }
+
+    #[test]
+    fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
+        let mut pilot = Pilot::new(Plan::default());
+        let blocks = Coding::Blocks(blocks::Settings { quality: 60, is_split: false });
+        pilot.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
+        let mut coding = |exact_micros: u64, window_bytes| {
+            pilot.exact_bytes = Mean::default();
+            pilot.exact_micros = Mean::default();
+            pilot.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
+            pilot.handle_link(LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
+            quality(pilot.next(LISTS, true))
+        };
+        assert_eq!(coding(20_000, 2_000_000), None);
+        assert_eq!(coding(20_000, 100_000), Some(100), "too narrow");
+        assert_eq!(coding(40_000, 2_000_000), Some(100), "exact frames take longer to encode");
+    }
+}
