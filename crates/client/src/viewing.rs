@@ -420,8 +420,6 @@ const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
 /// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
 /// asked for too early, no more.
 const FINER_PATIENCE: Duration = Duration::from_millis(1500);
-/// How long a wish for a look is shown as if granted.
-const LOOK_PATIENCE: Duration = Duration::from_secs(3);
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
 const MAX_LEFT: usize = 256;
 

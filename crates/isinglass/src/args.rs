@@ -299,6 +299,16 @@ pub(crate) struct CodecArgs {
     /// The best quality of --codec blocks that makes the frame no larger than so many bytes
     #[arg(long, value_name = "N", conflicts_with = "quality")]
     pub(crate) bytes: Option<usize>,
+    /// The fewest bytes of any codec with which no channel of the picture at the frame's own pose is off by more than so many
+    /// 255ths, and no list's middle by more than --shift
+    #[arg(long, value_name = "E", conflicts_with_all = ["quality", "bytes", "codec"])]
+    pub(crate) bound: Option<u8>,
+    /// Greatest shift of a list's middle for --bound, in pixels at a turn of --turn
+    #[arg(long, value_name = "PIXELS", default_value_t = 1.0, value_parser = parse_pixels, requires = "bound")]
+    pub(crate) shift: f32,
+    /// Turn for --shift, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 10.0, value_parser = parse_turn, requires = "bound")]
+    pub(crate) turn: f32,
 }
 
 /// A codec.
@@ -404,6 +414,16 @@ pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
         Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
         None => Err(format!("expected a time of at most {MAX_SECONDS} s, such as 200ms or 0.2s")),
     }
+}
+
+fn parse_pixels(text: &str) -> Result<f32, String> {
+    let pixels = text.parse::<f32>().ok().filter(|p| (0.0..=10_000.0).contains(p));
+    pixels.ok_or_else(|| "expected 0 to 10000 pixels".into())
+}
+
+fn parse_turn(text: &str) -> Result<f32, String> {
+    let degrees = text.parse::<f32>().ok().filter(|d| (0.0..=90.0).contains(d));
+    degrees.ok_or_else(|| "expected 0 to 90 degrees".into())
 }
 
 /// Megabits a second.

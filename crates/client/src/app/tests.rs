@@ -71,7 +71,8 @@ impl HereSource {
             k: self.look.1.k,
         };
         let frame = generate(&self.scene, header, self.look.1.layering);
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, times: FrameTimes::default() }));
+        let times = FrameTimes::default();
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times }));
     }
 }
 

@@ -14,6 +14,7 @@
 
 mod assembly;
 pub mod blocks;
+mod bounded;
 mod contexts;
 mod either;
 mod header;
@@ -35,6 +36,7 @@ use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::wanted::{ALWAYS, Wanted};
 use blocks::{Reference, References};
 
+pub use bounded::{Bound, Misfit};
 pub use either::{Assembly, DecodedChunk, bytes_by_plane, decode_chunk};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
 
@@ -191,6 +193,9 @@ pub enum CodecError {
     /// Nobody waits for the frame any more.
     #[error("the frame is no longer wanted")]
     Abandoned,
+    /// No coding is as good as was asked for.
+    #[error("the exact coding is off by {0}/255 or too far in depth, expected within the bound")]
+    Bound(u8),
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {

@@ -240,7 +240,8 @@ const FILLING: f64 = 0.9;
 const DRAINED_IN_SECONDS: f64 = 0.5;
 /// Times the window that frames may fill when nothing queues: in one round trip more would not be noticed.
 const OPENING: f64 = 2.0;
-/// By how much a frame without a queue raises what the link is taken to carry: doubled within a second at 30 a second.
+/// By how much a frame without a queue raises what the link is taken to carry, for each [`FRAME_MICROS`] that it is in the
+/// making: doubled within a second.
 const GROWTH: f64 = 1.025;
 /// Waits beyond the least round trip that are a queue and not jitter.
 const QUEUE_MICROS: u64 = 15_000;

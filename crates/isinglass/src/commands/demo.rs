@@ -16,8 +16,7 @@ use isinglass_server::ServeOptions;
 
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
-    RawArgs,
-    VolumeArgs, open_volume, parse_duration, parse_fov, parse_size,
+    RawArgs, VolumeArgs, open_volume, parse_duration, parse_fov, parse_size,
 };
 use crate::report::{print, print_json};
 

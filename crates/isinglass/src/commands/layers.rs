@@ -7,7 +7,8 @@ use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
-use isinglass_core::codec::{self, Settings, blocks};
+use isinglass_core::codec::{Bound, Coding, EncodedFrame, Misfit, Settings, blocks};
+use isinglass_core::layer::LayeredFrame;
 use isinglass_formats::iglf;
 use serde_json::json;
 
@@ -54,21 +55,7 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
     let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
-    let (encoded, quality) = match (args.codec.codec, args.codec.bytes) {
-        (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
-        // Nobody waits for a part of a file.
-        (CodecChoice::Exact, None) => {
-            (codec::encode(&frame, &Settings { num_groups: 1, ..Settings::default() })?, None)
-        }
-        (CodecChoice::Blocks, None) => {
-            let quality = args.codec.quality;
-            (blocks::encode(&frame, &blocks::Settings { quality, is_split: false }, None)?.0, Some(quality))
-        }
-        (CodecChoice::Blocks, Some(bytes)) => {
-            let (encoded, _, quality) = blocks::encode_within(&frame, bytes, None)?;
-            (encoded, Some(quality))
-        }
-    };
+    let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded)?;
     if args.json {
@@ -81,10 +68,41 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
             "k": args.layering.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
-            "quality": quality,
+            "codec": match coding {
+                Coding::Exact(_) => "exact",
+                Coding::Blocks(_) => "blocks",
+            },
+            "quality": match coding {
+                Coding::Exact(_) => None,
+                Coding::Blocks(settings) => Some(settings.quality),
+            },
+            "max_abs_255": misfit.map(|m| m.picture_255),
+            "shift_pixels": misfit.map(|m| m.shift_pixels),
             "generate_ms": generate_ms,
             "encode_ms": encode_ms,
         }))?;
     }
     Ok(())
+}
+
+/// The frame as it was asked for, what it became, and how far it is off where that was bounded.
+fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding, Option<Misfit>)> {
+    if let Some(picture_255) = args.bound {
+        let turn_radians = args.turn.to_radians();
+        let bound = Bound { picture_255, shift_pixels: args.shift, turn_radians };
+        let (encoded, coding, misfit) = bound.encode(frame)?;
+        return Ok((encoded, coding, Some(misfit)));
+    }
+    let in_blocks = |quality| Coding::Blocks(blocks::Settings { quality, is_split: false });
+    let coding = match (args.codec, args.bytes) {
+        (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
+        // Nobody waits for a part of a file.
+        (CodecChoice::Exact, None) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
+        (CodecChoice::Blocks, None) => in_blocks(args.quality),
+        (CodecChoice::Blocks, Some(bytes)) => {
+            let (encoded, _, quality) = blocks::encode_within(frame, bytes, None)?;
+            return Ok((encoded, in_blocks(quality), None));
+        }
+    };
+    Ok((coding.encode(frame, None)?.0, coding, None))
 }

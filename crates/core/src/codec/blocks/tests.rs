@@ -163,6 +163,15 @@ fn corrections_take_back_most_of_what_the_picture_is_off() {
     };
     let complete = decode(&bytes(&encoded)).unwrap();
     assert!(off(&complete) < 0.4 * off(&base), "{} {}", off(&complete), off(&base));
+    // Whatever has come of the corrections counts: each makes the picture better.
+    let mut last = off(&base);
+    for chunk in encoded.chunks.iter().filter(|c| !c.is_base) {
+        assembly.insert(decode_chunk(&chunk.bytes, &none).unwrap()).unwrap();
+        let now = off(&assembly.to_frame());
+        assert!(now < last, "{now} after {last}");
+        last = now;
+    }
+    assert_eq!(assembly.to_frame(), complete);
 }
 
 #[test]
