@@ -108,7 +108,9 @@ fn carried(packages: &[Value]) -> Vec<String> {
         let defaults = package["features"].get("default").and_then(Value::as_array);
         found.extend(defaults.into_iter().flatten().map(|feature| format!("{}: {feature}", name(package))));
         for dependency in package["dependencies"].as_array().expect("dependencies") {
-            if RIVALS.contains(&&name(dependency)[..]) && dependency["optional"] != true {
+            // Volumes in OME-Zarr may lie in LZ4.
+            let is_for_files = name(package) == "isinglass-formats" && name(dependency) == "lz4_flex";
+            if RIVALS.contains(&&name(dependency)[..]) && dependency["optional"] != true && !is_for_files {
                 found.push(name(dependency));
             }
         }
