@@ -133,6 +133,8 @@ pub struct Viewing<S> {
     /// The look that was asked for, until the server has it.
     wanted_look: Option<Arc<Look>>,
     look_pace: Pace<Look>,
+    /// The last change of it.
+    look_changed_at: Option<Duration>,
     older_look_since: Option<Duration>,
 }
 
@@ -155,6 +157,7 @@ impl<S: FrameSource> Viewing<S> {
             micros_per_list: None,
             wanted_look: None,
             look_pace: Pace::new(LOOK_PERIOD),
+            look_changed_at: None,
             older_look_since: None,
         }
     }
@@ -260,7 +263,11 @@ impl<S: FrameSource> Viewing<S> {
             return self.frame_size.moving_frame_for(picture, max_side, Some(UNKNOWN_MICROS_PER_LIST));
         }
         if !self.is_moving(now) {
-            return full;
+            // An edit is seen at once in a small frame, and its full one is asked for when the hand rests.
+            return match self.is_changing_look(now) {
+                true => self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list),
+                false => full,
+            };
         }
         let of_size = |growth: f32| {
             self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list.map(|m| m * growth))
@@ -313,6 +320,7 @@ impl<S: FrameSource> Viewing<S> {
             return;
         }
         self.wanted_look = Some(Arc::new(look.clone()));
+        self.look_changed_at = Some(now);
         if let Some(look) = self.look_pace.offer(now, look) {
             self.source.set_look(look);
         }
@@ -351,6 +359,10 @@ impl<S: FrameSource> Viewing<S> {
 
     fn is_moving(&self, now: Duration) -> bool {
         self.moved_at > Duration::ZERO && now < self.moved_at + REST
+    }
+
+    fn is_changing_look(&self, now: Duration) -> bool {
+        self.look_changed_at.is_some_and(|at| now < at + REST)
     }
 
     /// Learns what a list costs when the server has spoken of the frame that is shown.

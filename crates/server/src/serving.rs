@@ -284,8 +284,10 @@ impl Viewer {
                 changed = self.session.poses.changed(), if is_watching => {
                     is_watching = false;
                     let newest = *self.session.poses.borrow();
-                    let has_moved = changed.is_err() || newest.is_some_and(|n| n.pose != request.pose);
-                    if has_moved && asked_at.elapsed() >= LONG_REST {
+                    // Smaller frames are asked for while something changes, if only the look.
+                    let size = |of: &PoseRequest| of.intrinsics.num_pixels();
+                    let is_outdated = |n: PoseRequest| n.pose != request.pose || size(&n) < size(request);
+                    if (changed.is_err() || newest.is_some_and(is_outdated)) && asked_at.elapsed() >= LONG_REST {
                         wish.give_up();
                     }
                     // It has yet to be answered.

@@ -397,6 +397,25 @@ fn edits_of_a_look_go_out_thirty_times_a_second_and_the_newest_wins() {
 }
 
 #[test]
+fn a_look_being_edited_is_seen_in_small_frames() {
+    let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
+    let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
+    v.source.look = Some((LookVersion(1), Arc::new(look("bone"))));
+    v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
+    v.source.answer(1, ms(1), true);
+    v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
+    v.refresh(ms(100), at(0.0), PICTURE, &BOUNDS);
+    let num_asked = v.source.asked.len();
+    let half = Intrinsics { width: 30, height: 20, fov_y: 0.7 };
+    v.set_look(ms(200), look("skin"));
+    v.refresh(ms(201), at(0.0), PICTURE, &BOUNDS);
+    v.refresh(ms(349), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[num_asked..], [(at(0.0), half)]);
+    v.refresh(ms(351), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[num_asked + 1..], [(at(0.0), PICTURE)]);
+}
+
+#[test]
 fn frames_are_asked_for_in_the_picture_s_shape_within_the_limits() {
     let size = FrameSize::default();
     let picture = |width, height| Intrinsics { width, height, fov_y: 1.0 };
