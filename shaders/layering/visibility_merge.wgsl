@@ -45,9 +45,10 @@ fn gather(ray: Ray, lattice: Lattice, tolerance: f32) {
 
 // The cost up to which steps are merged at once, where rays stop joining at `threshold`.
 fn tolerance_from(threshold: f32) -> f32 {
-    let share = f32(MEAN_K) / f32(OPEN);
-    let square = share * share;
-    return threshold * min(TOLERANCE_SHARE * (square * square), TOLERANCE_GREATEST);
+    if MEAN_K < TOLERANT_K {
+        return 0.0;
+    }
+    return threshold * TOLERANCE_SHARE;
 }
 
 // Cost of merging piece i with `behind`, which has cost `spent`.
@@ -380,8 +381,8 @@ const COST_LEAST: f32 = 1e-20;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
 // See tolerance_from.
-const TOLERANCE_SHARE: f32 = 2.0;
-const TOLERANCE_GREATEST: f32 = 0.1;
+const TOLERANCE_SHARE: f32 = 0.1;
+const TOLERANT_K: u32 = 12u;
 // Two groups with less than so much of the threshold as their errors keep their border.
 const SETTLED_SHARE: f32 = 0.3;
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.
