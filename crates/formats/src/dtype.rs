@@ -30,6 +30,24 @@ pub enum Dtype {
 }
 
 impl Dtype {
+    /// The type that NumPy calls so, without its byte order; truth values are bytes.
+    pub(crate) fn from_numpy(kind: &str) -> Option<Self> {
+        Some(match kind {
+            "b1" | "u1" => Self::Uint8,
+            "i1" => Self::Int8,
+            "u2" => Self::Uint16,
+            "i2" => Self::Int16,
+            "u4" => Self::Uint32,
+            "i4" => Self::Int32,
+            "u8" => Self::Uint64,
+            "i8" => Self::Int64,
+            "f2" => Self::Half,
+            "f4" => Self::Float,
+            "f8" => Self::Double,
+            _ => return None,
+        })
+    }
+
     /// Every type, in the order of their sizes.
     pub const ALL: [Self; 11] = [
         Self::Int8,

@@ -167,25 +167,9 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
         Some((">", kind)) => (Endian::Big, kind),
         _ => (Endian::Little, descr),
     };
-    let dtype = match kind {
-        "b1" | "u1" => Dtype::Uint8,
-        "i1" => Dtype::Int8,
-        "u2" => Dtype::Uint16,
-        "i2" => Dtype::Int16,
-        "u4" => Dtype::Uint32,
-        "i4" => Dtype::Int32,
-        "u8" => Dtype::Uint64,
-        "i8" => Dtype::Int64,
-        "f2" => Dtype::Half,
-        "f4" => Dtype::Float,
-        "f8" => Dtype::Double,
-        _ => {
-            return Err(format!(
-                "the type is {}, expected b1, i1 to i8, u1 to u8, or f2 to f8",
-                quoted(descr)
-            ));
-        }
-    };
+    let dtype = Dtype::from_numpy(kind).ok_or_else(|| {
+        format!("the type is {}, expected b1, i1 to i8, u1 to u8, or f2 to f8", quoted(descr))
+    })?;
     let is_fortran = value("fortran_order")?.starts_with("True");
     let shape = value("shape")?;
     let bad = || format!("the shape is {}, expected two to five numbers of voxels", quoted(shape));

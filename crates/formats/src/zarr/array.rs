@@ -83,25 +83,9 @@ impl Array {
             Some(("<" | "|", kind)) => (Endian::Little, kind),
             _ => (Endian::Little, dtype),
         };
-        let dtype = match kind {
-            "b1" | "u1" => Dtype::Uint8,
-            "i1" => Dtype::Int8,
-            "u2" => Dtype::Uint16,
-            "i2" => Dtype::Int16,
-            "u4" => Dtype::Uint32,
-            "i4" => Dtype::Int32,
-            "u8" => Dtype::Uint64,
-            "i8" => Dtype::Int64,
-            "f2" => Dtype::Half,
-            "f4" => Dtype::Float,
-            "f8" => Dtype::Double,
-            _ => {
-                return Err(format!(
-                    "its type is {}, expected b1, i1 to i8, u1 to u8 or f2 to f8",
-                    quoted(dtype)
-                ));
-            }
-        };
+        let dtype = Dtype::from_numpy(kind).ok_or_else(|| {
+            format!("its type is {}, expected b1, i1 to i8, u1 to u8 or f2 to f8", quoted(dtype))
+        })?;
         let is_filtered = value.get("filters").and_then(Value::as_array).is_some_and(|f| !f.is_empty());
         if is_filtered {
             return Err("it has filters, expected none".into());
