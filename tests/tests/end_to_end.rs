@@ -10,7 +10,6 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::PoseId;
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::look::Look;
@@ -26,7 +25,7 @@ const SIZE: Intrinsics = Intrinsics { width: 96, height: 80, fov_y: 0.6 };
 
 fn look(builtin: Builtin) -> Look {
     let transfer = load_transfer(builtin.name()).unwrap();
-    Look { transfer, shaded: true, layering: Layering::VisibilityMerge, k: 8 }
+    Look::new(transfer)
 }
 
 fn runtime() -> tokio::runtime::Runtime {

@@ -282,7 +282,7 @@ impl StillSource {
             camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
             k: 8,
         };
-        let frame: LayeredFrame = generate(&self.scene, header, Layering::VisibilityMerge);
+        let frame: LayeredFrame = generate(&self.scene, header, Layering::default());
         let times = FrameTimes::default();
         Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
     }
@@ -313,12 +313,7 @@ impl FrameSource for StillSource {
             ticket: Token::new([0; 16]),
             volume: VolumeDescription::of(&self.scene.volume, &self.scene.histogram),
             look_version: LookVersion(0),
-            look: Look {
-                transfer: isinglass_formats::preset("cloud").unwrap(),
-                shaded: true,
-                layering: Layering::VisibilityMerge,
-                k: 8,
-            },
+            look: Look::new(isinglass_formats::preset("cloud").unwrap()),
             max_side: 4096,
             max_poses_per_second: 100,
         }))

@@ -36,6 +36,11 @@ pub enum LookError {
 }
 
 impl Look {
+    /// A transfer function with everything else as it is unless somebody chooses.
+    pub fn new(transfer: TransferFunction) -> Self {
+        Self { transfer, shaded: true, layering: Layering::default(), k: DEFAULT_K }
+    }
+
     /// Checks what the type cannot say.
     ///
     /// # Errors
@@ -52,5 +57,7 @@ impl Look {
     }
 }
 
+/// Longest list unless somebody chooses.
+pub const DEFAULT_K: u8 = 8;
 /// Longest name that is accepted.
 pub const MAX_NAME_BYTES: usize = 200;

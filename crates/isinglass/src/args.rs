@@ -15,7 +15,9 @@ use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
+use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
+use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_formats::{Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, open, outline};
 use isinglass_gpu::{Backend, BackendChoice};
@@ -179,6 +181,12 @@ impl LookArgs {
     /// Whether gradients shade.
     pub(crate) fn is_shaded(&self) -> bool {
         self.shading == Switch::On
+    }
+
+    /// What is asked for, of a volume whose transfer function is `transfer`.
+    pub(crate) fn look(&self, transfer: TransferFunction, layering: &LayeringArgs) -> Look {
+        let LayeringArgs { layering, k } = *layering;
+        Look { shaded: self.is_shaded(), layering, k, ..Look::new(transfer) }
     }
 }
 
@@ -473,7 +481,6 @@ fn parse_three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
 }
 
 /// Segments a pixel if none are named: the design's figures are for this number.
-pub(crate) const DEFAULT_K: u8 = 8;
 /// A path of the greatest length, with every number written out.
 const MAX_PATH_BYTES: u64 = 4 << 20;
 /// Longer times are typing errors.

@@ -157,10 +157,10 @@ fn serve_and_play(
         .build()
         .map_err(|e| failed("no threads for the server", &e))?;
     let look = Look {
-        transfer: opened.transfer.clone(),
         shaded: options.shaded,
         layering: options.layering,
         k: options.k,
+        ..Look::new(opened.transfer.clone())
     };
     let serve = ServeOptions {
         volume: opened.scene.volume.clone(),

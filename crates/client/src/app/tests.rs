@@ -8,7 +8,7 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
@@ -38,7 +38,7 @@ impl HereSource {
     fn new() -> Self {
         let transfer = isinglass_formats::preset("shells").unwrap();
         let scene = Scene::new(Arc::new(Builtin::Shells.volume(24)), &transfer, MarchSettings::default());
-        let look = Look { transfer, shaded: true, layering: Layering::default(), k: 8 };
+        let look = Look::new(transfer);
         Self {
             scene,
             look: (LookVersion(1), Arc::new(look)),

@@ -2,7 +2,6 @@
 
 use glam::Vec3;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::session::client::FrameTimes;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
@@ -115,7 +114,7 @@ fn look(name: &str) -> Look {
     let points = vec![ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.5 }];
     let (domain, unit_length) = (Domain::Full, UnitLength::Voxel);
     let transfer = TransferFunction { name: name.into(), domain, unit_length, points };
-    Look { transfer, shaded: true, layering: Layering::default(), k: 8 }
+    Look::new(transfer)
 }
 
 fn viewing() -> Viewing<FakeSource> {

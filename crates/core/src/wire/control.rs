@@ -344,17 +344,13 @@ mod tests {
 
     fn look() -> Look {
         let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
-        Look {
-            transfer: TransferFunction {
-                name: "ramp".into(),
-                domain: Domain::Values(-5.0, 7.0),
-                unit_length: UnitLength::Radius(0.1),
-                points: vec![p(0.0), p(1.0)],
-            },
-            shaded: true,
-            layering: Layering::EqualTransmittance,
-            k: 8,
-        }
+        let transfer = TransferFunction {
+            name: "ramp".into(),
+            domain: Domain::Values(-5.0, 7.0),
+            unit_length: UnitLength::Radius(0.1),
+            points: vec![p(0.0), p(1.0)],
+        };
+        Look { layering: Layering::EqualTransmittance, ..Look::new(transfer) }
     }
 
     fn messages() -> Vec<ServerMessage> {

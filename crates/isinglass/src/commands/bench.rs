@@ -20,13 +20,14 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
+use isinglass_core::look::DEFAULT_K;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, DEFAULT_K, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, PlanArgs, Switch,
-    parse_duration, parse_fov, parse_k, parse_output, parse_size,
+    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, PlanArgs, Switch, parse_duration,
+    parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
 

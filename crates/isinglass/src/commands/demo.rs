@@ -10,7 +10,6 @@ use isinglass_bench::progress::note;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
-use isinglass_core::look::Look;
 use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
@@ -136,12 +135,7 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
         part: args.part,
     };
     let opened = open_volume(&volume, &args.look)?;
-    let look = Look {
-        transfer: opened.transfer,
-        shaded: args.look.is_shaded(),
-        layering: args.layering.layering,
-        k: args.layering.k,
-    };
+    let look = args.look.look(opened.transfer, &args.layering);
     let options = ServeOptions {
         volume: opened.scene.volume,
         look,

@@ -5,7 +5,6 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_core::look::Look;
 use isinglass_server::ServeOptions;
 use serde_json::json;
 
@@ -44,12 +43,7 @@ pub(crate) struct ServeArgs {
 
 pub(crate) fn run(args: ServeArgs) -> Result<()> {
     let opened = open_volume(&args.volume, &args.look)?;
-    let look = Look {
-        transfer: opened.transfer,
-        shaded: args.look.is_shaded(),
-        layering: args.layering.layering,
-        k: args.layering.k,
-    };
+    let look = args.look.look(opened.transfer, &args.layering);
     let backend = args.backend.open()?;
     let description = backend.description();
     let options = ServeOptions {

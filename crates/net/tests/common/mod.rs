@@ -7,7 +7,6 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::{self, EncodedFrame, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
@@ -20,17 +19,13 @@ pub(crate) const INTRINSICS: Intrinsics = Intrinsics { width: 64, height: 64, fo
 
 pub(crate) fn look() -> Look {
     let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
-    Look {
-        transfer: TransferFunction {
-            name: "ramp".into(),
-            domain: Domain::Full,
-            unit_length: UnitLength::Voxel,
-            points: vec![p(0.0), p(1.0)],
-        },
-        shaded: false,
-        layering: Layering::VisibilityMerge,
-        k: 4,
-    }
+    let transfer = TransferFunction {
+        name: "ramp".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Voxel,
+        points: vec![p(0.0), p(1.0)],
+    };
+    Look { shaded: false, k: 4, ..Look::new(transfer) }
 }
 
 pub(crate) fn greeting() -> Greeting {
