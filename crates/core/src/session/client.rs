@@ -111,7 +111,6 @@ pub struct Session {
     newest_decoded: Option<FrameTimes>,
     ledger: VecDeque<FrameTimes>,
     decoded_at: VecDeque<u64>,
-    dropped_frames: u64,
     /// Whether frames have been completing before the base of the next was there.
     refinements_keep_up: bool,
 }
@@ -200,7 +199,6 @@ impl Session {
             }
             if self.assembling.len() == MAX_ASSEMBLING {
                 self.assembling.pop_first();
-                self.dropped_frames += 1;
             }
             self.assembling.insert(
                 frame,
@@ -268,9 +266,7 @@ impl Session {
         if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
             self.refinements_keep_up = false;
         }
-        let keep = self.assembling.split_off(&frame);
-        self.dropped_frames += self.assembling.values().filter(|a| !a.is_decoding).count() as u64;
-        self.assembling = keep;
+        self.assembling = self.assembling.split_off(&frame);
         self.newest_base = Some(frame);
     }
 
@@ -345,7 +341,6 @@ impl Session {
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
         if connection == self.connection {
             self.assembling.remove(&frame);
-            self.dropped_frames += 1;
             if self.newest_base == Some(frame) {
                 self.newest_base =
                     self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
@@ -368,19 +363,9 @@ impl Session {
         if self.is_predicting { self.references.back().copied() } else { self.newest_base }
     }
 
-    /// From the pose of the newest decoded frame to now, µs.
-    pub fn age_micros(&self, now_micros: u64) -> Option<u64> {
-        Some(now_micros.saturating_sub(self.newest_decoded?.pose_set?))
-    }
-
     /// Frames decoded in the last second.
     pub fn frames_per_second(&self, now_micros: u64) -> u32 {
         self.decoded_at.iter().filter(|&&t| t + 1_000_000 > now_micros).count() as u32
-    }
-
-    /// Frames of which something arrived that was never decoded.
-    pub fn dropped_frames(&self) -> u64 {
-        self.dropped_frames
     }
 
     /// The last frames' lives, oldest first.
@@ -458,7 +443,6 @@ mod tests {
         assert!(s.poll_decode(12).is_none());
         let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
         assert_eq!((times.pose_set, times.first_byte, times.base_complete), (Some(5), 10, Some(12)));
-        assert_eq!(s.age_micros(25), Some(20));
         arrive(&mut s, 20, 1, 3).unwrap();
         let job = s.poll_decode(20).unwrap();
         assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));

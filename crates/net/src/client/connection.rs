@@ -337,6 +337,7 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
         }
         attempt += 1;
         shared.update(|s| {
+            s.stats.frames_per_second = 0;
             s.state = match lost_at {
                 Some(since_micros) => State::Reconnecting { since_micros, attempt, problem },
                 None => State::Connecting { attempt, problem: Some(problem) },
@@ -374,8 +375,11 @@ async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
             Ok(ServerMessage::LookChanged { version, look }) => {
                 shared.update(|s| s.look = Some((version, Arc::new(look))));
             }
-            Ok(ServerMessage::Notice(text)) => shared.update(|s| s.notice = Some(text)),
-            Ok(ServerMessage::Stats(stats)) => shared.status().stats.server = stats,
+            Ok(ServerMessage::Notice(text)) => {
+                shared.status.put_notice(text);
+                (shared.wake)();
+            }
+            Ok(ServerMessage::Stats(stats)) => shared.status.update(|s| s.stats.server = stats),
             Ok(ServerMessage::Refused(refusal)) => return Ended::Problem(ConnectError::Refused(refusal)),
             Ok(ServerMessage::Welcome(_)) => {
                 return Ended::Problem(ConnectError::Protocol("a second welcome".into()));
@@ -393,7 +397,7 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
     // A look that was asked for over a connection that is gone is asked for again.
     looks.mark_changed();
     // Once one was asked for over this connection, what is in force is on its way to that one.
-    let mut asked = shared.status().look.as_ref().map(|(_, in_force)| in_force.as_ref().clone());
+    let mut asked = shared.status.read().look.as_ref().map(|(_, in_force)| in_force.as_ref().clone());
     let mut next_report = Instant::now() + REPORT_INTERVAL;
     loop {
         let message = tokio::select! {
@@ -426,10 +430,14 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
 async fn send_poses(shared: &Shared, connection: &Connection) {
     let mut poses = shared.pose.subscribe();
     poses.mark_changed();
+    let mut noted = None;
     loop {
         let _ = timeout(POSE_REPEAT, poses.changed()).await;
         let newest = *poses.borrow_and_update();
         if let Some(mut request) = newest {
+            if noted.replace(request.id) != Some(request.id) {
+                shared.session().handle_pose(request.stamp_micros, request.id);
+            }
             request.newest_complete = shared.session().newest_complete();
             match connection.send_datagram(request.encode().to_vec().into()) {
                 Ok(()) => {}
@@ -454,17 +462,21 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
             heard_at = now;
         }
         let seconds = (now - before_at).as_secs_f64();
-        let mut status = shared.status();
-        if seconds > 0.0 {
-            let rate = (stats.udp_rx.bytes - before.udp_rx.bytes) as f64 / seconds;
-            // A mean over about a second.
-            let weight = (seconds / 1.0).min(1.0);
-            status.stats.bytes_per_second += (rate - status.stats.bytes_per_second) * weight;
-        }
-        status.stats.rtt_micros = stats.path.rtt.as_micros() as u64;
-        status.stats.lost_packets = stats.path.lost_packets;
-        status.stats.silence_micros = (now - heard_at).as_micros() as u64;
-        drop(status);
+        let frames_per_second = shared.session().frames_per_second(shared.clock.now_micros());
+        shared.note_shown();
+        shared.status.update(|status| {
+            let link = &mut status.stats;
+            if seconds > 0.0 {
+                let rate = (stats.udp_rx.bytes - before.udp_rx.bytes) as f64 / seconds;
+                // A mean over about a second.
+                let weight = (seconds / 1.0).min(1.0);
+                link.bytes_per_second += (rate - link.bytes_per_second) * weight;
+            }
+            link.frames_per_second = frames_per_second;
+            link.rtt_micros = stats.path.rtt.as_micros() as u64;
+            link.lost_packets = stats.path.lost_packets;
+            link.silence_micros = (now - heard_at).as_micros() as u64;
+        });
         if now - heard_at > SILENCE_LIMIT {
             return;
         }

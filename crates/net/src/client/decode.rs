@@ -8,7 +8,7 @@ use isinglass_core::codec::{self, Assembly, CodecError};
 use isinglass_core::session::client::DecodeJob;
 use rayon::prelude::*;
 
-use super::{ReceivedFrame, Shared, lock};
+use super::{ReceivedFrame, Shared};
 
 /// Decodes until the client stops.
 pub(super) fn run(shared: &Shared) {
@@ -44,7 +44,7 @@ pub(super) fn run(shared: &Shared) {
         let Some(times) = times else { continue };
         let (is_complete, is_exact) = (job.is_last, assembly.is_exact());
         let received = ReceivedFrame { frame, is_complete, is_exact, times };
-        *lock(&shared.frame) = Some(Arc::new(received));
+        shared.frame.store(Some(Arc::new(received)));
         tracing::trace!(is_complete = job.is_last, "decoded");
         (shared.wake)();
     }

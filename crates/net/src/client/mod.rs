@@ -1,16 +1,18 @@
 //! The client: keeps a connection up and the newest frame at hand, and never makes its caller wait.
 //!
-//! One thread drives the network, another decodes; what the caller asks for is a short look at shared state. A lost
-//! connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
+//! One thread drives the network, another decodes; what the caller reads is swapped in whole, so that no call of a display
+//! loop takes a lock that those threads hold. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
 
 mod chunks;
 mod connection;
 mod decode;
+mod status;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use arc_swap::ArcSwapOption;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::LayeredFrame;
@@ -25,6 +27,7 @@ use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters
 use crate::link::Link;
 
 pub use connection::ConnectError;
+use status::{Status, StatusBoard};
 
 /// How to connect.
 #[derive(Clone)]
@@ -114,12 +117,8 @@ pub struct LinkStats {
     pub rtt_micros: u64,
     /// Bytes received in the last second or so.
     pub bytes_per_second: f64,
-    /// From the pose of the newest decoded frame to now, µs.
-    pub age_micros: Option<u64>,
     /// Frames decoded in the last second.
     pub frames_per_second: u32,
-    /// Frames of which something arrived that was never decoded.
-    pub dropped_frames: u64,
     /// Chunks that could not be used.
     pub broken_chunks: u64,
     /// Since a packet came, µs.
@@ -146,15 +145,17 @@ impl Client {
             model.validate()?;
         }
         let dialer = connection::Dialer::new(link.clone(), &options)?;
+        let (shown, shown_in) = mpsc::sync_channel(MAX_SHOWN);
         let shared = Arc::new(Shared {
             clock: options.clock,
             wake: options.wake,
             session: Mutex::default(),
             decode_wanted: Condvar::new(),
             is_stopping: AtomicBool::new(false),
-            frame: Mutex::new(None),
-            status: Mutex::new(Status::new()),
-            status_changed: Condvar::new(),
+            frame: ArcSwapOption::empty(),
+            status: StatusBoard::new(),
+            shown,
+            shown_in: Mutex::new(shown_in),
             pose: watch::Sender::new(None),
             look: watch::Sender::new(None),
             report: watch::Sender::new(None),
@@ -182,7 +183,7 @@ impl Client {
     pub fn set_pose(&self, pose: Pose, intrinsics: Intrinsics) -> PoseId {
         let now = self.shared.clock.now_micros();
         let mut number = PoseId(0);
-        let is_new = self.shared.pose.send_if_modified(|newest| {
+        self.shared.pose.send_if_modified(|newest| {
             number = newest.map_or(PoseId(0), |p: PoseRequest| p.id);
             if newest.is_some_and(|p| p.pose == pose && p.intrinsics == intrinsics) {
                 return false;
@@ -197,9 +198,6 @@ impl Client {
             *newest = Some(request);
             true
         });
-        if is_new {
-            self.shared.session().handle_pose(now, number);
-        }
         number
     }
 
@@ -220,53 +218,49 @@ impl Client {
 
     /// The newest frame that can be shown, if there has been one.
     pub fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
-        lock(&self.shared.frame).clone()
+        self.shared.frame.load_full()
     }
 
     /// A frame of the present connection was on the screen: closes its ledger.
     pub fn note_shown(&self, frame: FrameId) {
-        self.shared.session().handle_shown(self.shared.clock.now_micros(), frame);
+        // Without a connection nobody fetches these, and no ledger is open.
+        let _ = self.shared.shown.try_send((frame, self.shared.clock.now_micros()));
     }
 
     /// The lives of the last frames, oldest first.
     pub fn ledger(&self) -> Vec<FrameTimes> {
+        self.shared.note_shown();
         self.shared.session().ledger().copied().collect()
     }
 
     /// Where the connection stands.
     pub fn state(&self) -> State {
-        self.shared.status().state.clone()
+        self.shared.status.read().state.clone()
     }
 
     /// What the server said when it let this client in, last time.
     pub fn description(&self) -> Option<Arc<Welcome>> {
-        self.shared.status().welcome.clone()
+        self.shared.status.read().welcome.clone()
     }
 
     /// The look that the server has said is in force, and its number.
     pub fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        self.shared.status().look.clone()
+        self.shared.status.read().look.clone()
     }
 
     /// The last line that the server wanted shown; taken when it is asked for.
     pub fn take_notice(&self) -> Option<String> {
-        self.shared.status().notice.take()
+        self.shared.status.take_notice()
     }
 
     /// What went wrong last with a chunk or message.
     pub fn last_problem(&self) -> Option<String> {
-        self.shared.status().last_problem.clone()
+        self.shared.status.read().last_problem.clone()
     }
 
     /// What the overlay shows.
     pub fn stats(&self) -> LinkStats {
-        let now = self.shared.clock.now_micros();
-        let mut stats = self.shared.status().stats;
-        let session = self.shared.session();
-        stats.age_micros = session.age_micros(now);
-        stats.frames_per_second = session.frames_per_second(now);
-        stats.dropped_frames = session.dropped_frames();
-        stats
+        self.shared.status.read().stats
     }
 
     /// What has become of the packets, if there is a conditioner.
@@ -284,27 +278,7 @@ impl Client {
     /// # Errors
     /// Why the first attempt failed, or that nothing was decided in time.
     pub fn wait_connected(&self, timeout: Duration) -> Result<Arc<Welcome>, ConnectError> {
-        let deadline = Instant::now() + timeout;
-        let mut status = self.shared.status();
-        loop {
-            match &status.state {
-                State::Connecting { problem: Some(problem), .. } | State::Refused(problem) => {
-                    return Err(problem.clone());
-                }
-                State::Connected => {
-                    if let Some(welcome) = &status.welcome {
-                        return Ok(welcome.clone());
-                    }
-                }
-                State::Connecting { .. } | State::Reconnecting { .. } => {}
-            }
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Err(ConnectError::Undecided(timeout));
-            }
-            let waited = self.shared.status_changed.wait_timeout(status, left);
-            status = waited.unwrap_or_else(PoisonError::into_inner).0;
-        }
+        self.shared.status.wait_connected(timeout)
     }
 }
 
@@ -323,16 +297,18 @@ impl std::fmt::Debug for Client {
 }
 
 /// What the caller, the network thread and the decoding thread share. No lock is held while waiting for anything
-/// but the lock's own condition, and where two are taken, `session` comes after `status`.
+/// but the lock's own condition; `session` is for the two threads alone.
 struct Shared {
     clock: Clock,
     wake: Arc<dyn Fn() + Send + Sync>,
     session: Mutex<client::Session>,
     decode_wanted: Condvar,
     is_stopping: AtomicBool,
-    frame: Mutex<Option<Arc<ReceivedFrame>>>,
-    status: Mutex<Status>,
-    status_changed: Condvar,
+    frame: ArcSwapOption<ReceivedFrame>,
+    status: StatusBoard,
+    /// Frames that were on the screen, and when, on their way to the ledger.
+    shown: mpsc::SyncSender<(FrameId, u64)>,
+    shown_in: Mutex<mpsc::Receiver<(FrameId, u64)>>,
     pose: watch::Sender<Option<PoseRequest>>,
     look: watch::Sender<Option<Look>>,
     report: watch::Sender<Option<ClientStats>>,
@@ -340,50 +316,33 @@ struct Shared {
     counters: Arc<SharedCounters>,
 }
 
-struct Status {
-    state: State,
-    welcome: Option<Arc<Welcome>>,
-    look: Option<(LookVersion, Arc<Look>)>,
-    notice: Option<String>,
-    last_problem: Option<String>,
-    stats: LinkStats,
-}
-
-impl Status {
-    fn new() -> Self {
-        Self {
-            state: State::Connecting { attempt: 1, problem: None },
-            welcome: None,
-            look: None,
-            notice: None,
-            last_problem: None,
-            stats: LinkStats::default(),
-        }
-    }
-}
-
 impl Shared {
     fn session(&self) -> MutexGuard<'_, client::Session> {
         lock(&self.session)
     }
 
-    fn status(&self) -> MutexGuard<'_, Status> {
-        lock(&self.status)
-    }
-
     /// Changes the status and tells everyone.
     fn update(&self, change: impl FnOnce(&mut Status)) {
-        change(&mut self.status());
-        self.status_changed.notify_all();
+        self.status.update(change);
         (self.wake)();
+    }
+
+    /// Enters what was shown into the ledger.
+    fn note_shown(&self) {
+        let shown = lock(&self.shown_in);
+        let mut session = self.session();
+        for (frame, at_micros) in shown.try_iter() {
+            session.handle_shown(at_micros, frame);
+        }
     }
 
     /// Something of the server's could not be used.
     fn note_broken_chunk(&self, problem: String) {
         tracing::warn!("{problem}");
-        let mut status = self.status();
-        status.stats.broken_chunks += 1;
-        status.last_problem = Some(problem);
+        self.status.update(|status| {
+            status.stats.broken_chunks += 1;
+            status.last_problem = Some(problem);
+        });
     }
 
     fn stop(&self) {
@@ -403,3 +362,6 @@ impl Shared {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+/// Frames shown that wait to be entered into the ledger: those of several seconds.
+const MAX_SHOWN: usize = 256;
