@@ -77,7 +77,7 @@ fn window_shows_what_the_twin_casts() {
                 return ScriptStep::Continue;
             }
             awaited += 1;
-            probes.lock().unwrap().push(Probe { now: probe.now, refresh: Some(refresh.clone()) });
+            probes.lock().unwrap().push(probe.clone());
             let shots = shots.clone();
             ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push(shot)))
         }
@@ -159,7 +159,7 @@ fn window_shows_what_kept_frames_saw() {
                 return ScriptStep::Continue;
             }
             has_asked = true;
-            let probe = Probe { now: probe.now, refresh: Some(refresh.clone()) };
+            let probe = probe.clone();
             let shots = shots.clone();
             ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push((probe, shot))))
         }
@@ -207,7 +207,7 @@ fn window_shows_each_eye_its_view(mode: StereoMode) {
                 return ScriptStep::Continue;
             }
             has_asked = true;
-            let probe = Probe { now: probe.now, refresh: Some(refresh.clone()) };
+            let probe = probe.clone();
             let shots = shots.clone();
             ScriptStep::Capture(Box::new(move |shot| shots.lock().unwrap().push((probe, shot))))
         }

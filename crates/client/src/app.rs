@@ -27,6 +27,7 @@ use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::{self, ViewAids, pixel_at};
 use crate::viewing::{Refresh, Standing, Viewing};
+use crate::waits::Waits;
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
 
 /// See the module.
@@ -58,6 +59,8 @@ pub(crate) struct ViewerApp<S> {
     title: String,
     notice: Option<(String, Duration)>,
     reported_at: Duration,
+    /// Of the refreshes before.
+    waits: Waits,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -97,6 +100,7 @@ impl<S: FrameSource> ViewerApp<S> {
             title: String::new(),
             notice: None,
             reported_at: Duration::ZERO,
+            waits: Waits::default(),
         }
     }
 
@@ -255,7 +259,11 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn run_script(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let Some(script) = &mut self.options.script else { return };
-        match script(&Probe { now: now.saturating_sub(self.opened_at), refresh: refresh.cloned() }) {
+        match script(&Probe {
+            now: now.saturating_sub(self.opened_at),
+            refresh: refresh.cloned(),
+            waits: self.waits,
+        }) {
             ScriptStep::Continue => {}
             ScriptStep::Capture(then) => ctx.request_screenshot(move |image| {
                 let rgb = image.pixels.iter().flat_map(|p| [p.r(), p.g(), p.b()]).collect();
@@ -275,8 +283,20 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
 }
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// A refresh of the whole window.
+    /// A refresh of the whole window, watched where somebody looks at what was seen.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
+        if self.options.script.is_none() && !tracing::enabled!(tracing::Level::TRACE) {
+            return self.refresh_window(ui);
+        }
+        let mut waits = self.waits;
+        waits.watch(|| self.refresh_window(ui));
+        if waits.waited > self.waits.waited {
+            tracing::trace!(refreshes = waits.refreshes, waited = waits.waited, "a refresh waited");
+        }
+        self.waits = waits;
+    }
+
+    fn refresh_window(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         let now = Duration::from_micros(self.clock.now_micros());
         let elapsed = now.saturating_sub(self.last_refresh);

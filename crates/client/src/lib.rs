@@ -33,6 +33,7 @@ mod stereo;
 mod transfer_editor;
 mod view_aids;
 mod viewing;
+mod waits;
 mod window;
 
 pub use bindings::{Action, BINDINGS, Binding, Opposite, Side};
@@ -49,6 +50,7 @@ pub use quality_control::{Quality, QualityControl};
 pub use run::{ViewerOptions, run};
 pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 pub use viewing::{FrameSize, Refresh, Standing, Viewing};
+pub use waits::Waits;
 pub use window::{
     DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowOptions, run_window,
 };

@@ -18,6 +18,7 @@ use crate::novel_view::{LAYERS, NovelView, NovelViews};
 use crate::picture;
 use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh};
+use crate::waits::Waits;
 
 /// What a window needs to know beside where its frames come from.
 pub struct WindowOptions {
@@ -73,11 +74,14 @@ impl Default for WindowOptions {
 pub type Script = Box<dyn FnMut(&Probe) -> ScriptStep>;
 
 /// What a script sees.
+#[derive(Clone)]
 pub struct Probe {
     /// Time since the window opened.
     pub now: Duration,
     /// What is drawn; none before the volume is known.
     pub refresh: Option<Refresh>,
+    /// How many refreshes before this one had to wait for anything.
+    pub waits: Waits,
 }
 
 /// What a script wants.
