@@ -1,0 +1,266 @@
+//! The session by itself: chunks in any order, at any time.
+
+use super::*;
+
+fn place(frame: u32, index: u16) -> ChunkPlace {
+    ChunkPlace {
+        frame: FrameId(frame),
+        pose: PoseId(frame * 10),
+        index: ChunkIndex(index),
+        num_chunks: 4,
+        num_base_chunks: 2,
+        prediction: None,
+    }
+}
+
+fn arrive(s: &mut Session, now: u64, frame: u32, index: u16) -> Result<(), ChunkError> {
+    s.handle_chunk(now, now, place(frame, index), vec![index as u8; 3])
+}
+
+#[test]
+fn a_frame_is_decoded_at_its_base_and_at_its_end() {
+    let mut s = Session::default();
+    s.handle_connected();
+    s.handle_pose(5, PoseId(10));
+    for (now, index) in [(10, 2), (11, 1)] {
+        arrive(&mut s, now, 1, index).unwrap();
+        assert!(s.poll_decode(now).is_none());
+    }
+    arrive(&mut s, 12, 1, 0).unwrap();
+    let job = s.poll_decode(12).unwrap();
+    assert_eq!((job.is_first, job.is_last, job.chunks.len()), (true, false, 3));
+    assert!(s.poll_decode(12).is_none());
+    let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
+    assert_eq!((times.pose_set, times.first_byte, times.base_complete), (Some(5), 10, Some(12)));
+    arrive(&mut s, 20, 1, 3).unwrap();
+    let job = s.poll_decode(20).unwrap();
+    assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));
+    let times = s.handle_decoded(21, job.connection, job.frame, true).unwrap();
+    assert_eq!((times.complete, times.complete_decoded, times.bytes), (Some(20), Some(21), 12));
+    s.handle_shown(30, FrameId(1));
+    s.handle_shown(40, FrameId(1));
+    assert_eq!(s.ledger().next().unwrap().first_shown, Some(30));
+    assert_eq!((s.frames_per_second(30), s.frames_per_second(2_000_000)), (1, 0));
+}
+
+#[test]
+fn a_base_waits_for_its_refinements_while_they_keep_up() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let arrives = |s: &mut Session, now, frame, indices: &[u16]| {
+        indices.iter().for_each(|i| arrive(s, now, frame, *i).unwrap());
+        let job = s.poll_decode(now)?;
+        s.handle_decoded(now, job.connection, job.frame, job.is_last);
+        Some((job.frame.0, job.is_last))
+    };
+    // The first picture does not wait.
+    assert_eq!(arrives(&mut s, 0, 1, &[0, 1]), Some((1, false)));
+    assert_eq!(arrives(&mut s, 1, 1, &[2, 3]), Some((1, true)));
+    // The second does, until it is complete.
+    assert_eq!(arrives(&mut s, 10, 2, &[0, 1]), None);
+    assert_eq!(s.hold_until(), Some(10 + HOLD_MICROS));
+    assert_eq!(arrives(&mut s, 20, 2, &[2, 3]), Some((2, true)));
+    // Or until it has waited long enough.
+    assert_eq!(arrives(&mut s, 30, 3, &[0, 1]), None);
+    assert_eq!(arrives(&mut s, 30 + HOLD_MICROS, 3, &[]), Some((3, false)));
+    assert_eq!(s.hold_until(), None);
+    // Once refinements fall behind, bases are shown at once: none is ever passed over for a newer one that waits.
+    assert_eq!(arrives(&mut s, 300_000, 4, &[0, 1]), Some((4, false)));
+    assert_eq!(arrives(&mut s, 300_001, 5, &[0, 1]), Some((5, false)));
+    // Until they keep up again.
+    assert_eq!(arrives(&mut s, 300_002, 5, &[2, 3]), Some((5, true)));
+    assert_eq!(arrives(&mut s, 300_003, 6, &[0, 1]), None);
+}
+
+#[test]
+fn chunks_that_contradict_are_errors_and_late_ones_are_dropped() {
+    let mut s = Session::default();
+    let bad = [
+        ChunkPlace { num_chunks: 17, ..place(1, 0) },
+        ChunkPlace { num_base_chunks: 0, ..place(1, 0) },
+        ChunkPlace { num_base_chunks: 5, ..place(1, 0) },
+        place(1, 4),
+    ];
+    for p in bad {
+        assert_eq!(s.handle_chunk(0, 0, p, vec![]), Err(ChunkError::Place(p)));
+    }
+    arrive(&mut s, 0, 2, 0).unwrap();
+    assert_eq!(arrive(&mut s, 0, 2, 0), Err(ChunkError::Twice(FrameId(2), ChunkIndex(0))));
+    let other = ChunkPlace { num_base_chunks: 1, ..place(2, 1) };
+    assert_eq!(s.handle_chunk(0, 0, other, vec![]), Err(ChunkError::Disagree(FrameId(2))));
+    arrive(&mut s, 0, 2, 1).unwrap();
+    arrive(&mut s, 0, 1, 0).unwrap();
+    assert_eq!(s.assembling.len(), 1, "frame 1 is older than a complete base");
+    assert!(!s.wants(FrameId(1)) && s.wants(FrameId(2)));
+}
+
+#[test]
+fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
+    // A small multiplicative generator is random enough for orders of arrival.
+    let mut seed = 12345u64;
+    let mut random = move |n: u64| {
+        seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (seed >> 33) % n
+    };
+    let mut s = Session::default();
+    s.handle_connected();
+    let (mut shown, mut jobs, mut fulls) = (FrameId(0), 0, 0);
+    let mut in_flight: Vec<(u32, u16)> = vec![];
+    for now in 0..20_000u64 {
+        if now % 4 == 0 {
+            in_flight.extend((0..4).map(|i| (now as u32 / 4 + 1, i)));
+        }
+        let newest = in_flight.len().saturating_sub(24);
+        in_flight.drain(..newest.min(random(2) as usize * newest));
+        let (frame, index) = in_flight.swap_remove(random(in_flight.len() as u64) as usize);
+        arrive(&mut s, now, frame, index).unwrap();
+        assert!(s.assembling.len() <= MAX_ASSEMBLING);
+        assert!(s.ledger.len() <= MAX_LEDGER);
+        while let Some(job) = s.poll_decode(now) {
+            assert!(job.frame > shown || job.frame == shown && !job.is_first);
+            shown = job.frame;
+            jobs += 1;
+            fulls += u32::from(job.is_last);
+            assert!(s.handle_decoded(now, job.connection, job.frame, job.is_last).is_some());
+        }
+    }
+    assert!(jobs > 500 && fulls > 50, "{jobs} {fulls}");
+}
+
+#[test]
+fn predicted_frames_wait_for_what_they_name() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let arrive = |s: &mut Session, frame: u32, reference: u32| {
+        let prediction = Some(Prediction { reference: (reference > 0).then_some(FrameId(reference)) });
+        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        s.handle_chunk(0, 0, place, vec![]).unwrap();
+    };
+    let decode = |s: &mut Session| {
+        let job = s.poll_decode(0)?;
+        assert!(job.is_first && job.is_last);
+        s.handle_decoded(0, job.connection, job.frame, true);
+        Some(job.frame.0)
+    };
+    // Frame 3 names 2, which is on its way: none but 1 can be shown.
+    arrive(&mut s, 1, 0);
+    arrive(&mut s, 3, 2);
+    assert_eq!((s.newest_complete(), decode(&mut s), decode(&mut s)), (None, Some(1), None));
+    assert_eq!(s.newest_complete(), Some(FrameId(1)));
+    arrive(&mut s, 2, 1);
+    assert_eq!((decode(&mut s), decode(&mut s), decode(&mut s)), (Some(2), Some(3), None));
+    // Frame 4 is lost: 5 and 6 name it or each other, 7 does not.
+    arrive(&mut s, 5, 4);
+    arrive(&mut s, 6, 5);
+    assert_eq!((decode(&mut s), s.newest_complete()), (None, Some(FrameId(3))));
+    arrive(&mut s, 7, 3);
+    assert_eq!((decode(&mut s), s.assembling.len()), (Some(7), 0));
+    // A frame that names none ends all before it, also those that wait.
+    arrive(&mut s, 9, 8);
+    arrive(&mut s, 10, 0);
+    assert_eq!((decode(&mut s), decode(&mut s)), (Some(10), None));
+    // A frame that could not be decoded is no reference.
+    arrive(&mut s, 11, 10);
+    let job = s.poll_decode(0).unwrap();
+    arrive(&mut s, 12, 11);
+    s.handle_broken(job.connection, job.frame);
+    assert_eq!((decode(&mut s), s.newest_complete()), (None, Some(FrameId(10))));
+    arrive(&mut s, 13, 10);
+    assert_eq!(decode(&mut s), Some(13));
+    s.handle_connected();
+    arrive(&mut s, 1, 13);
+    assert_eq!((decode(&mut s), s.newest_complete()), (None, None));
+}
+
+/// An exact frame among predicted ones neither overtakes those that later frames may name, nor waits for what can
+/// never be decoded.
+#[test]
+fn an_exact_frame_comes_after_the_references_before_it() {
+    let decode = |s: &mut Session| {
+        let job = s.poll_decode(0)?;
+        s.handle_decoded(0, job.connection, job.frame, job.is_last);
+        Some(job.frame.0)
+    };
+    let arrive = |s: &mut Session, frame: u32, index: u16, prediction: Option<Option<u32>>| {
+        let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
+        let place = ChunkPlace { num_chunks: 2, num_base_chunks: 2, prediction, ..place(frame, index) };
+        s.handle_chunk(0, 0, place, vec![]).unwrap();
+    };
+    let whole = |s: &mut Session, frame: u32, prediction| {
+        arrive(s, frame, 0, prediction);
+        arrive(s, frame, 1, prediction);
+    };
+    let begun = || {
+        let mut s = Session::default();
+        s.handle_connected();
+        whole(&mut s, 1, Some(None));
+        assert_eq!(decode(&mut s), Some(1));
+        s
+    };
+    // Half of 2 is there when all of 3 is, which is exact.
+    let mut s = begun();
+    arrive(&mut s, 2, 0, Some(Some(1)));
+    whole(&mut s, 3, None);
+    assert_eq!(decode(&mut s), None);
+    arrive(&mut s, 2, 1, Some(Some(1)));
+    assert_eq!((decode(&mut s), decode(&mut s)), (Some(2), Some(3)));
+    assert_eq!(s.newest_complete(), Some(FrameId(3)));
+    whole(&mut s, 4, Some(Some(2)));
+    assert_eq!((decode(&mut s), s.newest_complete()), (Some(4), Some(FrameId(4))));
+    // Frame 5 is lost: 6 and 7 cannot be decoded, and 8 waits for neither.
+    whole(&mut s, 6, Some(Some(5)));
+    whole(&mut s, 7, Some(Some(6)));
+    assert_eq!(decode(&mut s), None);
+    whole(&mut s, 8, None);
+    assert_eq!((decode(&mut s), s.assembling.len()), (Some(8), 0));
+    // A broken one is not waited for either.
+    let mut s = begun();
+    whole(&mut s, 2, Some(Some(1)));
+    let job = s.poll_decode(0).unwrap();
+    arrive(&mut s, 3, 0, Some(Some(2)));
+    whole(&mut s, 4, None);
+    s.handle_broken(job.connection, job.frame);
+    assert_eq!(decode(&mut s), Some(4));
+}
+
+#[test]
+fn a_broken_frame_does_not_stand_in_the_way() {
+    let mut s = Session::default();
+    s.handle_connected();
+    for (frame, index) in [(1, 0), (1, 1), (1_000_000, 0), (1_000_000, 1)] {
+        arrive(&mut s, 0, frame, index).unwrap();
+        if let Some(job) = s.poll_decode(0) {
+            match frame {
+                1 => drop(s.handle_decoded(0, job.connection, job.frame, false)),
+                _ => s.handle_broken(job.connection, job.frame),
+            }
+        }
+    }
+    assert_eq!(s.newest_complete(), Some(FrameId(1)));
+    arrive(&mut s, 0, 2, 0).unwrap();
+    arrive(&mut s, 0, 2, 1).unwrap();
+    assert_eq!(s.poll_decode(0).unwrap().frame, FrameId(2));
+}
+
+#[test]
+fn a_new_connection_starts_its_frames_again() {
+    let mut s = Session::default();
+    s.handle_connected();
+    arrive(&mut s, 0, 50, 0).unwrap();
+    arrive(&mut s, 0, 50, 1).unwrap();
+    let old = s.poll_decode(0).unwrap();
+    s.handle_connected();
+    assert!(s.handle_decoded(1, old.connection, old.frame, false).is_none());
+    assert_eq!(s.newest_complete(), None);
+    for _ in 0..2 {
+        // All of frame 1, which is new on every connection.
+        for index in 0..4 {
+            arrive(&mut s, 2, 1, index).unwrap();
+        }
+        let job = s.poll_decode(2).unwrap();
+        assert_eq!((job.frame, job.is_last), (FrameId(1), true));
+        assert!(s.handle_decoded(3, job.connection, job.frame, true).is_some());
+        assert!(arrive(&mut s, 4, 1, 0).is_err());
+        s.handle_connected();
+    }
+}
