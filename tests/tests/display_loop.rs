@@ -79,6 +79,7 @@ fn play(delay: Duration) -> Seen {
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: Plan::default(),
         max_viewers: 1,
+        library: None,
     };
     let (server, link) = runtime.block_on(async {
         let server = start(options).unwrap();

@@ -44,6 +44,7 @@ async fn serve_as(builtin: Builtin, plan: Plan) -> RunningServer {
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan,
         max_viewers: 4,
+        library: None,
     })
     .unwrap()
 }

@@ -19,6 +19,7 @@ use crate::novel_view::{NovelViews, Shown};
 use crate::orientation::Orientation;
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
+use crate::parts_bar::{PartsBar, PartsWish};
 use crate::pick::visible_point;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
@@ -59,6 +60,7 @@ pub(crate) struct ViewerApp<S> {
     title: String,
     notice: Option<(String, Duration)>,
     reported_at: Duration,
+    parts_bar: PartsBar,
     /// Of the refreshes before.
     waits: Waits,
 }
@@ -100,16 +102,24 @@ impl<S: FrameSource> ViewerApp<S> {
             title: String::new(),
             notice: None,
             reported_at: Duration::ZERO,
+            parts_bar: PartsBar::default(),
             waits: Waits::default(),
         }
     }
 
-    /// The camera controls for the volume that the source has now; a volume of another size starts over.
+    /// The camera controls for the volume that the source has now; one of another size is seen from the same side.
     fn controls(&mut self, picture: &Intrinsics) -> Option<&mut (Aabb, CameraControls)> {
         let bounds = self.viewing.source().description()?.volume.bounds();
-        if self.controls.as_ref().is_none_or(|(b, _)| *b != bounds) {
-            let controls = CameraControls::new(self.options.initial_orbit, &bounds, picture);
-            self.controls = Some((bounds, controls));
+        match &mut self.controls {
+            Some((of, controls)) if *of != bounds => {
+                controls.turn_to(&bounds);
+                *of = bounds;
+            }
+            Some(_) => {}
+            None => {
+                let controls = CameraControls::new(self.options.initial_orbit, &bounds, picture);
+                self.controls = Some((bounds, controls));
+            }
         }
         self.controls.as_mut()
     }
@@ -139,6 +149,12 @@ impl<S: FrameSource> ViewerApp<S> {
                         Action::Undo => self.editor.undo(&scale),
                         _ => self.editor.redo(&scale),
                     }
+                }
+                Action::StepTime(by) => {
+                    let source = self.viewing.source();
+                    let (parts, load) = (source.parts(), source.load());
+                    let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
+                    self.do_part(wish);
                 }
                 Action::Help => self.shows_help = !self.shows_help,
                 Action::CloseHelp => self.shows_help = false,
@@ -257,6 +273,21 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
+    fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
+        let source = self.viewing.source();
+        let (parts, load) = (source.parts(), source.load());
+        let wish = self.parts_bar.show(ctx, now, parts.as_deref(), load.as_ref());
+        self.do_part(wish);
+    }
+
+    fn do_part(&mut self, wish: Option<PartsWish>) {
+        let Some(wish) = wish else { return };
+        self.viewing.source_mut().open_part(match wish {
+            PartsWish::Open(part) => Some(part),
+            PartsWish::Cancel => None,
+        });
+    }
+
     fn run_script(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let Some(script) = &mut self.options.script else { return };
         match script(&Probe {
@@ -341,10 +372,10 @@ impl<S: FrameSource> ViewerApp<S> {
         match refresh.as_ref().and_then(|r| Some((r, r.frame.clone()?))) {
             Some((r, frame)) => {
                 self.choose_center(&ctx, now, rect, r);
-                self.paint(ui, rect, r, frame);
+                self.paint(ui, rect, r, frame.clone());
                 self.paint_aids(ui, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
-                    panels::older_look(&ctx);
+                    panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame));
                 }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
@@ -352,12 +383,13 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    panels::banner(&ctx, &text);
+                    panels::banner(&ctx, &text, self.parts_bar.height());
                 }
             }
             None => panels::first_page(ui, &self.options.server_name, &state, seconds),
         }
         self.show_look_panel(&ctx, now);
+        self.show_parts(&ctx, now);
         panels::help(&ctx, &mut self.shows_help);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());

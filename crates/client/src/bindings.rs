@@ -23,6 +23,8 @@ pub enum Action {
     Undo,
     /// One edit of the transfer function forward.
     Redo,
+    /// So many times on in the server's file, or back.
+    StepTime(i32),
     /// The help on or off.
     Help,
     /// The help off.
@@ -86,6 +88,11 @@ pub const BINDINGS: &[Binding] = &[
         "Ctrl+z, Ctrl+Shift+z",
         "undo and redo edits of the transfer function",
         &[(CTRL_SHIFT, Key::Z, Action::Redo), (CTRL, Key::Z, Action::Undo)],
+    ),
+    keys(
+        "[, ]",
+        "the time before, the next time",
+        &[(NONE, Key::OpenBracket, Action::StepTime(-1)), (NONE, Key::CloseBracket, Action::StepTime(1))],
     ),
     mouse("in the curve: click, drag", "add a point, move one"),
     mouse("in the curve: middle click, Del", "remove a point"),

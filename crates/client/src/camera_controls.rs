@@ -95,6 +95,15 @@ impl CameraControls {
         self.eye_from_center = Vec3::Z * self.bounded_depth(distance * self.radius);
     }
 
+    /// The same view of another volume, in units of its size. [`CameraControls::reset`] leads to its first view.
+    pub fn turn_to(&mut self, bounds: &Aabb) {
+        let scale = bounds.radius() / self.radius;
+        self.center = bounds.center() + (self.center - self.middle) * scale;
+        (self.middle, self.radius) = (bounds.center(), bounds.radius());
+        self.eye_from_center =
+            (self.eye_from_center * scale).with_z(self.bounded_depth(self.eye_from_center.z * scale));
+    }
+
     /// Applies what the pointer did. Returns whether the camera changed.
     pub fn apply(&mut self, input: &ControlInput, intrinsics: &Intrinsics) -> bool {
         let before = (self.world_from_view, self.eye_from_center);
@@ -429,5 +438,24 @@ mod tests {
     fn angle_between_two_orbits() {
         let at = |azimuth: f32| Pose::orbit(Vec3::ONE, azimuth.to_radians(), 0.0, 4.0);
         assert!((angle_between_degrees(&at(10.0), &at(35.0), Vec3::ONE) - 25.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn another_volume_is_seen_as_the_one_before_but_for_its_size() {
+        let mut c = controls();
+        assert!(c.set_center(bounds().center() + Vec3::new(0.5, 0.0, 0.25)));
+        let other = Aabb { min: bounds().min * 3.0 + 1.0, max: bounds().max * 3.0 + 1.0 };
+        let corners = |c: &CameraControls, b: &Aabb| {
+            let basis = c.camera(INTRINSICS, b).basis();
+            b.corners().map(|p| basis.pixel_from_world(p - basis.eye)).map(|h| [h.x / h.z, h.y / h.z])
+        };
+        let before = corners(&c, &bounds());
+        c.turn_to(&other);
+        for (a, b) in before.into_iter().zip(corners(&c, &other)) {
+            assert_close(a, b, 10.0 * PIXEL_TOLERANCE);
+        }
+        c.reset(&INTRINSICS);
+        let first = CameraControls::new(InitialOrbit::default(), &other, &INTRINSICS);
+        assert!(distance(&c.pose(), &first.pose()) < WORLD_TOLERANCE);
     }
 }

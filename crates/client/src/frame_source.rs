@@ -5,7 +5,7 @@ use std::sync::Arc;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion};
 use isinglass_core::look::Look;
-use isinglass_core::wire::{ClientStats, Welcome};
+use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, Welcome};
 use isinglass_net::{Client, LinkStats, ReceivedFrame, State};
 
 /// Brings layered frames. No call waits for anything: the viewer polls it at every refresh.
@@ -39,6 +39,82 @@ pub trait FrameSource {
 
     /// How the viewer fares, for the server.
     fn report(&mut self, stats: ClientStats);
+
+    /// Whether a frame is of the volume that is described, and not of the one before.
+    fn is_of_volume(&self, _frame: &ReceivedFrame) -> bool {
+        true
+    }
+
+    /// What the server's file holds beside what is shown, if there is anything to choose.
+    fn parts(&self) -> Option<Arc<Parts>> {
+        None
+    }
+
+    /// How the reading of another part stands, as last heard.
+    fn load(&self) -> Option<LoadStatus> {
+        None
+    }
+
+    /// Asks for another part, for all viewers of the server; none: the one that is being read is not wanted any more.
+    fn open_part(&mut self, _part: Option<Part>) {}
+}
+
+impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
+    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
+        (**self).set_pose(pose, intrinsics);
+    }
+
+    fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        (**self).latest_frame()
+    }
+
+    fn state(&self) -> State {
+        (**self).state()
+    }
+
+    fn stats(&self) -> LinkStats {
+        (**self).stats()
+    }
+
+    fn description(&self) -> Option<Arc<Welcome>> {
+        (**self).description()
+    }
+
+    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        (**self).look()
+    }
+
+    fn set_look(&mut self, look: Look) {
+        (**self).set_look(look);
+    }
+
+    fn take_notice(&mut self) -> Option<String> {
+        (**self).take_notice()
+    }
+
+    fn note_shown(&mut self, frame: FrameId) {
+        (**self).note_shown(frame);
+    }
+
+    fn report(&mut self, stats: ClientStats) {
+        (**self).report(stats);
+    }
+
+    fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
+        (**self).is_of_volume(frame)
+    }
+
+    fn parts(&self) -> Option<Arc<Parts>> {
+        (**self).parts()
+    }
+
+    fn load(&self) -> Option<LoadStatus> {
+        (**self).load()
+    }
+
+    fn open_part(&mut self, part: Option<Part>) {
+        (**self).open_part(part);
+    }
 }
 
 impl FrameSource for Client {
@@ -82,5 +158,21 @@ impl FrameSource for Client {
 
     fn report(&mut self, stats: ClientStats) {
         Client::report(self, stats);
+    }
+
+    fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
+        Client::is_of_volume(self, frame)
+    }
+
+    fn parts(&self) -> Option<Arc<Parts>> {
+        Client::parts(self)
+    }
+
+    fn load(&self) -> Option<LoadStatus> {
+        Client::load(self)
+    }
+
+    fn open_part(&mut self, part: Option<Part>) {
+        Client::open_part(self, part);
     }
 }

@@ -152,6 +152,18 @@ pub fn format_rate(bytes_per_second: f64) -> String {
     }
 }
 
+/// Bytes with two or three figures, in decimal units.
+pub fn format_bytes(bytes: u64) -> String {
+    match bytes as f64 {
+        b if b < 999.5 => format!("{bytes} bytes"),
+        b if b < 999.5e3 => format!("{:.0} kB", b / 1e3),
+        b if b < 9.95e6 => format!("{:.1} MB", b / 1e6),
+        b if b < 999.5e6 => format!("{:.0} MB", b / 1e6),
+        b if b < 99.5e9 => format!("{:.1} GB", b / 1e9),
+        b => format!("{:.0} GB", b / 1e9),
+    }
+}
+
 fn dash() -> String {
     "–".to_owned()
 }
@@ -257,6 +269,10 @@ mod tests {
         assert_eq!(
             [0.0, 999.0, 4_300.0, 1.04e6, 12.3e6].map(format_rate),
             ["0 B/s", "999 B/s", "4 kB/s", "1.0 MB/s", "12 MB/s"]
+        );
+        assert_eq!(
+            [999, 4_300, 1_040_000, 12_300_000_000, 250_000_000_000].map(format_bytes),
+            ["999 bytes", "4 kB", "1.0 MB", "12.3 GB", "250 GB"]
         );
     }
 }

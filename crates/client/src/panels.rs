@@ -27,11 +27,11 @@ fn is_dark(ctx: &egui::Context) -> bool {
 }
 
 /// Text to be read, and text beside it.
-fn bright(ctx: &egui::Context) -> Color32 {
+pub(crate) fn bright(ctx: &egui::Context) -> Color32 {
     if is_dark(ctx) { Color32::from_gray(232) } else { Color32::from_gray(20) }
 }
 
-fn quiet(ctx: &egui::Context) -> Color32 {
+pub(crate) fn quiet(ctx: &egui::Context) -> Color32 {
     if is_dark(ctx) { Color32::from_gray(178) } else { Color32::from_gray(70) }
 }
 
@@ -86,9 +86,15 @@ fn row(ui: &mut Ui, name: &str, value: &str) {
     });
 }
 
-/// One line at the bottom, clear of the other panes, while something is wrong with the connection.
-pub(crate) fn banner(ctx: &egui::Context, text: &str) {
-    let area = egui::Area::new(egui::Id::unique("banner")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
+/// Gives a widget its name for screen readers and tests.
+pub(crate) fn named(response: &egui::Response, role: egui::Role, name: &str) {
+    response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
+}
+
+/// One line at the bottom, `lift` points above it, while something is wrong with the connection.
+pub(crate) fn banner(ctx: &egui::Context, text: &str, lift: f32) {
+    let area =
+        egui::Area::new(egui::Id::unique("banner")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0 - lift));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
             ui.set_max_width((ctx.content_rect().width() - 60.0).max(200.0));
@@ -98,11 +104,12 @@ pub(crate) fn banner(ctx: &egui::Context, text: &str) {
 }
 
 /// One line at the top, while the picture is made with an older look than was asked for.
-pub(crate) fn older_look(ctx: &egui::Context) {
+pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool) {
     let area = egui::Area::new(egui::Id::unique("older look")).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
-            ui.label(RichText::new("shown with the look before; the new one is on its way").size(12.0));
+            let what = if is_of_volume { "shown with the look before" } else { "the volume before" };
+            ui.label(RichText::new(format!("{what}; the new one is on its way")).size(12.0));
         });
     });
 }

@@ -136,6 +136,8 @@ pub struct Viewing<S> {
     /// The last change of it.
     look_changed_at: Option<Duration>,
     older_look_since: Option<Duration>,
+    /// The box of the volume that the newest frame is of.
+    frame_bounds: Option<Aabb>,
 }
 
 impl<S: FrameSource> Viewing<S> {
@@ -159,6 +161,7 @@ impl<S: FrameSource> Viewing<S> {
             look_pace: Pace::new(LOOK_PERIOD),
             look_changed_at: None,
             older_look_since: None,
+            frame_bounds: None,
         }
     }
 
@@ -213,10 +216,17 @@ impl<S: FrameSource> Viewing<S> {
             self.source.note_shown(f.frame.header.frame);
         }
         self.last = Some((camera, frame.clone()));
+        // Until the first frame of another volume is there, the one before is shown as it was, and as large.
+        let is_of_volume = frame.as_deref().is_none_or(|f| self.source.is_of_volume(f));
+        let drawn = *self.frame_bounds.get_or_insert(*bounds);
+        let (drawn, camera) = match is_of_volume {
+            true => (*self.frame_bounds.insert(*bounds), camera),
+            false => (drawn, Camera::new(scaled(&pose, bounds, &drawn), picture, &drawn)),
+        };
         let mut kept = Vec::new();
         if let Some(frame) = frame.as_ref().filter(|_| self.foresight.keeps) {
-            self.kept.note(frame, bounds);
-            kept = self.kept.choose(frame, &camera, bounds);
+            self.kept.note(frame, &drawn);
+            kept = self.kept.choose(frame, &camera, &drawn);
         }
         let header = frame.as_ref().map(|f| f.frame.header);
         let has_older_look = frame.as_ref().is_some_and(|f| !self.has_wanted_look(f));
@@ -228,7 +238,7 @@ impl<S: FrameSource> Viewing<S> {
             is_ahead: ahead != pose,
             kept,
             camera,
-            bounds: *bounds,
+            bounds: drawn,
             frame,
             changed,
             older_look_since: self.older_look_since,
@@ -409,6 +419,12 @@ impl<S: FrameSource> Viewing<S> {
         let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
         now.checked_sub(since)
     }
+}
+
+/// The pose that sees the box `to` as `pose` sees the box `from`, where both are the same but for their size.
+fn scaled(pose: &Pose, from: &Aabb, to: &Aabb) -> Pose {
+    let eye = to.center() + (pose.eye - from.center()) * (to.radius() / from.radius());
+    Pose { eye, ..*pose }
 }
 
 /// Whether a frame holds the lists of `full` from `pose`, with or without a margin around them. A smaller frame, asked

@@ -39,3 +39,7 @@ id!(
     /// Position of a chunk within its frame: 0 is sent first.
     ChunkIndex(u16)
 );
+id!(
+    /// One reading of another part of the file, numbered by the server.
+    LoadId(u32)
+);

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::select::Selection;
 use crate::warning::Warning;
 
 /// What there is in a file or folder, and the part of it that the options take.
@@ -10,6 +11,9 @@ pub struct Outline {
     /// File name or name of the built-in volume.
     #[serde(skip)]
     pub name: String,
+    /// What would be shown: channel, time, level and series are named.
+    #[serde(skip)]
+    pub shown: Selection,
     /// Format, such as `NIfTI-1, gzip`.
     pub format: String,
     /// Type of a voxel in the file.
@@ -65,6 +69,13 @@ pub struct Level {
     pub dims: [u64; 3],
     /// Distances between voxel centres along x, y, z.
     pub spacing: [f64; 3],
+}
+
+impl Outline {
+    /// Bytes of memory that there must be to open it: while it is read or after, whichever is more.
+    pub fn bytes_needed(&self) -> u64 {
+        self.bytes_in_memory.max(self.bytes_while_reading)
+    }
 }
 
 impl fmt::Display for Outline {

@@ -9,6 +9,7 @@ use crate::axes::{Geometry, Grid};
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, shown};
 use crate::outline::{Level, Outline};
+use crate::select::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::taker::Taker;
 use crate::warning::{Warning, WarningKind};
@@ -66,6 +67,8 @@ pub(crate) struct Plan {
     pub(crate) level: usize,
     /// Series of a folder, each in words; empty if there is one.
     pub(crate) series: Vec<String>,
+    /// The series that is shown if none is asked for.
+    pub(crate) usual_series: u32,
     pub(crate) modality: Option<String>,
     /// What to say of the spacing if the file does not know it, and the options neither.
     pub(crate) spacing_guess: Option<String>,
@@ -98,6 +101,7 @@ impl Plan {
             levels: Vec::new(),
             level: 0,
             series: Vec::new(),
+            usual_series: 0,
             modality: None,
             spacing_guess: None,
             has_gaps: true,
@@ -188,7 +192,8 @@ impl Plan {
         let ranges: Vec<Range<u64>> = ranges.collect();
         // At most 2048³: no product can overflow.
         let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
-        let chosen = Chosen { grid, ranges, num_voxels, in_file, warnings };
+        let (channel, time) = (channel as u32, time as u32);
+        let chosen = Chosen { grid, channel, time, ranges, num_voxels, in_file, warnings };
         options.check_memory(path, chosen.bytes_while_reading(self.dtype))?;
         Ok(chosen)
     }
@@ -196,7 +201,15 @@ impl Plan {
     /// What there is, and what would be taken.
     pub(crate) fn outline(&self, path: &Path, chosen: &Chosen, options: &OpenOptions) -> Outline {
         let grid = &chosen.grid;
+        let level = options.selection.level.unwrap_or(self.level as u32);
         Outline {
+            shown: Selection {
+                channel: Some(chosen.channel),
+                time: Some(chosen.time),
+                level: Some(level),
+                series: Some(options.selection.series.unwrap_or(self.usual_series)),
+                region: options.selection.region,
+            },
             name: file_name(path),
             format: self.format.clone(),
             dtype: self.dtype.name().to_owned(),
@@ -214,7 +227,7 @@ impl Plan {
             num_channels: self.channels(),
             num_times: self.times(),
             levels: self.levels.clone(),
-            level: options.selection.level.unwrap_or(self.level as u32),
+            level,
             series: self.series.clone(),
             modality: self.modality.clone(),
             center: grid.placement.map(|p| p.center),
@@ -231,6 +244,8 @@ impl Plan {
 #[derive(Debug)]
 pub(crate) struct Chosen {
     pub(crate) grid: Grid,
+    pub(crate) channel: u32,
+    pub(crate) time: u32,
     /// Along each axis of the plan.
     pub(crate) ranges: Vec<Range<u64>>,
     pub(crate) num_voxels: u64,

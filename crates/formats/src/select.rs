@@ -1,5 +1,6 @@
 //! Which part of a file with more than three axes, or more voxels than wanted, becomes the volume.
 
+use std::fmt;
 use std::str::FromStr;
 
 /// What to take of a file; what is not named is the first channel and time, the finest level that fits into memory, the
@@ -25,6 +26,18 @@ pub struct Region {
     pub min: [u32; 3],
     /// Voxel after the last; `None`: to the end.
     pub max: [Option<u32>; 3],
+}
+
+/// As it is read.
+impl fmt::Display for Region {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for axis in 0..3 {
+            let comma = if axis == 0 { "" } else { "," };
+            write!(f, "{comma}{}:", self.min[axis])?;
+            self.max[axis].map_or(Ok(()), |max| write!(f, "{max}"))?;
+        }
+        Ok(())
+    }
 }
 
 impl FromStr for Region {
@@ -59,6 +72,7 @@ mod tests {
     fn regions_are_read_and_nonsense_is_refused() {
         let region = Region { min: [1, 0, 7], max: [Some(5), None, None] };
         assert_eq!("1:5,:,7:".parse(), Ok(region));
+        assert_eq!(region.to_string().parse(), Ok(region));
         for bad in ["", "1:5", "1:5,:,:,:", "5:5,:,:", "5:1,:,:", ":0,:,:", "a:b,:,:", "1,2,3", "-1:2,:,:"] {
             assert!(bad.parse::<Region>().is_err(), "{bad}");
         }

@@ -1,9 +1,10 @@
 //! Arguments that several commands share.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use isinglass_bench::paths;
@@ -19,9 +20,14 @@ use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
-use isinglass_formats::{Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, open, outline};
+use isinglass_formats::{
+    Dtype, Endian, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, open, outline,
+};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
+
+use crate::library::{FileLoader, OpenedFile};
+use crate::memory::MemoryArgs;
 
 /// A volume, and the shape of a raw one.
 #[derive(Args, Clone, Debug)]
@@ -387,6 +393,19 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<Opened
         open_scene(&volume.volume, look.tf.as_deref(), march_settings(look.is_shaded()), &options)
     });
     Ok(opened?)
+}
+
+/// Opens a volume to serve within a limit of memory, with the rest of its file; large files show their progress.
+pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
+    let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
+    let OpenOptions { raw, selection, spacing, max_bytes, .. } = options;
+    let request = LoadRequest { source: volume.volume.clone(), raw, selection, spacing, max_bytes };
+    let loader = FileLoader::new(&request, look.tf.as_deref())?;
+    let before = loader.outline(selection, 0).map_err(|e| anyhow!(e))?;
+    let opened = show_progress(&before, |progress| {
+        open(&volume.volume, &OpenOptions { progress: Some(progress), ..options })
+    });
+    loader.opened(Arc::new(opened?), &before)
 }
 
 /// The path of a file to write, checked before any work is done: its folder must exist.

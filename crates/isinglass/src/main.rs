@@ -7,6 +7,8 @@
 mod args;
 mod commands;
 mod lens_args;
+mod library;
+mod memory;
 mod report;
 
 use std::process::ExitCode;

@@ -1,28 +1,31 @@
 //! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own
-//! pose and look.
+//! pose and look. Another part of the volume's file may take its place, for all of them.
 //!
 //! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
 //! waiting, so all get the same share. A viewer's frame is always made for the newest pose that has arrived, and none
 //! is made for a pose that has been answered; at rest the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod generator;
+mod parts;
 mod serving;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use isinglass_core::ids::LookVersion;
 use isinglass_core::kernels::march::{MarchSettings, Scene, Shading};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
-use isinglass_core::wire::VolumeDescription;
+use isinglass_core::wire::Parts;
 use isinglass_gpu::{Backend, GpuError};
-use isinglass_net::{BindError, Greeting, Identity, Link, Server};
-use tokio::sync::{mpsc, oneshot};
+use isinglass_net::{BindError, Identity, Link, Server};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
-pub use generator::{GenerateError, Generated, Generator, Wish};
+use generator::Generator;
+use parts::{Librarian, Present, SceneNumber};
+
+pub use parts::{Loaded, Loader, Survey};
 
 /// What to serve, and how.
 pub struct ServeOptions {
@@ -38,6 +41,17 @@ pub struct ServeOptions {
     pub plan: Plan,
     /// Viewers at the same time.
     pub max_viewers: u32,
+    /// What else there is in the volume's file, for viewers to choose; none: they cannot choose another part.
+    pub library: Option<Library>,
+}
+
+/// The file that a volume comes from.
+#[derive(Clone)]
+pub struct Library {
+    /// What there is to choose, and what is shown at first.
+    pub parts: Parts,
+    /// Opens it.
+    pub loader: Arc<dyn Loader>,
 }
 
 /// Why there is no server.
@@ -78,23 +92,35 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, plan, max_viewers } = options;
+    let ServeOptions { volume, look, backend, listen, plan, max_viewers, library } = options;
     let scene = Scene::new(volume, &look.transfer, march_settings(&look));
-    let bounds = scene.volume.bounds();
-    let greeting = Greeting {
-        volume: VolumeDescription::of(&scene.volume, &scene.histogram),
-        look_version: LookVersion(1),
-        look: look.clone(),
-    };
+    let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
+    let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
     let identity = Identity::generate()?;
-    let server = Server::bind(listen, &identity, isinglass_net::ServerOptions { max_viewers }, greeting)?;
+    let options = isinglass_net::ServerOptions { max_viewers };
+    let server = Server::bind(listen, &identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
-    let generator = Generator::start(&backend, scene, look.clone())?;
+    let generator = Generator::start(&backend, scene, look)?;
     let (commands, receiver) = mpsc::channel(1);
-    let serving = tokio::spawn(serving::serve(server, generator, bounds, look, plan, receiver));
+    let (present_in, present) = watch::channel(present);
+    let (load_in, load) = watch::channel(None);
+    let (orders, orders_out) = mpsc::channel(MAX_ORDERS);
     tracing::info!(%address, backend = backend.description(), "serving");
+    let librarian = Librarian {
+        loader,
+        backend,
+        generator: generator.clone(),
+        orders: orders_out,
+        present: present_in,
+        load: load_in,
+    };
+    let house = serving::House { generator, present, load, orders, plan };
+    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver));
     Ok(RunningServer { address, commands, serving })
 }
+
+/// Orders of parts that wait: the newest counts, and each is taken at once.
+const MAX_ORDERS: usize = 16;
 
 /// How the volume is marched under a look.
 pub fn march_settings(look: &Look) -> MarchSettings {

@@ -12,37 +12,50 @@ use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
-use isinglass_core::space::Aabb;
-use isinglass_core::wire::{PoseRequest, ServerStats};
+use isinglass_core::wire::{LoadStatus, PoseRequest, ServerStats, VolumeChange};
 use isinglass_net::server::{ControlSender, FrameSender};
 use isinglass_net::{Server, Session, SessionClosed};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
 
 use crate::Command;
 use crate::generator::{GenerateError, Generated, Generator, Wish};
+use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD};
+
+/// What all viewers share.
+#[derive(Clone)]
+pub(crate) struct House {
+    pub(crate) generator: Generator,
+    pub(crate) present: watch::Receiver<Arc<Present>>,
+    pub(crate) load: watch::Receiver<Option<Load>>,
+    pub(crate) orders: mpsc::Sender<Order>,
+    pub(crate) plan: Plan,
+}
 
 /// Lets viewers in until told to close.
 pub(crate) async fn serve(
     mut server: Server,
-    generator: Generator,
-    bounds: Aabb,
-    look: Look,
-    plan: Plan,
+    librarian: Librarian,
+    house: House,
     mut commands: mpsc::Receiver<Command>,
 ) {
     let mut viewers = JoinSet::new();
+    let mut present = house.present.clone();
+    let librarian = tokio::spawn(librarian.run());
     loop {
         tokio::select! {
             session = server.accept() => {
                 let Some(session) = session else { break };
                 let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
-                let viewer = Viewer::new(session, generator.clone(), bounds, look.clone(), plan);
+                let viewer = Viewer::new(session, house.clone());
                 viewers.spawn(viewer.run().instrument(span));
             }
             Some(_) = viewers.join_next() => {}
+            Ok(()) = present.changed() => {
+                server.set_greeting(present.borrow_and_update().greeting.clone());
+            }
             command = commands.recv() => match command {
                 Some(Command::MintLink { host, reply }) => {
                     let _ = reply.send(server.mint_link(&host));
@@ -51,14 +64,16 @@ pub(crate) async fn serve(
             },
         }
     }
+    librarian.abort();
     server.close().await;
 }
 
 /// One viewer: turns its newest pose into frames until the connection is over.
 struct Viewer {
     session: Session,
-    generator: Generator,
-    bounds: Aabb,
+    house: House,
+    /// The volume that its frames are of.
+    present: Arc<Present>,
     look: Arc<Look>,
     version: LookVersion,
     mode: Mode,
@@ -74,6 +89,8 @@ struct Viewer {
     resting: Option<Sent>,
     /// Whether the frame before was given up, so that this one is not.
     has_given_up: bool,
+    /// When a load may be told of again.
+    tell_at: Instant,
 }
 
 /// A frame on its way to the network.
@@ -107,13 +124,20 @@ struct Sent {
 }
 
 impl Viewer {
-    fn new(session: Session, generator: Generator, bounds: Aabb, look: Look, plan: Plan) -> Self {
+    fn new(session: Session, mut house: House) -> Self {
+        let plan = house.plan;
         session.frames.set_rate(plan.bytes_per_second);
+        let present = house.present.borrow_and_update().clone();
+        // What is being read now is news; what was read before is not.
+        let is_reading = house.load.borrow_and_update().as_ref().is_some_and(Load::is_reading);
+        if is_reading {
+            house.load.mark_changed();
+        }
         Self {
+            look: Arc::new(session.greeting.look.clone()),
             session,
-            generator,
-            bounds,
-            look: Arc::new(look),
+            house,
+            present,
             version: LookVersion(1),
             mode: plan.mode,
             pilot: Pilot::new(plan),
@@ -123,12 +147,20 @@ impl Viewer {
             sent: References::default(),
             resting: None,
             has_given_up: false,
+            tell_at: Instant::now(),
         }
     }
 
     async fn run(mut self) {
         tracing::info!("viewer connected");
-        while self.wait_for_work().await {
+        // Another volume may have come since it was let in.
+        let is_welcome = if Arc::ptr_eq(&self.session.greeting, &self.present.greeting) {
+            self.tell_parts().await
+        } else {
+            let greeted = self.session.greeting.look.clone();
+            self.turn_to_present(&greeted).await
+        };
+        while is_welcome && self.wait_for_work().await {
             let Some(request) = *self.session.poses.borrow_and_update() else { continue };
             if self.answered == Some((request.id, self.version)) {
                 continue;
@@ -148,11 +180,18 @@ impl Viewer {
         let finer_at = finer.zip(self.resting.as_ref()).map(|(_, sent)| sent.ticket.asked_at + REST);
         tokio::select! {
             biased;
-            changed = self.session.poses.changed() => changed.is_ok(),
+            // Poses last: while the camera moves there is always another.
+            Ok(()) = self.house.present.changed() => {
+                let before = self.present.clone();
+                self.present = self.house.present.borrow_and_update().clone();
+                self.turn_to_present(&before.greeting.look).await
+            }
             request = self.session.requests.recv() => match request {
                 Some(request) => self.take(request).await,
                 None => false,
             },
+            () = load_due(&mut self.house.load, self.tell_at) => self.tell_load().await,
+            changed = self.session.poses.changed() => changed.is_ok(),
             ended = finished(&mut self.sending), if self.sending.is_some() => self.note_sent(ended),
             () = tokio::time::sleep_until(finer_at.unwrap_or_else(Instant::now)),
                 if finer_at.is_some() && self.sending.is_none() => {
@@ -162,6 +201,39 @@ impl Viewer {
                 true
             }
         }
+    }
+
+    /// The volume is another from now on. A look that nobody has chosen gives way to the one that suits it.
+    async fn turn_to_present(&mut self, usual_look: &Look) -> bool {
+        self.version = self.version.next();
+        if self.look.transfer == usual_look.transfer {
+            let transfer = self.present.greeting.look.transfer.clone();
+            self.look = Arc::new(Look { transfer, ..(*self.look).clone() });
+        }
+        (self.answered, self.resting, self.sent) = (None, None, References::default());
+        self.session.poses.mark_changed();
+        let change = VolumeChange {
+            volume: self.present.greeting.volume.clone(),
+            look_version: self.version,
+            look: (*self.look).clone(),
+        };
+        self.session.control.volume_changed(change).await.is_ok() && self.tell_parts().await
+    }
+
+    async fn tell_parts(&self) -> bool {
+        match self.present.parts.clone() {
+            Some(parts) => self.session.control.parts(parts).await.is_ok(),
+            None => true,
+        }
+    }
+
+    async fn tell_load(&mut self) -> bool {
+        self.tell_at = Instant::now() + TELL_PERIOD;
+        let load = self.house.load.borrow_and_update().clone();
+        let Some(Load { id, viewer, part, bytes_needed, state }) = load else { return true };
+        let is_own = viewer == self.session.viewer;
+        let status = LoadStatus { load: id, is_own, part, bytes_needed, state };
+        self.session.control.load(status).await.is_ok()
     }
 
     /// How a frame that was sent shall be sent again if the camera rests where it is.
@@ -188,6 +260,11 @@ impl Viewer {
                 Request::SetLook(look) => newest_look = Some(look),
                 Request::Stats(stats) => tracing::debug!(?stats, "viewer"),
                 Request::Bye => return false,
+                // A librarian that is gone leaves the volume as it is.
+                Request::OpenPart(part) => {
+                    let _ = self.house.orders.send(Order::Open(self.session.viewer, part)).await;
+                }
+                Request::CancelPart => drop(self.house.orders.send(Order::Cancel).await),
             }
             next = self.session.requests.try_recv().ok();
         }
@@ -210,7 +287,7 @@ impl Viewer {
             frame: self.frame,
             pose: request.id,
             look: self.version,
-            camera: Camera::new(request.pose, bounded(request.intrinsics, self.look.k), &self.bounds),
+            camera: Camera::new(request.pose, bounded(request.intrinsics, self.look.k), &self.present.bounds),
             k: self.look.k,
         };
         let generated = match self.generate(request, header).await {
@@ -219,6 +296,11 @@ impl Viewer {
             Some(Err(GenerateError::GivenUp)) => {
                 tracing::trace!("frame {} given up: the camera moves on", self.frame);
                 self.has_given_up = true;
+                self.answered = None;
+                return true;
+            }
+            Some(Err(GenerateError::OtherVolume)) => {
+                // The change is about to be told, and the pose answered with it.
                 self.answered = None;
                 return true;
             }
@@ -274,7 +356,12 @@ impl Viewer {
     ) -> Option<Result<Generated, GenerateError>> {
         let wish = Wish::default();
         let asked_at = Instant::now();
-        let mut generating = pin!(self.generator.generate((*self.look).clone(), header, wish.clone()));
+        let mut generating = pin!(self.house.generator.generate(
+            self.present.scene,
+            (*self.look).clone(),
+            header,
+            wish.clone()
+        ));
         // Never twice in a row: a viewer that is slow to ask would get no frame at all.
         let mut is_watching = !self.has_given_up;
         loop {
@@ -348,6 +435,20 @@ impl Viewer {
             self.pilot.handle_link(self.session.frames.link_state());
         }
         true
+    }
+}
+
+/// Returns when there is news of a load to tell. Nothing is lost if this is dropped.
+async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
+    if load.changed().await.is_err() {
+        // Without a librarian there is no more news.
+        return std::future::pending().await;
+    }
+    // It has yet to be told.
+    load.mark_changed();
+    let is_reading = load.borrow().as_ref().is_some_and(Load::is_reading);
+    if is_reading {
+        tokio::time::sleep_until(tell_at).await;
     }
 }
 

@@ -169,6 +169,7 @@ fn serve_and_play(
         listen: ([127, 0, 0, 1], 0).into(),
         plan: options.plan,
         max_viewers: 1,
+        library: None,
     };
     let (server, link) = runtime.block_on(async {
         let server = start(serve).map_err(|e| failed("server", &e))?;

@@ -21,6 +21,8 @@ use plot::{Grip, LEAST_WINDOW};
 pub(crate) use scale::ValueScale;
 use scale::format_value;
 
+use crate::panels::named;
+
 /// The state of the editor. It shows what it is given, and tells what was made of it.
 pub(crate) struct TransferEditor {
     curve: Curve,
@@ -470,11 +472,6 @@ fn number(
     }
     named_number(&response, egui::Role::SpinButton, name, f64::from(*value));
     response
-}
-
-/// Gives a widget its name for screen readers and tests.
-fn named(response: &egui::Response, role: egui::Role, name: &str) {
-    response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
 }
 
 fn named_number(response: &egui::Response, role: egui::Role, name: &str, value: f64) {

@@ -22,6 +22,8 @@ pub(crate) struct FakeSource {
     pub(crate) stats: LinkStats,
     /// Whether frames come in blocks.
     pub(crate) in_blocks: bool,
+    /// Frames of older looks are of the volume before.
+    pub(crate) volume_since: LookVersion,
 }
 
 impl FrameSource for FakeSource {
@@ -78,6 +80,10 @@ impl FrameSource for FakeSource {
     }
 
     fn report(&mut self, _stats: ClientStats) {}
+
+    fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
+        frame.frame.header.look >= self.volume_since
+    }
 }
 
 impl FakeSource {
@@ -434,4 +440,30 @@ fn a_refresh_knows_whether_anything_changed_and_tells_of_new_frames_once() {
     assert!(v.refresh(ms(2), at(0.0), PICTURE, &BOUNDS).changed);
     assert!(!v.refresh(ms(3), at(0.0), PICTURE, &BOUNDS).changed);
     assert_eq!(v.source.shown, [FrameId(1)]);
+}
+
+#[test]
+fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_it_is_there() {
+    let mut viewing = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
+    viewing.source.look = Some((LookVersion(1), Arc::new(look("first"))));
+    viewing.refresh(ms(0), at(10.0), PICTURE, &BOUNDS);
+    viewing.source.answer(1, ms(0), true);
+    let before = viewing.refresh(ms(500), at(10.0), PICTURE, &BOUNDS);
+    assert_eq!((before.bounds, before.camera.pose), (BOUNDS, at(10.0)));
+
+    // Ten times as large, seen from ten times as far.
+    let large = Aabb { min: BOUNDS.min * 10.0, max: BOUNDS.max * 10.0 };
+    let far = Pose { eye: at(10.0).eye * 10.0, ..at(10.0) };
+    viewing.source.look = Some((LookVersion(2), Arc::new(look("second"))));
+    viewing.source.volume_since = LookVersion(2);
+    let meanwhile = viewing.refresh(ms(510), far, PICTURE, &large);
+    assert_eq!(viewing.source.asked.last().unwrap().0, far, "the new volume is asked for");
+    assert_eq!(meanwhile.bounds, BOUNDS);
+    assert!((meanwhile.camera.pose.eye - before.camera.pose.eye).length() < 1e-5, "the picture stays");
+    assert!(meanwhile.standing != Standing::Exact && meanwhile.older_look_since.is_some());
+    let number = viewing.source.asked.len() as u32;
+    viewing.source.answer(number, ms(510), true);
+    let after = viewing.refresh(ms(900), far, PICTURE, &large);
+    assert_eq!((after.bounds, after.camera.pose), (large, far));
+    assert!(after.older_look_since.is_none());
 }

@@ -9,7 +9,7 @@ use super::bucket::Bucket;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
 use crate::look::Look;
 use crate::wire::control::ControlError;
-use crate::wire::{ClientMessage, ClientStats, PoseError, PoseRequest, Refusal};
+use crate::wire::{ClientMessage, ClientStats, Part, PoseError, PoseRequest, Refusal};
 
 /// State of one admitted connection.
 ///
@@ -34,6 +34,10 @@ pub enum Request {
     Stats(ClientStats),
     /// The client leaves.
     Bye,
+    /// Another part of the file.
+    OpenPart(Part),
+    /// No other part any more.
+    CancelPart,
 }
 
 impl Session {
@@ -87,6 +91,8 @@ impl Session {
             ClientMessage::SetLook(look) => Ok(Request::SetLook(look)),
             ClientMessage::Stats(stats) => Ok(Request::Stats(stats)),
             ClientMessage::Bye => Ok(Request::Bye),
+            ClientMessage::OpenPart(part) => Ok(Request::OpenPart(part)),
+            ClientMessage::CancelPart => Ok(Request::CancelPart),
             ClientMessage::Hello { .. } => Err(Refusal::Protocol("a second hello".into())),
         }
     }

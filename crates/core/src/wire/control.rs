@@ -7,7 +7,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{MAX_CONTROL_BYTES, PROTOCOL_VERSION, Token};
+use super::{LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, Parts, Token};
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
@@ -34,6 +34,10 @@ pub enum ClientMessage {
     Stats(ClientStats),
     /// The client leaves on its own will.
     Bye,
+    /// Asks for another part of the file, for all viewers.
+    OpenPart(Part),
+    /// The part that is being read is not wanted any more.
+    CancelPart,
 }
 
 /// What a server says. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -54,6 +58,23 @@ pub enum ServerMessage {
     Notice(String),
     /// What the newest frame cost.
     Stats(ServerStats),
+    /// Frames from now on show another volume.
+    VolumeChanged(Box<VolumeChange>),
+    /// What else the file holds.
+    Parts(Box<Parts>),
+    /// How the reading of another part stands.
+    Load(LoadStatus),
+}
+
+/// Another volume takes the place of the one that was shown.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VolumeChange {
+    /// The volume.
+    pub volume: VolumeDescription,
+    /// Frames of this look or a later one are of this volume, all others of the one before.
+    pub look_version: LookVersion,
+    /// The look.
+    pub look: Look,
 }
 
 /// All that a viewer must know to begin.
@@ -197,7 +218,8 @@ impl Message for ClientMessage {
             Self::Hello { name, .. } => text("name", name, MAX_NAME_BYTES),
             Self::SetLook(look) => Ok(look.validate()?),
             Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
-            Self::Stats(_) | Self::Bye => Ok(()),
+            Self::OpenPart(part) => part.validate(),
+            Self::Stats(_) | Self::Bye | Self::CancelPart => Ok(()),
         }
     }
 }
@@ -216,6 +238,12 @@ impl Message for ServerMessage {
             Self::LookChanged { look, .. } => Ok(look.validate()?),
             Self::Refused(Refusal::Protocol(s)) => text("reason", s, MAX_NOTICE_BYTES),
             Self::Notice(s) => text("notice", s, MAX_NOTICE_BYTES),
+            Self::VolumeChanged(change) => {
+                change.volume.validate()?;
+                Ok(change.look.validate()?)
+            }
+            Self::Parts(parts) => parts.validate(),
+            Self::Load(status) => status.validate(),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }
@@ -322,7 +350,7 @@ fn check_length(length: usize) -> Result<usize, ControlError> {
 }
 
 /// Texts of a peer reach a terminal: control characters could rewrite it.
-fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
+pub(super) fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
     if s.len() > max_bytes || s.chars().any(char::is_control) {
         Err(ControlError::Text(what))
     } else {
@@ -334,7 +362,7 @@ fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlErro
 /// message.
 pub const MAX_BINS: usize = 4096;
 /// Longest notice.
-const MAX_NOTICE_BYTES: usize = 2000;
+pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 
 #[cfg(test)]
 mod tests {

@@ -8,18 +8,21 @@
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
 
 pub mod control;
+mod parts;
 mod pose;
 mod token;
 
 pub use control::{
-    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeDescription, Welcome,
+    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
+    VolumeDescription, Welcome,
 };
+pub use parts::{LoadState, LoadStatus, Part, Parts};
 pub use pose::{POSE_BYTES, PoseError, PoseRequest};
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.
-pub const PROTOCOL_VERSION: u32 = 2;
+pub const PROTOCOL_VERSION: u32 = 3;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/2";
+pub const ALPN: &[u8] = b"isinglass/3";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

@@ -136,6 +136,7 @@ impl DicomFiles {
                 plan.warn(WarningKind::Choice, text);
             }
             plan.series = names;
+            plan.usual_series = largest as u32;
         }
         if num_other > 0 && is_folder {
             let first = first_problem.map_or(String::new(), |e| format!(", the first: {e}"));

@@ -15,8 +15,9 @@ use isinglass_server::ServeOptions;
 
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
-    RawArgs, VolumeArgs, open_volume, parse_duration, parse_fov, parse_size,
+    RawArgs, VolumeArgs, open_to_serve, parse_duration, parse_fov, parse_size,
 };
+use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 
 #[derive(Args, Clone)]
@@ -69,6 +70,8 @@ pub(crate) struct DemoArgs {
     plan: PlanArgs,
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    memory: MemoryArgs,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -134,15 +137,16 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
         raw: args.raw,
         part: args.part,
     };
-    let opened = open_volume(&volume, &args.look)?;
+    let opened = open_to_serve(&volume, &args.look, &args.memory)?;
     let look = args.look.look(opened.transfer, &args.layering);
     let options = ServeOptions {
-        volume: opened.scene.volume,
+        volume: opened.volume,
         look,
         backend: args.backend.open()?,
         listen: ([127, 0, 0, 1], 0).into(),
         plan: args.plan.plan(None),
         max_viewers: 1,
+        library: Some(opened.library),
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let (server, server_link) = runtime.block_on(async {

@@ -8,7 +8,8 @@ use isinglass_bench::progress::note;
 use isinglass_server::ServeOptions;
 use serde_json::json;
 
-use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, open_volume, parse_mbit};
+use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, open_to_serve, parse_mbit};
+use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 
 #[derive(Args)]
@@ -36,23 +37,29 @@ pub(crate) struct ServeArgs {
     rate: Option<f64>,
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    memory: MemoryArgs,
+    /// Show what is named here only: viewers cannot choose another channel, time, level or series
+    #[arg(long)]
+    fixed: bool,
     /// Print the links as JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(args: ServeArgs) -> Result<()> {
-    let opened = open_volume(&args.volume, &args.look)?;
+    let opened = open_to_serve(&args.volume, &args.look, &args.memory)?;
     let look = args.look.look(opened.transfer, &args.layering);
     let backend = args.backend.open()?;
     let description = backend.description();
     let options = ServeOptions {
-        volume: opened.scene.volume,
+        volume: opened.volume,
         look,
         backend,
         listen: args.listen,
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
+        library: (!args.fixed).then_some(opened.library),
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     runtime.block_on(async {

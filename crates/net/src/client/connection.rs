@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::wire::control::hello;
-use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token};
+use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeChange, Welcome};
 use quinn::{
     AsyncUdpSocket, Connection, ConnectionError, Endpoint, EndpointConfig, RecvStream, Runtime,
     SendDatagramError, SendStream, TokioRuntime, TransportErrorCode,
@@ -155,10 +155,17 @@ impl Dialer {
         match message {
             ServerMessage::Welcome(welcome) => {
                 self.token = welcome.ticket.clone();
-                shared.session().handle_connected();
+                let number = {
+                    let mut session = shared.session();
+                    session.handle_connected();
+                    session.connection()
+                };
                 shared.update(|s| {
+                    s.connection = number;
                     s.look = Some((welcome.look_version, Arc::new(welcome.look.clone())));
                     s.welcome = Some(Arc::new(*welcome));
+                    // Both are said again, if there are any.
+                    (s.parts, s.load) = (None, None);
                     s.state = State::Connected;
                 });
                 Ok(Dialed { endpoint, connection, send, recv })
@@ -375,6 +382,9 @@ async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
             Ok(ServerMessage::LookChanged { version, look }) => {
                 shared.update(|s| s.look = Some((version, Arc::new(look))));
             }
+            Ok(ServerMessage::VolumeChanged(change)) => change_volume(shared, *change),
+            Ok(ServerMessage::Parts(parts)) => shared.update(|s| s.parts = Some(Arc::new(*parts))),
+            Ok(ServerMessage::Load(load)) => shared.update(|s| s.load = Some(load)),
             Ok(ServerMessage::Notice(text)) => {
                 shared.status.put_notice(text);
                 (shared.wake)();
@@ -390,14 +400,37 @@ async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
     }
 }
 
-/// Looks and reports, the newest of each.
+/// Another volume is shown from now on. Its look may be another too, which is not to be undone by asking again for the one
+/// before.
+fn change_volume(shared: &Shared, change: VolumeChange) {
+    let VolumeChange { volume, look_version, look } = change;
+    let before = shared.status.read().look.clone();
+    shared.look.send_if_modified(|wanted| {
+        if wanted.is_some() && wanted.as_ref() == before.as_ref().map(|(_, look)| &**look) {
+            *wanted = None;
+        }
+        false
+    });
+    shared.update(|s| {
+        if let Some(welcome) = &s.welcome {
+            s.welcome =
+                Some(Arc::new(Welcome { volume, look_version, look: look.clone(), ..(**welcome).clone() }));
+        }
+        s.look = Some((look_version, Arc::new(look)));
+    });
+}
+
+/// Looks, parts and reports, the newest of each.
 async fn write_messages(shared: &Shared, stream: &mut SendStream) {
     let mut looks = shared.look.subscribe();
     let mut reports = shared.report.subscribe();
+    let mut parts = shared.part.subscribe();
     // A look that was asked for over a connection that is gone is asked for again.
     looks.mark_changed();
     // Once one was asked for over this connection, what is in force is on its way to that one.
-    let mut asked = shared.status.read().look.as_ref().map(|(_, in_force)| in_force.as_ref().clone());
+    let in_force = || shared.status.read().look.as_ref().map(|(_, look)| look.as_ref().clone());
+    let since = || shared.status.read().welcome.as_ref().map(|w| w.look_version);
+    let (mut asked, mut asked_since) = (in_force(), since());
     let mut next_report = Instant::now() + REPORT_INTERVAL;
     loop {
         let message = tokio::select! {
@@ -406,9 +439,20 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
                 if changed.is_err() {
                     return;
                 }
+                // Another volume may have come with another look.
+                if std::mem::replace(&mut asked_since, since()) != asked_since {
+                    asked = in_force();
+                }
                 let wanted = wanted.filter(|w| asked.as_ref() != Some(w));
                 asked = wanted.clone().or(asked);
                 wanted.map(ClientMessage::SetLook)
+            }
+            changed = parts.changed() => {
+                if changed.is_err() {
+                    return;
+                }
+                let wish = *parts.borrow_and_update();
+                wish.map(|part| part.map_or(ClientMessage::CancelPart, ClientMessage::OpenPart))
             }
             () = tokio::time::sleep_until(next_report) => {
                 next_report += REPORT_INTERVAL;

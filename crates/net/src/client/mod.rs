@@ -18,7 +18,7 @@ use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::{Look, LookError};
 use isinglass_core::session::client::{self, FrameTimes};
-use isinglass_core::wire::{ClientStats, PoseRequest, ServerStats, Welcome};
+use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, PoseRequest, ServerStats, Welcome};
 use tokio::sync::watch;
 
 use crate::clock::Clock;
@@ -158,6 +158,7 @@ impl Client {
             shown_in: Mutex::new(shown_in),
             pose: watch::Sender::new(None),
             look: watch::Sender::new(None),
+            part: watch::Sender::new(None),
             report: watch::Sender::new(None),
             stop: watch::Sender::new(false),
             counters: Arc::default(),
@@ -211,6 +212,12 @@ impl Client {
         Ok(())
     }
 
+    /// Asks for another part of the server's file, for all its viewers; none: the one that is being read is not wanted any
+    /// more. The newest wish wins. One that cannot be sent for lack of a connection is forgotten.
+    pub fn open_part(&self, part: Option<Part>) {
+        self.shared.part.send_replace(Some(part));
+    }
+
     /// Tells the server how this client fares, once a second at most.
     pub fn report(&self, stats: ClientStats) {
         self.shared.report.send_replace(Some(stats));
@@ -238,7 +245,7 @@ impl Client {
         self.shared.status.read().state.clone()
     }
 
-    /// What the server said when it let this client in, last time.
+    /// What the server said when it let this client in, last time; of the volume that is shown now.
     pub fn description(&self) -> Option<Arc<Welcome>> {
         self.shared.status.read().welcome.clone()
     }
@@ -246,6 +253,23 @@ impl Client {
     /// The look that the server has said is in force, and its number.
     pub fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
         self.shared.status.read().look.clone()
+    }
+
+    /// Whether a frame is of the volume that [`Client::description`] describes, and not of the one before.
+    pub fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
+        let status = self.shared.status.read();
+        let since = status.welcome.as_ref().map_or(LookVersion(0), |w| w.look_version);
+        frame.times.connection == status.connection && frame.frame.header.look >= since
+    }
+
+    /// What the server's file holds beside what is shown, once it said so.
+    pub fn parts(&self) -> Option<Arc<Parts>> {
+        self.shared.status.read().parts.clone()
+    }
+
+    /// How the reading of another part stands, as last heard.
+    pub fn load(&self) -> Option<LoadStatus> {
+        self.shared.status.read().load.clone()
     }
 
     /// The last line that the server wanted shown; taken when it is asked for.
@@ -311,6 +335,8 @@ struct Shared {
     shown_in: Mutex<mpsc::Receiver<(FrameId, u64)>>,
     pose: watch::Sender<Option<PoseRequest>>,
     look: watch::Sender<Option<Look>>,
+    /// The newest wish for another part; its inside is none where it is one for no other.
+    part: watch::Sender<Option<Option<Part>>>,
     report: watch::Sender<Option<ClientStats>>,
     stop: watch::Sender<bool>,
     counters: Arc<SharedCounters>,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use arc_swap::{ArcSwap, ArcSwapOption};
 use isinglass_core::ids::LookVersion;
 use isinglass_core::look::Look;
-use isinglass_core::wire::Welcome;
+use isinglass_core::wire::{LoadStatus, Parts, Welcome};
 
 use super::{ConnectError, LinkStats, State};
 
@@ -14,8 +14,14 @@ use super::{ConnectError, LinkStats, State};
 #[derive(Clone)]
 pub(super) struct Status {
     pub(super) state: State,
+    /// Number of the newest connection, from 1.
+    pub(super) connection: u32,
     pub(super) welcome: Option<Arc<Welcome>>,
     pub(super) look: Option<(LookVersion, Arc<Look>)>,
+    /// What the server's file holds.
+    pub(super) parts: Option<Arc<Parts>>,
+    /// How the reading of another part stands.
+    pub(super) load: Option<LoadStatus>,
     pub(super) last_problem: Option<String>,
     pub(super) stats: LinkStats,
 }
@@ -33,8 +39,11 @@ impl StatusBoard {
     pub(super) fn new() -> Self {
         let status = Status {
             state: State::Connecting { attempt: 1, problem: None },
+            connection: 0,
             welcome: None,
             look: None,
+            parts: None,
+            load: None,
             last_problem: None,
             stats: LinkStats::default(),
         };

@@ -109,7 +109,7 @@ impl Server {
         address: SocketAddr,
         identity: &Identity,
         options: ServerOptions,
-        greeting: Greeting,
+        greeting: impl Into<Arc<Greeting>>,
     ) -> Result<Self, BindError> {
         let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
         config
@@ -126,7 +126,7 @@ impl Server {
             .map_err(io_error)?;
         let shared = Arc::new(Shared {
             options,
-            greeting: Mutex::new(Arc::new(greeting)),
+            greeting: Mutex::new(greeting.into()),
             doors: Mutex::default(),
             strangers: Semaphore::new(MAX_STRANGERS),
         });
@@ -165,8 +165,8 @@ impl Server {
     }
 
     /// What viewers are told from now on when they are let in.
-    pub fn set_greeting(&self, greeting: Greeting) {
-        *self.shared.greeting.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(greeting);
+    pub fn set_greeting(&self, greeting: Arc<Greeting>) {
+        *self.shared.greeting.lock().unwrap_or_else(PoisonError::into_inner) = greeting;
     }
 
     /// Viewers that are connected.
@@ -236,6 +236,7 @@ struct Admitted {
     recv: RecvStream,
     place: Place,
     name: String,
+    greeting: Arc<Greeting>,
 }
 
 /// A viewer's place among those connected, given back however its task ends.
@@ -284,7 +285,7 @@ async fn admit(shared: &Arc<Shared>, incoming: Incoming) -> Option<Admitted> {
             return None;
         }
     };
-    let ((viewer, session, welcome), name) = match decision {
+    let ((viewer, session, welcome, greeting), name) = match decision {
         Ok(decision) => decision,
         Err(refusal) => {
             guard.0 = None;
@@ -298,7 +299,7 @@ async fn admit(shared: &Arc<Shared>, incoming: Incoming) -> Option<Admitted> {
         return None;
     }
     guard.0 = None;
-    Some(Admitted { connection, send, recv, place, name })
+    Some(Admitted { connection, send, recv, place, name, greeting })
 }
 
 /// Decides on a hello and takes the place.
@@ -308,7 +309,7 @@ fn welcome(
     protocol: u32,
     token: &Token,
     instance: &Token,
-) -> Result<(ViewerId, u64, Box<Welcome>), Refusal> {
+) -> Result<(ViewerId, u64, Box<Welcome>, Arc<Greeting>), Refusal> {
     let ticket = random_token().map_err(|e| Refusal::Protocol(e.to_string()))?;
     let mut doors = shared.doors();
     let viewer = doors.admission.admit(protocol, token, instance, &ticket)?;
@@ -331,7 +332,7 @@ fn welcome(
         max_side: MAX_SIDE,
         max_poses_per_second: MAX_POSES_PER_SECOND,
     };
-    Ok((viewer, session, Box::new(welcome)))
+    Ok((viewer, session, Box::new(welcome), greeting))
 }
 
 impl Shared {

@@ -8,13 +8,15 @@ use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::server::{self, Request, violation};
 use isinglass_core::wire::control::one_line;
-use isinglass_core::wire::{PoseRequest, Refusal, ServerMessage, ServerStats};
+use isinglass_core::wire::{
+    LoadState, LoadStatus, Parts, PoseRequest, Refusal, ServerMessage, ServerStats, VolumeChange,
+};
 use quinn::{Connection, RecvStream, SendStream};
 use tokio::sync::{mpsc, watch};
 use tracing::Instrument;
 
 use super::frames::{FrameSender, Pace};
-use super::{Admitted, refuse};
+use super::{Admitted, Greeting, refuse};
 use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
 use crate::transport;
@@ -31,6 +33,8 @@ pub struct Session {
     pub name: String,
     /// Where it is.
     pub remote: SocketAddr,
+    /// What it was told when it was let in.
+    pub greeting: Arc<Greeting>,
     /// The newest pose: there is no queue. Its sender is dropped when the connection is over.
     pub poses: watch::Receiver<Option<PoseRequest>>,
     /// What the viewer asks for. The control stream is not read on while this is full.
@@ -68,6 +72,34 @@ impl ControlSender {
     /// If the connection is over.
     pub async fn notice(&self, text: &str) -> Result<(), SessionClosed> {
         self.send(ServerMessage::Notice(one_line(text))).await
+    }
+
+    /// Frames from now on show another volume.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn volume_changed(&self, change: VolumeChange) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::VolumeChanged(Box::new(change))).await
+    }
+
+    /// What else the file holds.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn parts(&self, parts: Parts) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::Parts(Box::new(parts))).await
+    }
+
+    /// How the reading of another part stands. While it goes on, one is dropped if messages already wait.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn load(&self, status: LoadStatus) -> Result<(), SessionClosed> {
+        if matches!(status.state, LoadState::Reading { .. }) {
+            let _ = self.messages.try_send(ServerMessage::Load(status));
+            return Ok(());
+        }
+        self.send(ServerMessage::Load(status)).await
     }
 
     /// What the newest frame cost. Dropped if messages already wait: there will be newer ones.
@@ -118,7 +150,7 @@ impl Drop for CloseOnDrop {
 
 /// Serves one connection until it is over.
 pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
-    let Admitted { connection, mut send, recv, place, name } = admitted;
+    let Admitted { connection, mut send, recv, place, name, greeting } = admitted;
     let (id, viewer) = (place.session, place.viewer);
     let span = tracing::info_span!("session", id, viewer = viewer.0);
     let clock = Clock::start();
@@ -140,6 +172,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         viewer,
         name,
         remote,
+        greeting,
         poses,
         requests,
         frames: FrameSender::new(link.clone(), close.clone()),

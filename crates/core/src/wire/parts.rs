@@ -1,0 +1,243 @@
+//! What a file holds beside the volume that is shown, and how a viewer asks for another part of it.
+//!
+//! All viewers of a server look at one part. Any of them may ask for another; the server reads it beside the one that is
+//! shown, tells everyone how far it is, and when it is there everyone gets its description.
+
+use serde::{Deserialize, Serialize};
+
+use super::control::ControlError;
+use super::control::text;
+use crate::ids::LoadId;
+use crate::look::MAX_NAME_BYTES;
+
+/// A part of a file. What is not named is what opens by itself: the first channel and time, the finest level that fits into
+/// memory, the largest series, all of its voxels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Part {
+    /// Channel, component or array, from 0.
+    pub channel: Option<u32>,
+    /// Point in time, from 0.
+    pub time: Option<u32>,
+    /// Level of a pyramid, 0 the finest.
+    pub level: Option<u32>,
+    /// Series of a folder, from 0.
+    pub series: Option<u32>,
+    /// First voxel and the one after the last, along each axis of the volume as it is shown.
+    pub region: Option<[[u32; 2]; 3]>,
+}
+
+/// What there is to choose from, and what is shown of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Parts {
+    /// What is shown. Channel, time, level and series are named.
+    pub shown: Part,
+    /// Voxels along x, y, z of the whole at the level and in the series that are shown.
+    pub whole_dims: [u64; 3],
+    /// How many channels there are.
+    pub num_channels: u32,
+    /// Names of the first of them.
+    pub channels: Vec<String>,
+    /// Points in time.
+    pub num_times: u32,
+    /// Levels of a pyramid, the finest first; empty if there is one.
+    pub levels: Vec<[u64; 3]>,
+    /// How many series there are.
+    pub num_series: u32,
+    /// The first of them in words.
+    pub series: Vec<String>,
+    /// Bytes of memory that what is shown takes.
+    pub bytes_in_memory: u64,
+}
+
+/// How the reading of a part stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LoadStatus {
+    /// Counts the loads of a server, from 1.
+    pub load: LoadId,
+    /// Whether this viewer has asked for it.
+    pub is_own: bool,
+    /// What is asked for.
+    pub part: Part,
+    /// Bytes of memory it will take; 0 as long as that is not known.
+    pub bytes_needed: u64,
+    /// How far it is.
+    pub state: LoadState,
+}
+
+/// How far a load is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum LoadState {
+    /// It goes on; so many of a thousand are read.
+    Reading {
+        /// 0 to 1000.
+        permille: u16,
+    },
+    /// The part is there, and its description on the way.
+    Done,
+    /// Somebody did not want it any more, or wanted another. What was shown stays.
+    Cancelled,
+    /// Why it cannot be shown. What was shown stays.
+    Failed(String),
+}
+
+impl Part {
+    pub(super) fn validate(&self) -> Result<(), ControlError> {
+        let is_empty = |region: &[[u32; 2]; 3]| region.iter().any(|[from, to]| from >= to);
+        if self.region.as_ref().is_some_and(is_empty) {
+            return Err(ControlError::Value("region"));
+        }
+        Ok(())
+    }
+}
+
+impl Parts {
+    /// Whether there is anything to choose.
+    pub fn has_choice(&self) -> bool {
+        self.num_channels > 1 || self.num_times > 1 || self.levels.len() > 1 || self.num_series > 1
+    }
+
+    /// Makes names short and lists bounded, so that it can be sent.
+    pub fn bounded(mut self) -> Self {
+        let cut = |names: &mut Vec<String>, max_bytes: usize| {
+            names.truncate(MAX_LISTED);
+            for name in names {
+                // Four bytes hold any character.
+                *name = name.chars().filter(|c| !c.is_control()).take(max_bytes / 4).collect();
+            }
+        };
+        cut(&mut self.channels, MAX_CHANNEL_BYTES);
+        cut(&mut self.series, MAX_NAME_BYTES);
+        self.levels.truncate(MAX_LEVELS);
+        self
+    }
+
+    pub(super) fn validate(&self) -> Result<(), ControlError> {
+        self.shown.validate()?;
+        let counts = [self.num_channels, self.num_times, self.num_series];
+        if counts.contains(&0) || self.whole_dims.contains(&0) {
+            return Err(ControlError::Value("number of parts"));
+        }
+        let is_long = |names: &[String], number: u32| names.len() > MAX_LISTED.min(number as usize);
+        if is_long(&self.channels, self.num_channels)
+            || is_long(&self.series, self.num_series)
+            || self.levels.len() > MAX_LEVELS
+            || self.levels.iter().flatten().any(|&n| n == 0)
+        {
+            return Err(ControlError::Value("list of parts"));
+        }
+        self.channels.iter().try_for_each(|name| text("channel", name, MAX_CHANNEL_BYTES))?;
+        self.series.iter().try_for_each(|name| text("series", name, MAX_NAME_BYTES))
+    }
+}
+
+impl LoadStatus {
+    pub(super) fn validate(&self) -> Result<(), ControlError> {
+        self.part.validate()?;
+        match &self.state {
+            LoadState::Reading { permille: 1001.. } => Err(ControlError::Value("progress")),
+            LoadState::Failed(problem) => text("problem", problem, super::control::MAX_NOTICE_BYTES),
+            LoadState::Reading { .. } | LoadState::Done | LoadState::Cancelled => Ok(()),
+        }
+    }
+}
+
+/// Channels, and series, that are listed by name.
+const MAX_LISTED: usize = 128;
+/// Longest name of a channel.
+const MAX_CHANNEL_BYTES: usize = 160;
+/// Levels of a pyramid: each halves the one before.
+const MAX_LEVELS: usize = 32;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::control::{decode, encode, one_line};
+    use crate::wire::{ClientMessage, MAX_CONTROL_BYTES, ServerMessage};
+
+    fn parts() -> Parts {
+        Parts {
+            shown: Part { channel: Some(1), time: Some(0), level: Some(0), series: Some(0), region: None },
+            whole_dims: [5, 4, 3],
+            num_channels: 3,
+            channels: vec!["DAPI".into(), "GFP".into(), "2".into()],
+            num_times: 7,
+            levels: vec![[5, 4, 3], [3, 2, 2]],
+            num_series: 1,
+            series: vec![],
+            bytes_in_memory: 180,
+        }
+    }
+
+    fn status(state: LoadState) -> LoadStatus {
+        LoadStatus { load: LoadId(4), is_own: true, part: Part::default(), bytes_needed: 9, state }
+    }
+
+    #[test]
+    fn the_longest_lists_fit_a_message_once_they_are_bounded() {
+        let long = |n: usize| vec!["\u{10ffff}".repeat(500); n];
+        let huge = Parts {
+            num_channels: u32::MAX,
+            channels: long(1000),
+            num_series: 5000,
+            series: long(900),
+            levels: vec![[u64::MAX; 3]; 99],
+            ..parts()
+        };
+        assert!(encode(&ServerMessage::Parts(Box::new(huge.clone()))).is_err());
+        let bytes = encode(&ServerMessage::Parts(Box::new(huge.bounded()))).unwrap();
+        assert!(bytes.len() < MAX_CONTROL_BYTES);
+        let again: ServerMessage = decode(&bytes[4..]).unwrap();
+        assert_eq!(encode(&again).unwrap(), bytes);
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_on_both_ways() {
+        assert!(encode(&ServerMessage::Parts(Box::new(parts()))).is_ok());
+        for bad in [
+            Parts { num_times: 0, ..parts() },
+            Parts { num_channels: 2, ..parts() },
+            Parts { whole_dims: [1, 0, 1], ..parts() },
+            Parts { levels: vec![[0; 3]], ..parts() },
+            Parts { channels: vec!["\u{1b}[2J".into()], ..parts() },
+            Parts { series: vec!["two".into(), "of one".into()], ..parts() },
+        ] {
+            assert!(encode(&ServerMessage::Parts(Box::new(bad.clone()))).is_err(), "{bad:?}");
+        }
+        for (state, is_good) in [
+            (LoadState::Reading { permille: 1000 }, true),
+            (LoadState::Reading { permille: 1001 }, false),
+            (LoadState::Failed("two\nlines".into()), false),
+            (LoadState::Failed(one_line("two\nlines")), true),
+            (LoadState::Done, true),
+        ] {
+            let message = ServerMessage::Load(status(state));
+            assert_eq!(encode(&message).is_ok(), is_good, "{message:?}");
+        }
+        for (region, is_good) in [([[0, 1]; 3], true), ([[0, 1], [4, 4], [0, 1]], false)] {
+            let part = Part { region: Some(region), ..Part::default() };
+            assert_eq!(encode(&ClientMessage::OpenPart(part)).is_ok(), is_good);
+        }
+    }
+
+    #[test]
+    fn flipped_and_cut_messages_never_panic_and_decode_only_to_valid_ones() {
+        let messages = [
+            encode(&ServerMessage::Parts(Box::new(parts()))).unwrap(),
+            encode(&ServerMessage::Load(status(LoadState::Failed("no such file".into())))).unwrap(),
+            encode(&ServerMessage::Load(status(LoadState::Reading { permille: 500 }))).unwrap(),
+        ];
+        for good in messages {
+            for bit in 0..8 * (good.len() - 4) {
+                let mut bytes = good[4..].to_vec();
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                if let Ok(message) = decode::<ServerMessage>(&bytes) {
+                    assert!(encode(&message).is_ok());
+                }
+                let _ = decode::<ClientMessage>(&bytes);
+            }
+            for length in 0..good.len() - 4 {
+                assert!(decode::<ServerMessage>(&good[4..4 + length]).is_err());
+            }
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! The file of a server's volume: which parts it has, and how another one is opened.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, anyhow};
+use glam::Vec3;
+use isinglass_core::transfer::TransferFunction;
+use isinglass_core::volume::{Histogram, Volume};
+use isinglass_core::wire::{Part, Parts};
+use isinglass_formats::{
+    FormatError, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, default_preset,
+    load_transfer, open, outline,
+};
+use isinglass_server::{Library, Loaded, Loader, Survey};
+
+use crate::memory;
+
+/// Opens parts of one file.
+pub(crate) struct FileLoader {
+    /// As for [`open`].
+    source: String,
+    raw: Option<RawShape>,
+    spacing: Option<Vec3>,
+    /// In place of the one that suits each part.
+    transfer: Option<TransferFunction>,
+    /// Most bytes of memory of all volumes.
+    max_memory: u64,
+}
+
+/// A volume to serve, and its file.
+pub(crate) struct OpenedFile {
+    /// The voxels.
+    pub(crate) volume: Arc<Volume>,
+    /// How they are seen at first.
+    pub(crate) transfer: TransferFunction,
+    /// What else there is.
+    pub(crate) library: Library,
+}
+
+impl FileLoader {
+    /// Of the file of `request`, whose limit of memory is that of all volumes. `transfer` is a preset or a file, or none for the
+    /// one that suits each part.
+    pub(crate) fn new(request: &LoadRequest, transfer: Option<&str>) -> Result<Self> {
+        let LoadRequest { source, raw, spacing, max_bytes, .. } = request.clone();
+        let transfer = transfer.map(load_transfer).transpose()?;
+        Ok(Self { source, raw, spacing, transfer, max_memory: max_bytes })
+    }
+
+    /// The header of a part, if there is room for it beside the bytes `held`.
+    pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
+        let options =
+            OpenOptions { max_bytes: self.max_memory.saturating_sub(held), ..self.options(selection) };
+        let found = match outline(&self.source, &options) {
+            // All that it needs shall be told, not only what it needs while it is read.
+            Err(FormatError::TooLarge { .. }) => {
+                outline(&self.source, &OpenOptions { max_bytes: u64::MAX, ..options })
+            }
+            found => found,
+        };
+        let found = found.map_err(|e| e.to_string())?;
+        memory::check(&found.name, found.bytes_needed(), held, self.max_memory)?;
+        Ok(found)
+    }
+
+    /// A server's library in which `volume`, of this outline, is shown at first.
+    pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
+        let transfer = self.transfer_of(&volume).map_err(|e| anyhow!(e))?;
+        let parts = parts_of(outline);
+        Ok(OpenedFile { volume, transfer, library: Library { parts, loader: Arc::new(self) } })
+    }
+
+    fn transfer_of(&self, volume: &Volume) -> Result<TransferFunction, String> {
+        match &self.transfer {
+            Some(transfer) => Ok(transfer.clone()),
+            None => load_transfer(default_preset(&self.source, volume, &Histogram::of(volume)))
+                .map_err(|e| e.to_string()),
+        }
+    }
+
+    fn options(&self, selection: Selection) -> OpenOptions<'static> {
+        OpenOptions {
+            raw: self.raw,
+            selection,
+            spacing: self.spacing,
+            max_bytes: self.max_memory,
+            ..OpenOptions::default()
+        }
+    }
+}
+
+impl Loader for FileLoader {
+    fn survey(&self, part: &Part, held: u64) -> Result<Survey, String> {
+        let outline = self.outline(selection_of(part), held)?;
+        Ok(Survey { parts: parts_of(&outline), bytes_needed: outline.bytes_needed() })
+    }
+
+    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
+        let options = OpenOptions {
+            progress: Some(progress),
+            cancel: Some(cancel),
+            ..self.options(selection_of(part))
+        };
+        let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
+        let transfer = self.transfer_of(&volume)?;
+        Ok(Loaded { volume, transfer })
+    }
+}
+
+/// What there is to choose in a file, as viewers are told.
+fn parts_of(outline: &Outline) -> Parts {
+    let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX).max(1);
+    Parts {
+        shown: part_of(&outline.shown),
+        whole_dims: outline.whole_dims,
+        num_channels: count(outline.num_channels),
+        channels: outline.channels.clone(),
+        num_times: count(outline.num_times),
+        levels: outline.levels.iter().map(|level| level.dims).collect(),
+        num_series: count(outline.series.len() as u64),
+        series: outline.series.clone(),
+        bytes_in_memory: outline.bytes_in_memory,
+    }
+}
+
+fn part_of(selection: &Selection) -> Part {
+    let &Selection { channel, time, level, series, region } = selection;
+    let ends = |r: Region| std::array::from_fn(|i| [r.min[i], r.max[i].unwrap_or(u32::MAX)]);
+    Part { channel, time, level, series, region: region.map(ends) }
+}
+
+fn selection_of(part: &Part) -> Selection {
+    let &Part { channel, time, level, series, region } = part;
+    let region = region.map(|r| Region {
+        min: r.map(|[from, _]| from),
+        max: r.map(|[_, to]| (to != u32::MAX).then_some(to)),
+    });
+    Selection { channel, time, level, series, region }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_selection_survives_the_wire() {
+        for region in [None, Some(":,5:,1:7")] {
+            let region = region.map(|r| r.parse().unwrap());
+            let selection =
+                Selection { channel: Some(3), time: None, level: Some(0), series: Some(9), region };
+            assert_eq!(selection_of(&part_of(&selection)), selection);
+        }
+    }
+
+    #[test]
+    fn what_is_held_leaves_less_room() {
+        let request = LoadRequest { max_bytes: 10_000, ..LoadRequest::new("builtin:shells@16") };
+        let loader = FileLoader::new(&request, None).unwrap();
+        // 4096 voxels of one byte, and as much for their brightness.
+        let survey = loader.survey(&Part::default(), 0).unwrap();
+        assert_eq!((survey.bytes_needed, survey.parts.has_choice()), (8192, false));
+        let line = loader.survey(&Part::default(), 8192).unwrap_err();
+        assert!(line.contains("8 kB of memory beside 8 kB of what is shown"), "{line}");
+        assert!(loader.survey(&Part { time: Some(1), ..Part::default() }, 0).unwrap_err().contains("time 1"));
+    }
+}

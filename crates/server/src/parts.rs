@@ -1,0 +1,239 @@
+//! Other parts of the file: reads the one that was asked for last beside the one that is shown, and puts it in its place.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use isinglass_core::ids::{LoadId, LookVersion};
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::look::Look;
+use isinglass_core::session::admission::ViewerId;
+use isinglass_core::space::Aabb;
+use isinglass_core::transfer::TransferFunction;
+use isinglass_core::volume::Volume;
+use isinglass_core::wire::control::one_line;
+use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
+use isinglass_gpu::Backend;
+use isinglass_net::Greeting;
+use tokio::sync::{mpsc, watch};
+
+use crate::generator::Generator;
+use crate::march_settings;
+
+/// Opens parts of the volume's file. This crate opens none itself: whoever starts the server brings one.
+///
+/// Both functions are called on threads where waiting is allowed.
+pub trait Loader: Send + Sync {
+    /// What there is to choose and what of it would be shown, by the header alone.
+    ///
+    /// # Errors
+    /// One line for a person: the part is not there, or needs more memory than it may beside the bytes `held`.
+    fn survey(&self, part: &Part, held: u64) -> Result<Survey, String>;
+
+    /// Reads the part. `progress` is told the fraction that was read; reading ends soon after `cancel` becomes true.
+    ///
+    /// # Errors
+    /// One line for a person.
+    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String>;
+}
+
+/// What is known of a part before it is read.
+#[derive(Clone, Debug)]
+pub struct Survey {
+    /// What there is to choose, and what this part is of it.
+    pub parts: Parts,
+    /// Bytes of memory that the part takes, those while it is read included.
+    pub bytes_needed: u64,
+}
+
+/// A part that was read.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The voxels.
+    pub volume: Volume,
+    /// The transfer function that suits them; must be valid.
+    pub transfer: TransferFunction,
+}
+
+/// The volume that is shown.
+#[derive(Debug)]
+pub(crate) struct Present {
+    /// What new viewers are told.
+    pub(crate) greeting: Arc<Greeting>,
+    /// Its box.
+    pub(crate) bounds: Aabb,
+    /// The scene of the generator.
+    pub(crate) scene: SceneNumber,
+    /// What else the file holds.
+    pub(crate) parts: Option<Parts>,
+    /// Bytes of memory.
+    bytes: u64,
+}
+
+/// Counts the scenes of a generator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct SceneNumber(pub(crate) u32);
+
+/// What a viewer wants of the file.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Order {
+    /// Another part.
+    Open(ViewerId, Part),
+    /// The part that is being read is not wanted any more.
+    Cancel,
+}
+
+/// How the newest load stands.
+#[derive(Clone, Debug)]
+pub(crate) struct Load {
+    pub(crate) id: LoadId,
+    pub(crate) viewer: ViewerId,
+    pub(crate) part: Part,
+    pub(crate) bytes_needed: u64,
+    pub(crate) state: LoadState,
+}
+
+impl Load {
+    pub(crate) fn is_reading(&self) -> bool {
+        matches!(self.state, LoadState::Reading { .. })
+    }
+}
+
+impl Present {
+    pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Parts>) -> Self {
+        let greeting = Greeting {
+            volume: VolumeDescription::of(&scene.volume, &scene.histogram),
+            look_version: LookVersion(1),
+            look,
+        };
+        Self {
+            greeting: Arc::new(greeting),
+            bounds: scene.volume.bounds(),
+            scene: number,
+            parts: parts.map(Parts::bounded),
+            bytes: scene.volume.bytes_in_memory(),
+        }
+    }
+}
+
+/// Reads what is ordered, the newest order at a time, until nobody can order any more.
+pub(crate) struct Librarian {
+    pub(crate) loader: Option<Arc<dyn Loader>>,
+    pub(crate) backend: Backend,
+    pub(crate) generator: Generator,
+    pub(crate) orders: mpsc::Receiver<Order>,
+    pub(crate) present: watch::Sender<Arc<Present>>,
+    pub(crate) load: watch::Sender<Option<Load>>,
+}
+
+/// How a load ended.
+enum Ended {
+    Done,
+    Failed(String),
+    /// This order came meanwhile; none: there is nobody left.
+    Interrupted(Option<Order>),
+}
+
+impl Librarian {
+    pub(crate) async fn run(mut self) {
+        let mut next = self.orders.recv().await;
+        let mut id = LoadId(0);
+        while let Some(mut order) = next {
+            while let Ok(newer) = self.orders.try_recv() {
+                order = newer;
+            }
+            let Order::Open(viewer, part) = order else {
+                next = self.orders.recv().await;
+                continue;
+            };
+            id = id.next();
+            let state = LoadState::Reading { permille: 0 };
+            self.load.send_replace(Some(Load { id, viewer, part, bytes_needed: 0, state }));
+            let ended = self.open(part).await;
+            let (state, order) = match ended {
+                Ended::Done => (LoadState::Done, None),
+                Ended::Failed(problem) => (LoadState::Failed(one_line(&problem)), None),
+                Ended::Interrupted(None) => return,
+                Ended::Interrupted(order) => (LoadState::Cancelled, order),
+            };
+            tracing::info!(load = id.0, ?state, "another part");
+            self.tell(|load| load.state = state);
+            next = match order {
+                Some(order) => Some(order),
+                None => self.orders.recv().await,
+            };
+        }
+    }
+
+    fn tell(&self, change: impl FnOnce(&mut Load)) {
+        self.load.send_modify(|load| {
+            if let Some(load) = load {
+                change(load);
+            }
+        });
+    }
+
+    /// Reads a part and shows it, unless another order comes before it is there.
+    async fn open(&mut self, part: Part) -> Ended {
+        let Some(loader) = self.loader.clone() else {
+            return Ended::Failed("this server shows this part of its file only".into());
+        };
+        let held = self.present.borrow().bytes;
+        let look = self.present.borrow().greeting.look.clone();
+        let cancel = Arc::new(AtomicBool::new(false));
+        let (backend, load, cancelled) = (self.backend.clone(), self.load.clone(), cancel.clone());
+        let mut reading = tokio::task::spawn_blocking(move || {
+            let survey = loader.survey(&part, held)?;
+            let tell = |change: &dyn Fn(&mut Load)| {
+                load.send_if_modified(|load| {
+                    // Whoever comes after has taken the place of this one.
+                    let Some(load) = load.as_mut().filter(|_| !cancelled.load(Ordering::Relaxed)) else {
+                        return false;
+                    };
+                    let before = (load.bytes_needed, load.state.clone());
+                    change(load);
+                    before != (load.bytes_needed, load.state.clone())
+                });
+            };
+            tell(&|load| load.bytes_needed = survey.bytes_needed);
+            let progress = |fraction: f32| {
+                // In steps of a hundredth: nobody sees less.
+                let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
+                tell(&|load| load.state = LoadState::Reading { permille });
+            };
+            let loaded = loader.load(&part, &progress, &cancelled)?;
+            let look = Look { transfer: loaded.transfer, ..look };
+            let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, march_settings(&look));
+            let renderer = backend.renderer(scene.clone()).map_err(|e| e.to_string())?;
+            Ok::<_, String>((scene, renderer, look, survey.parts))
+        });
+        let read = tokio::select! {
+            read = &mut reading => read,
+            order = self.orders.recv() => {
+                cancel.store(true, Ordering::Relaxed);
+                // Two at a time would need memory for both.
+                let _ = reading.await;
+                return Ended::Interrupted(order);
+            }
+        };
+        let (scene, renderer, look, parts) = match read {
+            Ok(Ok(read)) => read,
+            Ok(Err(problem)) => return Ended::Failed(problem),
+            Err(e) => {
+                tracing::error!("reading ended early: {e}");
+                return Ended::Failed("the server failed on reading this part".into());
+            }
+        };
+        let number = SceneNumber(self.present.borrow().scene.0.wrapping_add(1));
+        let present = Present::new(&scene, number, look.clone(), Some(parts));
+        drop(scene);
+        if !self.generator.replace(renderer, look, number).await {
+            return Ended::Failed("the renderer has ended".into());
+        }
+        self.present.send_replace(Arc::new(present));
+        Ended::Done
+    }
+}
+
+/// Viewers hear of a load's progress at most so often.
+pub(crate) const TELL_PERIOD: Duration = Duration::from_millis(100);
