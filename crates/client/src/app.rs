@@ -1,5 +1,7 @@
 //! The window's application: at each refresh input to camera, camera to wish, newest frame to picture.
 
+mod state;
+
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -24,6 +26,7 @@ use crate::pick::visible_point;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
 use crate::quality_control::QualityControl;
+use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::{self, ViewAids, pixel_at};
@@ -54,6 +57,9 @@ pub(crate) struct ViewerApp<S> {
     /// When the centre of rotation was chosen.
     center_chosen_at: Option<Duration>,
     editor: TransferEditor,
+    state_files: StateFiles,
+    /// The whole window's picture at the last refresh.
+    window: Option<Intrinsics>,
     shows_help: bool,
     is_look_open: bool,
     pointer: Pointer,
@@ -96,6 +102,8 @@ impl<S: FrameSource> ViewerApp<S> {
             method_problem: None,
             center_chosen_at: None,
             editor: TransferEditor::default(),
+            state_files: StateFiles::default(),
+            window: None,
             shows_help: false,
             is_look_open: false,
             pointer: Pointer::default(),
@@ -125,7 +133,7 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     /// Does what the keys say; whether the first view was asked for.
-    fn keys(&mut self, ctx: &egui::Context, picture: &Intrinsics) -> bool {
+    fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> bool {
         let types = ctx.text_edit_focused();
         let actions = ctx.input_mut(|i| take_actions(&mut i.events, types));
         let mut resets = false;
@@ -156,6 +164,12 @@ impl<S: FrameSource> ViewerApp<S> {
                     let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
                     self.do_part(wish);
                 }
+                Action::SaveState => self.do_state(ctx, now, StateWish::Save),
+                Action::OpenState => {
+                    self.is_look_open = true;
+                    self.state_files.ask_for_path();
+                }
+                Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
                 Action::Help => self.shows_help = !self.shows_help,
                 Action::CloseHelp => self.shows_help = false,
                 Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
@@ -240,9 +254,6 @@ impl<S: FrameSource> ViewerApp<S> {
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
         self.editor.follow(&look.transfer, &scale);
-        if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
-            self.editor.open(file.path().to_owned(), ctx);
-        }
         let mut settings = Settings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
@@ -251,7 +262,9 @@ impl<S: FrameSource> ViewerApp<S> {
             stereo: self.stereo,
             aids: self.aids,
         };
-        look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings);
+        let files = &mut self.state_files;
+        let wish =
+            look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
         let Settings { look: mut wanted, frame_size, method, stereo, aids, .. } = settings;
         let shown = (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids);
         if (method, frame_size, stereo, aids) != shown {
@@ -270,6 +283,9 @@ impl<S: FrameSource> ViewerApp<S> {
             self.viewing.set_look(now, wanted);
             // The picture is to say that it is older, and the pace may hold the look back.
             ctx.request_repaint();
+        }
+        if let Some(wish) = wish {
+            self.do_state(ctx, now, wish);
         }
     }
 
@@ -333,10 +349,12 @@ impl<S: FrameSource> ViewerApp<S> {
         let elapsed = now.saturating_sub(self.last_refresh);
         self.last_refresh = now;
         let rect = ui.max_rect();
+        self.take_states(&ctx, now, picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y));
         let window = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
+        self.window = Some(window);
         let picture = self.stereo().eye_intrinsics(window);
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
-        let resets = self.keys(&ctx, &picture);
+        let resets = self.keys(&ctx, now, &picture);
         let events = ctx.input(|i| i.events.clone());
         let free = |at| is_free(&ctx, at);
         let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), free);

@@ -25,6 +25,12 @@ pub enum Action {
     Redo,
     /// So many times on in the server's file, or back.
     StepTime(i32),
+    /// The state of the view as a file.
+    SaveState,
+    /// The field for the file of a state.
+    OpenState,
+    /// A link to what is seen, in the clipboard.
+    CopyLink,
     /// The help on or off.
     Help,
     /// The help off.
@@ -99,6 +105,16 @@ pub const BINDINGS: &[Binding] = &[
     mouse("in the curve: left, right; up, down", "choose a point; change its opacity"),
     mouse("in the curve: Shift+left, Shift+right", "move a point along the values"),
     mouse("in the curve: right or ctrl+left drag", "level and window"),
+    keys(
+        "Ctrl+s, Ctrl+o",
+        "save the state of the view as a file; open one",
+        &[(CTRL, Key::S, Action::SaveState), (CTRL, Key::O, Action::OpenState)],
+    ),
+    keys(
+        "Ctrl+l",
+        "copy a link to what is seen; Ctrl+v shows what such a link says",
+        &[(CTRL, Key::L, Action::CopyLink)],
+    ),
     keys("h, F1", "this help", &[(NONE, Key::H, Action::Help), (NONE, Key::F1, Action::Help)]),
     keys("Esc", "close help", &[(NONE, Key::Escape, Action::CloseHelp)]),
     keys("Ctrl+q", "close the window", &[(CTRL, Key::Q, Action::Quit)]),

@@ -178,10 +178,28 @@ impl CameraControls {
 
     /// The pose now.
     pub fn pose(&self) -> Pose {
-        Pose {
-            eye: self.center + self.world_from_view * self.eye_from_center,
-            world_from_view: self.world_from_view,
+        Pose::around(self.center, self.world_from_view, self.eye_from_center)
+    }
+
+    /// The rotation from view to world space, and the eye seen from the centre in view space: with
+    /// [`CameraControls::center`] all that the pose is made of.
+    pub fn placement(&self) -> (Quat, Vec3) {
+        (self.world_from_view, self.eye_from_center)
+    }
+
+    /// Puts the camera where another one's [`CameraControls::center`] and [`CameraControls::placement`] say. One that
+    /// these controls could not have brought there is refused.
+    pub fn place(&mut self, center: Vec3, (world_from_view, eye_from_center): (Quat, Vec3)) -> bool {
+        let reach = MAX_DEPTH_IN_RADII * self.radius;
+        let is_usable = Pose::around(center, world_from_view, eye_from_center).is_valid()
+            && eye_from_center.z == self.bounded_depth(eye_from_center.z)
+            && eye_from_center.truncate().length() <= reach
+            && (center - self.middle).length() <= reach;
+        if is_usable {
+            (self.center, self.world_from_view, self.eye_from_center) =
+                (center, world_from_view, eye_from_center);
         }
+        is_usable
     }
 
     /// The camera now, for a picture of the given size over a volume in `bounds`.

@@ -6,6 +6,7 @@
 //! come from `isinglass-net`, the ray caster from `isinglass-gpu`.
 
 mod app;
+mod background;
 mod bindings;
 pub mod camera_controls;
 mod camera_path;
@@ -30,6 +31,7 @@ mod pointer;
 mod quality_control;
 mod run;
 mod slots;
+mod state_files;
 mod stereo;
 mod transfer_editor;
 mod view_aids;

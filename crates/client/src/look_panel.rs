@@ -6,6 +6,7 @@ use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 
 use crate::panels::pane;
+use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::ViewAids;
@@ -27,14 +28,16 @@ pub(crate) struct Settings<'a> {
     pub(crate) aids: ViewAids,
 }
 
-/// Shows the panel, open or folded, and changes what was set.
+/// Shows the panel, open or folded, and changes what was set; the answer is what to do with states.
 pub(crate) fn show(
     ctx: &egui::Context,
     is_open: &mut bool,
     editor: &mut TransferEditor,
     scale: &ValueScale,
     settings: &mut Settings<'_>,
-) {
+    state_files: &mut StateFiles,
+) -> Option<StateWish> {
+    let mut wish = None;
     // Two areas: one would keep the width of the open panel.
     let area_id = egui::Id::unique(if *is_open { "look" } else { "look, folded" });
     // All of the window's height but for the title and the margins; what does not fit is scrolled to.
@@ -58,9 +61,15 @@ pub(crate) fn show(
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "View", false, |ui| view(ui, settings));
+                // Asked for by key, it is there to be written to.
+                let is_asked = state_files.wants_focus();
+                let header = egui::CollapsingHeader::new(RichText::new("State").size(12.5));
+                let header = header.open(is_asked.then_some(true));
+                header.show_unindented(ui, |ui| wish = state_files.show(ui));
             });
         });
     });
+    wish
 }
 
 fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui)) {

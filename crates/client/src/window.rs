@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isinglass_net::Clock;
+use isinglass_formats::{SavedState, Selection};
+use isinglass_net::{Clock, Link};
 
 use crate::app::ViewerApp;
 use crate::camera_controls::InitialOrbit;
@@ -44,6 +45,14 @@ pub struct WindowOptions {
     pub novel_views: Vec<Box<dyn NovelView>>,
     /// The name of the one that is shown at first, or [`LAYERS`].
     pub novel_view: &'static str,
+    /// What is shown at first in place of the first view.
+    pub state: Option<SavedState>,
+    /// Whether `size` is that of the state's picture, in pixels.
+    pub state_sets_size: bool,
+    /// What the server was given to open, where that is known, for states that are saved.
+    pub volume_source: Option<(String, Selection)>,
+    /// The server's link, for links to what is seen.
+    pub link: Option<Link>,
     /// Is given the way of the camera.
     pub recorder: Option<Arc<Mutex<CameraPath>>>,
     /// Watches every refresh, for tests and pictures of the window.
@@ -64,6 +73,10 @@ impl Default for WindowOptions {
             auto_orbit_degrees_per_second: 0.0,
             novel_views: Vec::new(),
             novel_view: LAYERS,
+            state: None,
+            state_sets_size: false,
+            volume_source: None,
+            link: None,
             recorder: None,
             script: None,
         }

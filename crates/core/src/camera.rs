@@ -21,6 +21,12 @@ impl Pose {
         Self { eye: center + world_from_view * (Vec3::Z * distance), world_from_view }
     }
 
+    /// The pose turned by `world_from_view` whose eye lies at `eye_from_center`, in view space, from the point `center` of
+    /// world space.
+    pub fn around(center: Vec3, world_from_view: Quat, eye_from_center: Vec3) -> Self {
+        Self { eye: center + world_from_view * eye_from_center, world_from_view }
+    }
+
     /// Looks from `eye` to `target` with `up` upwards.
     pub fn look_at(eye: Vec3, target: Vec3, up: Vec3) -> Self {
         let back = (eye - target).normalize_or(Vec3::Z);

@@ -24,6 +24,7 @@ pub struct ControlPoint {
 
 /// Which physical values the positions 0 and 1 stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Domain {
     /// Least and greatest value of the volume.
     Full,
@@ -35,6 +36,7 @@ pub enum Domain {
 
 /// The thickness that the opacity of a control point speaks of.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum UnitLength {
     /// The geometric mean of the volume's spacings.
     Voxel,

@@ -121,13 +121,21 @@ pub enum FormatError {
         /// The presets there are.
         expected: String,
     },
-    /// A transfer function file that is not TOML of the right form.
+    /// A file that is not TOML of the right form.
     #[error("{path}: line {line}: {problem}")]
-    TransferSyntax {
+    Syntax {
         /// The file.
         path: String,
         /// Where, from 1.
         line: usize,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A saved state that cannot be used.
+    #[error("{path}: {problem}")]
+    State {
+        /// The file.
+        path: String,
         /// What is wrong.
         problem: String,
     },

@@ -2,7 +2,7 @@
 //!
 //! [`open`] reads every format of docs/FORMATS.md, raw voxels whose shape is told, and the built-in volumes; [`outline`] reads
 //! the header alone and tells what [`open`] would need; [`Loading`] opens on a thread of its own. [`load_transfer`] reads a
-//! preset or a TOML file of control points; [`VolumeFacts`] is what `info` prints. What a
+//! preset or a TOML file of control points; [`SavedState`] is what is seen and how, as a file or in a link; [`VolumeFacts`] is what `info` prints. What a
 //! file says is never trusted: every length is checked against the file and a memory limit before anything is
 //! allocated, and every error is one line that names the file, what was expected and what was found. This crate
 //! draws nothing and knows no network.
@@ -29,6 +29,7 @@ mod raw;
 mod select;
 mod sniff;
 mod source;
+mod state;
 mod stream;
 mod taker;
 mod tiff;
@@ -52,6 +53,10 @@ pub use presets::{default_preset, preset, preset_names};
 pub use raw::RawShape;
 pub use select::{Region, Selection};
 pub use source::{OpenOptions, open, outline};
+pub use state::{
+    MAX_LINK_BYTES, MAX_STATE_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb,
+    StereoPicture, Theme, is_state, read_state, state_from_bytes, state_from_link, state_to_link,
+};
 pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
 pub use transfer_import::{ImportedTransfer, import_transfers};
 pub use transfer_maps::ColorMap;

@@ -82,13 +82,13 @@ pub fn transfer_to_toml(transfer: &TransferFunction) -> String {
 }
 
 /// The shortest literal that is this number when it is read, as numbers of files are, in double precision first.
-fn number_literal(x: f32) -> String {
+pub(crate) fn number_literal(x: f32) -> String {
     let short = format!("{x:?}");
     if short.parse::<f64>().is_ok_and(|y| y as f32 == x) { short } else { format!("{:?}", f64::from(x)) }
 }
 
 /// A string of TOML in quotes.
-fn text_literal(text: &str) -> String {
+pub(crate) fn text_literal(text: &str) -> String {
     let mut out = String::from('"');
     for c in text.chars() {
         match c {
@@ -103,7 +103,7 @@ fn text_literal(text: &str) -> String {
 /// The transfer function written in `text`. `path` is for messages, and its stem is the name if the text has none.
 pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, FormatError> {
     let path = Path::new(path);
-    let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::TransferSyntax {
+    let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::Syntax {
         path: shown(path),
         line: 1 + text.bytes().take(e.span().map_or(0, |s| s.start)).filter(|&b| b == b'\n').count(),
         problem: e.message().replace(['\n', '\r'], " "),

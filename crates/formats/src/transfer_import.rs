@@ -95,7 +95,7 @@ pub(crate) fn imported_from_text(text: &str, path: &Path) -> Result<Vec<Imported
     let mut found = match start.chars().next() {
         Some('<') => volume_properties(start).iter().filter_map(|a| slicer_preset(a)).collect(),
         Some('{' | '[') if !looks_like_toml(start) => {
-            let json = parse(text).map_err(|problem| FormatError::TransferSyntax {
+            let json = parse(text).map_err(|problem| FormatError::Syntax {
                 path: shown(path),
                 line: problem.line,
                 problem: format!("expected {}", problem.expected),

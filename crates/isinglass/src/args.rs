@@ -34,8 +34,8 @@ use crate::memory::MemoryArgs;
 pub(crate) struct VolumeArgs {
     /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
     /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
-    #[arg(value_name = "VOLUME")]
-    pub(crate) volume: String,
+    #[arg(value_name = "VOLUME", required = true)]
+    pub(crate) volume: Option<String>,
     #[command(flatten)]
     pub(crate) raw: RawArgs,
     #[command(flatten)]
@@ -43,11 +43,31 @@ pub(crate) struct VolumeArgs {
 }
 
 impl VolumeArgs {
+    /// What to open.
+    pub(crate) fn source(&self) -> Result<&str> {
+        self.volume.as_deref().context("expected VOLUME")
+    }
+
+    /// The volume that a saved state names; flags that take another part of it hold.
+    pub(crate) fn from_state(&self, source: String, saved: &Selection) -> Self {
+        let of_flags = self.part.selection();
+        let part = PartArgs {
+            channel: of_flags.channel.or(saved.channel),
+            time: of_flags.time.or(saved.time),
+            level: of_flags.level.or(saved.level),
+            series: of_flags.series.or(saved.series),
+            region: of_flags.region.or(saved.region),
+            ..self.part.clone()
+        };
+        Self { volume: Some(source), raw: self.raw.clone(), part }
+    }
+
     /// Opens the volume, after what is known before; large files show their progress.
     pub(crate) fn open(&self) -> Result<(Volume, Outline)> {
-        let before = outline(&self.volume, &self.options())?;
+        let source = self.source()?;
+        let before = outline(source, &self.options())?;
         let volume = show_progress(&before, |progress| {
-            open(&self.volume, &OpenOptions { progress: Some(progress), ..self.options() })
+            open(source, &OpenOptions { progress: Some(progress), ..self.options() })
         })?;
         Ok((volume, before))
     }
@@ -264,6 +284,12 @@ pub(crate) struct LayeringArgs {
     pub(crate) k: u8,
 }
 
+impl Default for LayeringArgs {
+    fn default() -> Self {
+        Self { layering: Layering::default(), k: DEFAULT_K }
+    }
+}
+
 /// How the frames of a server become bytes.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Coding")]
@@ -387,10 +413,11 @@ impl LinkArgs {
 
 /// Opens a volume with its look; large files show their progress.
 pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<OpenedScene> {
-    let before = outline(&volume.volume, &volume.options())?;
+    let source = volume.source()?;
+    let before = outline(source, &volume.options())?;
     let opened = show_progress(&before, |progress| {
         let options = OpenOptions { progress: Some(progress), ..volume.options() };
-        open_scene(&volume.volume, look.tf.as_deref(), march_settings(look.is_shaded()), &options)
+        open_scene(source, look.tf.as_deref(), march_settings(look.is_shaded()), &options)
     });
     Ok(opened?)
 }
@@ -399,11 +426,11 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<Opened
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
     let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
     let OpenOptions { raw, selection, spacing, max_bytes, .. } = options;
-    let request = LoadRequest { source: volume.volume.clone(), raw, selection, spacing, max_bytes };
+    let request = LoadRequest { source: volume.source()?.to_owned(), raw, selection, spacing, max_bytes };
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
     let before = loader.outline(selection, 0).map_err(|e| anyhow!(e))?;
     let opened = show_progress(&before, |progress| {
-        open(&volume.volume, &OpenOptions { progress: Some(progress), ..options })
+        open(&request.source, &OpenOptions { progress: Some(progress), ..options })
     });
     loader.opened(Arc::new(opened?), &before)
 }

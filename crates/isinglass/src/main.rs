@@ -6,16 +6,19 @@
 
 mod args;
 mod commands;
+mod given;
 mod lens_args;
 mod library;
 mod memory;
 mod report;
+mod state_args;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches, Parser};
 
 use commands::Command;
+use given::Given;
 
 /// Remote volume rendering that follows the hand at any latency.
 #[derive(Parser)]
@@ -26,13 +29,27 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
-        Ok(cli) => cli,
+    let (cli, given) = match parse() {
+        Ok(parsed) => parsed,
         Err(e) => return report::usage(&e),
     };
     report::start_log(cli.command.log_level());
-    match cli.command.run() {
+    match cli.command.run(given) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => report::failure(&e),
     }
+}
+
+fn parse() -> Result<(Cli, Given), clap::Error> {
+    let mut command = Cli::command();
+    for name in commands::WITH_STATE {
+        // A state may say where its volume is.
+        command = command.mut_subcommand(name, |c| {
+            c.mut_arg("volume", |volume| volume.required(false).required_unless_present("state"))
+        });
+    }
+    let mut matches = command.clone().try_get_matches()?;
+    let given = Given::of(&matches);
+    let cli = Cli::from_arg_matches_mut(&mut matches).map_err(|e| e.format(&mut command))?;
+    Ok((cli, given))
 }

@@ -17,5 +17,5 @@ pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, Re
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};
-pub use link::{Link, LinkError};
+pub use link::{Link, LinkError, state_of_link};
 pub use server::{BindError, Greeting, Server, ServerOptions, Session, SessionClosed};

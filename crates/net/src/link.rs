@@ -1,7 +1,10 @@
 //! The link that a server prints and a viewer is given:
-//! `isinglass://host:port/#token=<32 hex digits>&cert=sha256:<64 hex digits>`.
+//! `isinglass://host:port/#token=<32 hex digits>&cert=sha256:<64 hex digits>`, with or without `&state=<what to show>`.
 //!
 //! All that is secret stands behind the `#`, which browsers and proxies do not pass on. `Debug` hides the token.
+//!
+//! A link that a viewer copies for others has a state and no token ([`Link::of_state`]): its own token is used up, and who
+//! gets in is the server's to say. [`state_of_link`] finds the state in either kind.
 
 use std::fmt;
 use std::str::FromStr;
@@ -21,6 +24,17 @@ pub struct Link {
     pub token: Token,
     /// Of the server's certificate.
     pub fingerprint: Fingerprint,
+    /// What to show at first, in the characters of base64url; what they mean is not known here.
+    pub state: Option<String>,
+}
+
+impl Link {
+    /// A link to the same server that shows `state` and lets nobody in.
+    pub fn of_state(&self, state: &str) -> String {
+        let Self { host, port, fingerprint, .. } = self;
+        let (open, close) = if host.contains(':') { ("[", "]") } else { ("", "") };
+        format!("{SCHEME}{open}{host}{close}:{port}/#cert={fingerprint}&state={state}")
+    }
 }
 
 /// What is wrong with a link.
@@ -41,8 +55,19 @@ pub enum LinkError {
     /// The fingerprint cannot be read.
     #[error("link with a damaged certificate fingerprint: {0}")]
     Fingerprint(String),
+    /// The link shows a state, and lets nobody in.
+    #[error(
+        "a link without a token shows a view to those who have a link of their own: open that one with --state and this link, \
+         or paste this one into the viewer's window"
+    )]
+    StateOnly,
+    /// The state is too long or has other characters than it may.
+    #[error(
+        "link with a damaged state; it may have been cut or changed when it was copied (a shell needs quotes around it)"
+    )]
+    State,
     /// A part behind the `#` is not known.
-    #[error("link with an unknown part '{0}', expected 'token' and 'cert'")]
+    #[error("link with an unknown part '{0}', expected 'token', 'cert' and 'state'")]
     Unknown(String),
 }
 
@@ -50,6 +75,37 @@ impl FromStr for Link {
     type Err = LinkError;
 
     fn from_str(s: &str) -> Result<Self, LinkError> {
+        let Parts { host, port, token, fingerprint, state } = Parts::of(s)?;
+        let no_token = if state.is_some() { LinkError::StateOnly } else { LinkError::Missing("token") };
+        Ok(Self {
+            host,
+            port,
+            token: token.ok_or(no_token)?,
+            fingerprint: fingerprint.ok_or(LinkError::Missing("cert"))?,
+            state,
+        })
+    }
+}
+
+/// The state in a link, with or without a token.
+///
+/// # Errors
+/// If it is no link, or there is no state in it.
+pub fn state_of_link(s: &str) -> Result<String, LinkError> {
+    Parts::of(s)?.state.ok_or(LinkError::Missing("state"))
+}
+
+/// What a link says, as far as it does.
+struct Parts {
+    host: String,
+    port: u16,
+    token: Option<Token>,
+    fingerprint: Option<Fingerprint>,
+    state: Option<String>,
+}
+
+impl Parts {
+    fn of(s: &str) -> Result<Self, LinkError> {
         let s = s.trim();
         let shown = |s: &str| s.chars().filter(|c| !c.is_control()).take(40).collect::<String>();
         let rest = s.strip_prefix(SCHEME).ok_or_else(|| {
@@ -68,35 +124,40 @@ impl FromStr for Link {
             return Err(bad_authority());
         }
         let port = port.parse().ok().filter(|&p: &u16| p != 0).ok_or_else(bad_authority)?;
-        let (mut token, mut fingerprint) = (None, None);
+        let mut parts = Self { host: host.to_owned(), port, token: None, fingerprint: None, state: None };
         for part in fragment.split('&').filter(|p| !p.is_empty()) {
             match part.split_once('=') {
                 Some(("token", v)) => {
-                    token = Some(v.parse().map_err(|e| LinkError::Token(format!("{e}")))?);
+                    parts.token = Some(v.parse().map_err(|e| LinkError::Token(format!("{e}")))?);
                 }
-                Some(("cert", v)) => fingerprint = Some(v.parse().map_err(LinkError::Fingerprint)?),
+                Some(("cert", v)) => parts.fingerprint = Some(v.parse().map_err(LinkError::Fingerprint)?),
+                Some(("state", v)) => {
+                    let is_good = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+                    if v.is_empty() || v.len() > MAX_STATE_CHARS || !v.chars().all(is_good) {
+                        return Err(LinkError::State);
+                    }
+                    parts.state = Some(v.to_owned());
+                }
                 _ => return Err(LinkError::Unknown(shown(part.split('=').next().unwrap_or_default()))),
             }
         }
-        Ok(Self {
-            host: host.to_owned(),
-            port,
-            token: token.ok_or(LinkError::Missing("token"))?,
-            fingerprint: fingerprint.ok_or(LinkError::Missing("cert"))?,
-        })
+        Ok(parts)
     }
 }
 
 /// The whole link, secret included.
 impl fmt::Display for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port, token, fingerprint } = self;
+        let Self { host, port, token, fingerprint, state } = self;
         let (open, close) = if host.contains(':') { ("[", "]") } else { ("", "") };
-        write!(f, "{SCHEME}{open}{host}{close}:{port}/#token={}&cert={fingerprint}", token.reveal())
+        write!(f, "{SCHEME}{open}{host}{close}:{port}/#token={}&cert={fingerprint}", token.reveal())?;
+        state.as_ref().map_or(Ok(()), |state| write!(f, "&state={state}"))
     }
 }
 
 const SCHEME: &str = "isinglass://";
+/// Longest state in a link.
+const MAX_STATE_CHARS: usize = 64 << 10;
 
 #[cfg(test)]
 mod tests {
@@ -107,11 +168,22 @@ mod tests {
     fn a_link_survives_its_text() {
         for host in ["127.0.0.1", "::1", "render-01.example.org"] {
             let fingerprint = Identity::generate().unwrap().fingerprint();
-            let link = Link { host: host.into(), port: 4433, token: random_token().unwrap(), fingerprint };
+            let token = random_token().unwrap();
+            let link = Link { host: host.into(), port: 4433, token, fingerprint, state: None };
             let again: Link = format!(" {link}\n").parse().unwrap();
             assert_eq!((&again.host, again.port, again.fingerprint), (&link.host, 4433, fingerprint));
             assert!(again.token.matches(&link.token));
             assert!(!format!("{link:?}").contains(&link.token.reveal()));
+            assert_eq!(state_of_link(&link.to_string()), Err(LinkError::Missing("state")));
+            let seen = Link { state: Some("aB-_9".into()), ..link.clone() };
+            let again: Link = seen.to_string().parse().unwrap();
+            assert_eq!((again.state.as_deref(), again.port), (Some("aB-_9"), 4433));
+            let shared = link.of_state("aB-_9");
+            assert!(!shared.contains("token") && !shared.contains(&link.token.reveal()), "{shared}");
+            for text in [&shared, &seen.to_string()] {
+                assert_eq!(state_of_link(text).as_deref(), Ok("aB-_9"));
+            }
+            assert_eq!(shared.parse::<Link>().unwrap_err(), LinkError::StateOnly);
         }
     }
 
@@ -131,6 +203,12 @@ mod tests {
         assert_eq!(error(&format!("isinglass://h:1/#token={token}")), LinkError::Missing("cert"));
         assert!(matches!(error(&format!("isinglass://h:1/#token=12&cert={cert}")), LinkError::Token(_)));
         assert!(matches!(error("isinglass://h:1/#cert=sha256:12"), LinkError::Fingerprint(_)));
+        for bad in ["", "a+b", "é", &"a".repeat(MAX_STATE_CHARS + 1)] {
+            assert_eq!(
+                error(&format!("isinglass://h:1/#token={token}&cert={cert}&state={bad}")),
+                LinkError::State
+            );
+        }
         assert_eq!(error("isinglass://h:1/#tocken=1"), LinkError::Unknown("tocken".into()));
         assert!(!error(&format!("isinglass://h:1/#token={token}0")).to_string().contains(token));
     }

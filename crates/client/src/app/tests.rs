@@ -374,3 +374,5 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
         assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
     }
 }
+
+mod states;

@@ -14,8 +14,9 @@ use egui::{DragValue, RichText, Ui, vec2};
 use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_formats::{ColorMap, ImportedTransfer};
 
+use crate::background::path_from_text;
 use curve::Curve;
-use files::{Files, Outcome, path_from_text};
+use files::{Files, Outcome};
 use history::History;
 use plot::{Grip, LEAST_WINDOW};
 pub(crate) use scale::ValueScale;

@@ -10,15 +10,18 @@ use isinglass_bench::progress::note;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
+use isinglass_formats::SavedState;
 use isinglass_net::LinkModel;
 use isinglass_server::ServeOptions;
 
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
-    RawArgs, VolumeArgs, open_to_serve, parse_duration, parse_fov, parse_size,
+    RawArgs, VolumeArgs, parse_duration, parse_fov, parse_size,
 };
+use crate::given::Given;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
+use crate::state_args::StateArgs;
 
 #[derive(Args, Clone)]
 pub(crate) struct DemoArgs {
@@ -29,6 +32,8 @@ pub(crate) struct DemoArgs {
     raw: RawArgs,
     #[command(flatten)]
     part: PartArgs,
+    #[command(flatten)]
+    state: StateArgs,
     /// Round-trip time between server and viewer
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "200ms")]
     rtt: Duration,
@@ -77,7 +82,7 @@ pub(crate) struct DemoArgs {
     json: bool,
 }
 
-pub(crate) fn run(args: DemoArgs) -> Result<()> {
+pub(crate) fn run(args: DemoArgs, given: Given) -> Result<()> {
     let link = args.link.model(args.rtt)?;
     if args.headless || args.out.is_some() || args.json {
         return headless(args, link);
@@ -86,7 +91,7 @@ pub(crate) fn run(args: DemoArgs) -> Result<()> {
         note("no display: playing without a window (see `isinglass doctor`)");
         return headless(args, link);
     }
-    match window(args.clone(), link.clone()) {
+    match window(args.clone(), link.clone(), given) {
         // Where there never was a window; one that was lost is an error.
         Err(e) if e.downcast_ref().is_some_and(|e| !matches!(e, ViewerError::DisplayLost)) => {
             note(&format!("no window ({e:#}): playing without one (see `isinglass doctor`)"));
@@ -97,6 +102,11 @@ pub(crate) fn run(args: DemoArgs) -> Result<()> {
 }
 
 fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
+    if args.state.is_some() {
+        bail!(
+            "--state: found a demonstration without a window, which plays a path; expected `render --state` for a picture"
+        );
+    }
     let mut options = DemoOptions {
         raw: args.raw.shape(),
         selection: args.part.selection(),
@@ -131,14 +141,17 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
     if args.json { print_json(&outcome.report) } else { print(&outcome.text) }
 }
 
-fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
-    let volume = VolumeArgs {
-        volume: args.volume.unwrap_or_else(|| DEFAULT_SOURCE.into()),
-        raw: args.raw,
-        part: args.part,
-    };
-    let opened = open_to_serve(&volume, &args.look, &args.memory)?;
-    let look = args.look.look(opened.transfer, &args.layering);
+fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
+    let seen = args.state.read(given)?;
+    let names_volume = seen.state.volume.as_ref().is_some_and(|v| v.source.is_some());
+    let volume = args.volume.or_else(|| (!names_volume).then(|| DEFAULT_SOURCE.into()));
+    let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
+    let volume_source = Some((volume.source()?.to_owned(), volume.part.selection()));
+    let (opened, look) = seen.open_to_serve(&volume, &args.look, &args.layering, &args.memory)?;
+    let defaults = WindowOptions::default();
+    let ((size, state_sets_size), state) = seen.window(args.size.unwrap_or(defaults.size), args.fov);
+    // The server has the look already, with what flags say.
+    let state = state.map(|state| SavedState { look: None, ..state });
     let options = ServeOptions {
         volume: opened.volume,
         look,
@@ -154,13 +167,16 @@ fn window(args: DemoArgs, link: LinkModel) -> Result<()> {
         let server_link = server.mint_link(None).await?;
         anyhow::Ok((server, server_link))
     })?;
-    let defaults = WindowOptions::default();
     let shown = isinglass_client::run(ViewerOptions {
-        link: server_link,
+        link: server_link.clone(),
         conditioner: Some(link),
         window: WindowOptions {
             server_name: "this computer".into(),
-            size: args.size.unwrap_or(defaults.size),
+            size,
+            state,
+            state_sets_size,
+            volume_source,
+            link: Some(server_link),
             initial_orbit: initial_orbit(&args.orbit),
             fov_y: args.fov.to_radians(),
             novel_views: rivals::for_viewer(),

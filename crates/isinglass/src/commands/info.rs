@@ -26,13 +26,14 @@ pub(crate) struct InfoArgs {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let path = Path::new(&args.volume.volume);
+    let source = args.volume.source()?;
+    let path = Path::new(source);
     if args.volume.raw.shape().is_none() && is_stored_frame(path) {
         return frame(path, args.json);
     }
     let (volume, outline) = args.volume.open()?;
     let mut facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
-    facts.file = (!args.volume.volume.starts_with("builtin:")).then_some(outline);
+    facts.file = (!source.starts_with("builtin:")).then_some(outline);
     if args.json { print_json(&facts) } else { print(&facts.to_string()) }
 }
 

@@ -13,15 +13,18 @@ use isinglass_formats::iglf;
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_volume,
-    parse_output,
+    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_output,
 };
+use crate::given::Given;
 use crate::report::print_json;
+use crate::state_args::StateArgs;
 
 #[derive(Args)]
 pub(crate) struct LayersArgs {
     #[command(flatten)]
     volume: VolumeArgs,
+    #[command(flatten)]
+    state: StateArgs,
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
@@ -43,16 +46,17 @@ pub(crate) struct LayersArgs {
     json: bool,
 }
 
-pub(crate) fn run(args: &LayersArgs) -> Result<()> {
+pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     if args.output.exists() && !args.output.is_file() {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
-    let opened = open_volume(&args.volume, &args.look)?;
+    let seen = args.state.read(given)?;
+    let (opened, look) = seen.open(&args.volume, &args.look, &args.layering)?;
     let backend = args.backend.open()?;
-    let camera = args.orbit.camera(args.view.intrinsics(), &opened.scene.volume.bounds());
+    let camera = seen.camera(&args.orbit, &args.view, &opened.scene.volume.bounds());
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
-    let frame = renderer.generate(header(camera, args.layering.k), args.layering.layering)?;
+    let frame = renderer.generate(header(camera, look.k), look.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
@@ -61,11 +65,11 @@ pub(crate) fn run(args: &LayersArgs) -> Result<()> {
     if args.json {
         print_json(&json!({
             "output": args.output.display().to_string(),
-            "size": args.view.size,
+            "size": [camera.intrinsics.width, camera.intrinsics.height],
             "backend": backend.description(),
             "tf": opened.transfer.name,
-            "layering": args.layering.layering.name(),
-            "k": args.layering.k,
+            "layering": look.layering.name(),
+            "k": look.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
             "codec": match coding {

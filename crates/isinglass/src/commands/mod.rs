@@ -14,6 +14,8 @@ mod view;
 use anyhow::Result;
 use clap::Subcommand;
 
+use crate::given::Given;
+
 /// What to do.
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -46,13 +48,13 @@ impl Command {
     }
 
     /// Does it.
-    pub(crate) fn run(self) -> Result<()> {
+    pub(crate) fn run(self, given: Given) -> Result<()> {
         match self {
-            Self::Demo(args) => demo::run(args),
-            Self::Serve(args) => serve::run(args),
-            Self::View(args) => view::run(args),
-            Self::Render(args) => render::run(&args),
-            Self::Layers(args) => layers::run(&args),
+            Self::Demo(args) => demo::run(args, given),
+            Self::Serve(args) => serve::run(args, given),
+            Self::View(args) => view::run(args, given),
+            Self::Render(args) => render::run(&args, given),
+            Self::Layers(args) => layers::run(&args, given),
             Self::Reproject(args) => reproject::run(&args),
             Self::Compare(args) => compare::run(&args),
             Self::Info(args) => info::run(&args),
@@ -61,3 +63,6 @@ impl Command {
         }
     }
 }
+
+/// The commands whose volume may be named by a state in place of VOLUME.
+pub(crate) const WITH_STATE: [&str; 3] = ["serve", "render", "layers"];

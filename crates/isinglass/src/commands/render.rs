@@ -8,14 +8,20 @@ use clap::Args;
 use isinglass_bench::view::Orbit;
 use serde_json::json;
 
-use crate::args::{BackendArgs, LookArgs, ViewArgs, VolumeArgs, open_volume, parse_background, parse_output};
+use crate::args::{
+    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_background, parse_output,
+};
+use crate::given::Given;
 use crate::lens_args::LensArgs;
 use crate::report::print_json;
+use crate::state_args::StateArgs;
 
 #[derive(Args)]
 pub(crate) struct RenderArgs {
     #[command(flatten)]
     volume: VolumeArgs,
+    #[command(flatten)]
+    state: StateArgs,
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
@@ -39,17 +45,18 @@ pub(crate) struct RenderArgs {
     lens: LensArgs,
 }
 
-pub(crate) fn run(args: &RenderArgs) -> Result<()> {
-    let opened = open_volume(&args.volume, &args.look)?;
+pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
+    let seen = args.state.read(given)?;
+    let (opened, _) = seen.open(&args.volume, &args.look, &LayeringArgs::default())?;
     let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
-    let camera = args.orbit.camera(args.view.intrinsics(), &bounds);
+    let camera = seen.camera(&args.orbit, &args.view, &bounds);
     let plan = args.lens.plan(&camera, &bounds)?;
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
     let pictures = plan.draw(|views| renderer.render_mean(views))?;
     let render_ms = start.elapsed().as_secs_f64() * 1e3;
-    let picture = plan.compose(&pictures, args.background);
+    let picture = plan.compose(&pictures, seen.background(args.background));
     picture.write(&args.output)?;
     if args.json {
         print_json(&json!({

@@ -5,17 +5,22 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
+use isinglass_net::Link;
 use isinglass_server::ServeOptions;
 use serde_json::json;
 
-use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, open_to_serve, parse_mbit};
+use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
+use crate::given::Given;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
+use crate::state_args::StateArgs;
 
 #[derive(Args)]
 pub(crate) struct ServeArgs {
     #[command(flatten)]
     volume: VolumeArgs,
+    #[command(flatten)]
+    state: StateArgs,
     /// Address and UDP port to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
     listen: SocketAddr,
@@ -47,9 +52,12 @@ pub(crate) struct ServeArgs {
     json: bool,
 }
 
-pub(crate) fn run(args: ServeArgs) -> Result<()> {
-    let opened = open_to_serve(&args.volume, &args.look, &args.memory)?;
-    let look = args.look.look(opened.transfer, &args.layering);
+pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
+    let seen = args.state.read(given)?;
+    let source = seen.volume(&args.volume)?.source()?.to_owned();
+    let (opened, look) = seen.open_to_serve(&args.volume, &args.look, &args.layering, &args.memory)?;
+    // Who follows the link sees the state at once.
+    let state = seen.for_link(&look);
     let backend = args.backend.open()?;
     let description = backend.description();
     let options = ServeOptions {
@@ -66,11 +74,12 @@ pub(crate) fn run(args: ServeArgs) -> Result<()> {
         let server = isinglass_server::start(options)?;
         let mut links = Vec::new();
         for _ in 0..args.viewers {
-            links.push(server.mint_link(args.host.as_deref()).await?.to_string());
+            let link = server.mint_link(args.host.as_deref()).await?;
+            links.push(Link { state: state.clone(), ..link }.to_string());
         }
         note(&format!(
             "serving {} at {} on {description}; each link lets in one viewer; Ctrl-C ends it",
-            args.volume.volume,
+            source,
             server.address()
         ));
         if args.json {

@@ -14,12 +14,16 @@ use isinglass_net::{Client, ClientOptions, Link};
 
 use super::demo::initial_orbit;
 use crate::args::{ForesightArgs, MethodArgs, parse_fov, parse_output, parse_size};
+use crate::given::Given;
+use crate::state_args::StateArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
     /// The link that `serve` printed; quote it in a shell
     #[arg(value_name = "LINK")]
     link: Link,
+    #[command(flatten)]
+    state: StateArgs,
     /// Columns and rows of the window
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1100x760")]
     size: [u32; 2],
@@ -40,7 +44,9 @@ pub(crate) struct ViewerArgs {
 
 /// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away
 /// later is shown in the window.
-pub(crate) fn run(args: ViewerArgs) -> Result<()> {
+pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
+    let seen = args.state.read_or(args.link.state.as_deref(), given)?;
+    let ((size, state_sets_size), state) = seen.window(args.size, args.fov);
     // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
     if !display_available() {
         bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
@@ -62,7 +68,10 @@ pub(crate) fn run(args: ViewerArgs) -> Result<()> {
     let recorder = args.record.as_ref().map(|_| Arc::<Mutex<CameraPath>>::default());
     let window = WindowOptions {
         server_name,
-        size: args.size,
+        size,
+        state,
+        state_sets_size,
+        link: Some(args.link),
         initial_orbit: initial_orbit(&args.orbit),
         fov_y: args.fov.to_radians(),
         novel_views: rivals::for_viewer(),

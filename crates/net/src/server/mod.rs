@@ -161,7 +161,8 @@ impl Server {
         let address = self.local_addr();
         let port =
             address.map_err(|source| BindError::Io { address: ([0, 0, 0, 0], 0).into(), source })?.port();
-        Ok(Link { host: host.to_owned(), port, token: self.mint_token()?, fingerprint: self.fingerprint })
+        let token = self.mint_token()?;
+        Ok(Link { host: host.to_owned(), port, token, fingerprint: self.fingerprint, state: None })
     }
 
     /// What viewers are told from now on when they are let in.

@@ -25,6 +25,7 @@ use crate::wanted::{ALWAYS, Wanted};
 
 /// The rules by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Layering {
     /// One march, merged where it costs least; K segments a list on average, more where they matter (ours).
     #[default]

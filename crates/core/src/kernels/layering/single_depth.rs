@@ -9,6 +9,7 @@ use crate::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN};
 
 /// Where on its ray the colour is put.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Representative {
     /// Mean of the distance, weighted by what each step adds to the picture.
     #[default]

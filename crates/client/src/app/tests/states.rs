@@ -1,0 +1,173 @@
+//! Does a state bring back the very same picture, whichever way it takes?
+
+use std::path::{Path, PathBuf};
+
+use isinglass_core::kernels::layering::Layering;
+use isinglass_formats::{SavedState, read_state};
+
+use super::*;
+
+/// A file of this test alone.
+fn path(name: &str) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("isinglass-{}-{name}.state.toml", std::process::id()));
+    let _ = std::fs::remove_file(&path);
+    path
+}
+
+/// A window in which nothing is as it was at first.
+fn changed() -> Harness<'static, ViewerApp<HereSource>> {
+    let mut w = window([640.0, 480.0]);
+    drag(&mut w, egui::pos2(300.0, 300.0), vec2(77.0, -41.0), Modifiers::NONE);
+    drag(&mut w, egui::pos2(300.0, 300.0), vec2(-13.0, 9.0), Modifiers::SHIFT);
+    drag(&mut w, egui::pos2(300.0, 200.0), vec2(30.0, 50.0), Modifiers::COMMAND);
+    for key in [Key::B, Key::A, Key::O] {
+        press(&mut w, Modifiers::NONE, key);
+    }
+    let transfer = isinglass_formats::preset("cubus").unwrap();
+    let look = Look { shaded: false, k: 5, layering: Layering::EqualTransmittance, ..Look::new(transfer) };
+    let app = w.state_mut();
+    app.viewing.set_look(Duration::ZERO, look);
+    app.aids.background = [1, 200, 3];
+    app.stereo.eye_angle_degrees = 3.3;
+    let (bounds, controls) = app.controls.as_mut().unwrap();
+    assert!(controls.set_center(bounds.max * 0.3));
+    rest(&mut w);
+    w
+}
+
+/// Waits for the thread that reads or writes.
+fn wait(w: &mut Harness<'_, ViewerApp<HereSource>>, until: impl Fn(&ViewerApp<HereSource>) -> bool) {
+    for _ in 0..2000 {
+        w.step();
+        if until(w.state()) {
+            return rest(w);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("the file was never read or written");
+}
+
+fn state(w: &Harness<'_, ViewerApp<HereSource>>) -> SavedState {
+    let app = w.state();
+    app.saved_state(&w.ctx, app.window.unwrap()).unwrap()
+}
+
+fn save(w: &mut Harness<'_, ViewerApp<HereSource>>, path: &Path) {
+    w.state_mut().state_files.set_path(path);
+    press(w, Modifiers::COMMAND, Key::S);
+    wait(w, |_| path.exists());
+    wait(w, |app| app.notice.as_ref().is_some_and(|(text, _)| text.contains("saved as")));
+}
+
+#[derive(Debug)]
+struct Dropped(PathBuf);
+
+impl egui::DroppedFile for Dropped {
+    fn path(&self) -> &Path {
+        &self.0
+    }
+
+    fn bytes(&self) -> Result<Vec<u8>, String> {
+        std::fs::read(&self.0).map_err(|e| e.to_string())
+    }
+}
+
+fn drop_file(w: &mut Harness<'_, ViewerApp<HereSource>>, path: &Path) {
+    w.input_mut().dropped_files.push(Arc::new(Dropped(path.to_owned())));
+    w.step();
+}
+
+#[test]
+fn a_state_gives_the_very_same_picture_in_another_window() {
+    let mut w = changed();
+    let (wanted, shown, wanted_pose) = (state(&w), picture(&w), pose(&w));
+    let path = path("same");
+    save(&mut w, &path);
+    assert_eq!(read_state(&path).unwrap().state, wanted);
+
+    for way in ["file", "drop", "link", "start"] {
+        let mut other = window([640.0, 480.0]);
+        assert!(pose(&other) != wanted_pose && picture(&other) != shown, "control: without it they differ");
+        match way {
+            "file" => {
+                other.state_mut().state_files.set_path(&path);
+                let ctx = other.ctx.clone();
+                other.state_mut().do_state(&ctx, Duration::ZERO, StateWish::Open);
+            }
+            "drop" => drop_file(&mut other, &path),
+            "link" => {
+                let text = isinglass_formats::state_to_link(&wanted);
+                let link = format!("isinglass://h:1/#cert=sha256:{}&state={text}", "ab".repeat(32));
+                other.event(Event::Paste(link));
+                other.step();
+            }
+            _ => other.state_mut().options.state = Some(wanted.clone()),
+        }
+        wait(&mut other, |app| app.viewing.look().is_some_and(|look| look.k == 5));
+        assert_eq!(pose(&other), wanted_pose, "{way}");
+        assert_eq!(state(&other), wanted, "{way}");
+        assert!(picture(&other) == shown, "{way}: the picture is the same to the byte");
+    }
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn a_file_that_is_there_is_replaced_when_it_is_asked_for_twice() {
+    let mut w = window([640.0, 480.0]);
+    let path = path("twice");
+    std::fs::write(&path, "mine").unwrap();
+    w.state_mut().state_files.set_path(&path);
+    press(&mut w, Modifiers::COMMAND, Key::S);
+    wait(&mut w, |app| app.notice.as_ref().is_some_and(|(text, _)| text.contains("save again")));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
+    press(&mut w, Modifiers::COMMAND, Key::S);
+    wait(&mut w, |app| app.notice.as_ref().is_some_and(|(text, _)| text.contains("saved as")));
+    assert!(read_state(&path).is_ok());
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn what_is_no_state_or_of_another_volume_is_told() {
+    let mut w = window([640.0, 480.0]);
+    let mut other = state(&w);
+    other.volume.as_mut().unwrap().dims = [1, 2, 3];
+    let path = path("other");
+    std::fs::write(&path, other.to_toml()).unwrap();
+    drop_file(&mut w, &path);
+    wait(&mut w, |app| app.notice.is_some());
+    let notice = w.state().notice.clone().unwrap().0;
+    assert!(notice.contains("1×2×3") && notice.contains("24×24×24"), "{notice}");
+    for (text, word) in [("isinglass_state = 7", "isinglass_state"), ("isinglass_state = 1\nk = x", "line 2")]
+    {
+        w.state_mut().notice = None;
+        std::fs::write(&path, text).unwrap();
+        drop_file(&mut w, &path);
+        wait(&mut w, |app| app.notice.is_some());
+        let notice = w.state().notice.clone().unwrap().0;
+        assert!(notice.contains(word) && !notice.contains('\n'), "{notice}");
+    }
+    w.state_mut().notice = None;
+    w.event(Event::Paste("isinglass://h:1/#state=AAAA".into()));
+    rest(&mut w);
+    assert!(w.state().notice.clone().unwrap().0.contains("the link's state"));
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn a_copied_link_names_the_server_and_holds_no_token() {
+    let mut w = changed();
+    press(&mut w, Modifiers::COMMAND, Key::L);
+    assert!(w.state().notice.clone().unwrap().0.contains("no server"));
+    let token = "00112233445566778899aabbccddeeff";
+    let link = format!("isinglass://far:4433/#token={token}&cert=sha256:{}", "ab".repeat(32));
+    w.state_mut().options.link = Some(link.parse().unwrap());
+    w.state_mut().options.volume_source = Some(("/secret/place.nrrd".into(), Default::default()));
+    press(&mut w, Modifiers::COMMAND, Key::L);
+    assert!(w.state().notice.clone().unwrap().0.contains("clipboard"));
+    let copied = w.state().link_to(state(&w)).unwrap();
+    assert!(copied.starts_with("isinglass://far:4433/#cert=sha256:") && !copied.contains(token), "{copied}");
+    let text = isinglass_net::state_of_link(&copied).unwrap();
+    let seen = isinglass_formats::state_from_link(&text).unwrap().state;
+    assert_eq!((seen.camera, seen.look.clone()), (state(&w).camera, state(&w).look));
+    assert_eq!(seen.volume.unwrap().source, None, "where it lies is not for others");
+}

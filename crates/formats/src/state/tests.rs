@@ -1,0 +1,159 @@
+use isinglass_core::kernels::layering::{Layering, Representative};
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+
+use super::*;
+
+/// Numbers that no short decimal is near to.
+fn odd(i: u32) -> f32 {
+    f32::from_bits(0x3e00_0000 + i.wrapping_mul(0x9e37_79b9) % 0x0180_0000)
+}
+
+fn state(seed: u32) -> SavedState {
+    let point =
+        |i: u32| ControlPoint { x: i as f32 / 7.0, color: [odd(i), 0.5, 1.0 / 3.0], opacity: odd(i + seed) };
+    let transfer = TransferFunction {
+        name: "a \"quoted\" name µ".into(),
+        domain: [Domain::Full, Domain::Values(-1e37, odd(seed)), Domain::Percentiles(0.1, 99.9)]
+            [seed as usize % 3],
+        unit_length: [UnitLength::Voxel, UnitLength::World(1e-12), UnitLength::Radius(0.1)]
+            [seed as usize % 3],
+        points: (0..=7).map(point).collect(),
+    };
+    let layering = Layering::ALL[seed as usize % Layering::ALL.len()];
+    let rotation = Quat::from_rotation_y(odd(seed)) * Quat::from_rotation_x(odd(seed + 1));
+    let intrinsics = Intrinsics { width: 1100, height: 761, fov_y: (20.0 + odd(seed) * 90.0).to_radians() };
+    let eye = Vec3::new(odd(seed + 2), -odd(seed + 3), 1e5 * odd(seed + 4));
+    SavedState {
+        volume: Some(SavedVolume {
+            name: "head.nrrd".into(),
+            source: Some("/data/a b/head.nrrd".into()),
+            region: Some("1:5,:,7:".into()),
+            time: Some(3),
+            dims: [5, 6, 7],
+            spacing: [0.1, odd(seed), 3.0],
+            range: [-1000.0, odd(seed + 5)],
+            ..SavedVolume::default()
+        }),
+        camera: Some(SavedCamera::of(Vec3::splat(odd(seed + 6)), (rotation, eye), intrinsics)),
+        view: SavedView {
+            shows_box: Some(true),
+            background: Some(Srgb([1, 2, 254])),
+            theme: Some(Theme::Light),
+            stereo: Some(StereoPicture::RedCyan),
+            eye_angle_degrees: Some(odd(seed)),
+            method: Some("layers".into()),
+            ..SavedView::default()
+        },
+        look: Some(Look { shaded: seed % 2 == 0, k: 9, layering, ..Look::new(transfer) }),
+    }
+}
+
+fn from_text(text: &str) -> Result<ReadState, String> {
+    state_from_bytes(text.as_bytes(), Path::new("a.toml")).map_err(|e| e.to_string())
+}
+
+#[test]
+fn what_is_written_is_read_to_the_bit_in_a_file_and_in_a_link() {
+    for seed in 0..60 {
+        let state = state(seed);
+        let text = state.to_toml();
+        let read = from_text(&text).unwrap();
+        assert_eq!(read, ReadState { state: state.clone(), note: None }, "{text}");
+        let (camera, again) = (state.camera.unwrap(), read.state.camera.unwrap());
+        assert_eq!(camera.pose(), again.pose());
+        // The angle goes through degrees.
+        assert_eq!(camera.intrinsics().fov_y.to_bits(), (20.0 + odd(seed) * 90.0).to_radians().to_bits());
+        let link = state_to_link(&state);
+        assert!(
+            link.len() < 1200 && state_from_link(&link).unwrap().state == state,
+            "{} characters",
+            link.len()
+        );
+        // Control: another number in the last place is another state.
+        let other =
+            SavedState { camera: Some(SavedCamera { center: [odd(seed + 7); 3], ..camera }), ..state };
+        assert_ne!(from_text(&other.to_toml()).unwrap().state, read.state);
+    }
+}
+
+#[test]
+fn it_is_text_that_a_person_can_read() {
+    let text = state(2).to_toml();
+    for line in [
+        "isinglass_state = 1",
+        "[volume]",
+        "name = \"head.nrrd\"",
+        "[camera]",
+        "background = \"#0102fe\"",
+        "stereo = \"red-cyan\"",
+        "[look]",
+        "k = 9",
+        "layering = \"equal-transmittance\"",
+        "[look.transfer]",
+        "domain = { percentiles = [0.1, 99.9] }",
+    ] {
+        assert!(text.lines().any(|l| l == line), "{line} in {text}");
+    }
+    assert!(is_state(text.as_bytes()));
+    let preset = crate::transfer_to_toml(&crate::preset("ct").unwrap());
+    assert!(!is_state(preset.as_bytes()) && !is_state(b"NRRD0004"));
+    let depths = Layering::SingleDepth(Representative::Peak);
+    let state = SavedState { look: Some(Look { layering: depths, ..state(0).look.unwrap() }), ..state(0) };
+    assert!(state.to_toml().contains("layering = { single-depth = \"peak\" }"), "{}", state.to_toml());
+}
+
+#[test]
+fn what_is_missing_is_left_as_it_is_and_what_is_unknown_is_told() {
+    assert_eq!(from_text("isinglass_state = 1").unwrap().state, SavedState::default());
+    let whole = state(1).to_toml();
+    let older: String = whole.lines().filter(|l| !l.starts_with("k = ")).map(|l| format!("{l}\n")).collect();
+    let look = from_text(&older).unwrap().state.look.unwrap();
+    assert_eq!(look, Look { k: isinglass_core::look::DEFAULT_K, ..state(1).look.unwrap() });
+    let newer =
+        whole.replace("[look]", "[fog]\nx = 1\n[look]\nsmoke = true").replace("x = 0.0", "x = 0.0, y = 2");
+    let read = from_text(&newer).unwrap();
+    assert_eq!(read.state, state(1));
+    let note = read.note.unwrap();
+    assert_eq!(note, "not known here and left out: \"fog\", \"look.smoke\", \"look.transfer.points.0.y\"");
+}
+
+#[test]
+fn each_mistake_is_named_in_one_line() {
+    let good = state(0).to_toml();
+    for (from, to, what) in [
+        ("isinglass_state = 1", "isinglass_state = 2", "isinglass_state is \"2\", expected 1"),
+        ("isinglass_state = 1", "", "found no isinglass_state"),
+        ("size = [1100, 761]", "size = [0, 761]", "size is 0×761"),
+        ("size = [1100, 761]", "size = [1100]", "invalid length 1"),
+        ("fov_degrees = ", "fov_degrees = 1e3 # ", "fov_degrees is 1000, expected 1 to 170"),
+        ("rotation = [", "rotation = [9.0, 9.0, 9.0, 9.0] # ", "no place and rotation"),
+        ("\"#0102fe\"", "\"blue\"", "found \"blue\", expected a colour"),
+        ("\"red-cyan\"", "\"both\"", "unknown variant `both`"),
+        ("k = 9", "k = 99", "k is 99, expected 1 to 32"),
+        ("k = 9", "k = 999", "look: "),
+        ("1:5,:,7:", "all", "region: expected FROM:TO"),
+        ("opacity = ", "opacity = 9.0 # ", "a.toml: line"),
+        ("opacity = ", "opacity = -", "control point 0: opacity is -"),
+        ("domain = \"full\"", "domain = \"some\"", "unknown variant `some`"),
+        ("eye_angle_degrees = ", "eye_angle_degrees = -", "expected 0 to 90"),
+    ] {
+        let bad = good.replacen(from, to, 1);
+        assert_ne!(bad, good, "{from} is not in {good}");
+        let e = from_text(&bad).unwrap_err();
+        assert!(e.starts_with("a.toml: ") && e.contains(what) && !e.contains('\n'), "{to}: {e}");
+    }
+    assert!(state_from_bytes(&[b' '; 2 << 20], Path::new("a")).is_err());
+    for bad in ["", "Z", "****", "AAAA"] {
+        let e = state_from_link(bad).unwrap_err().to_string();
+        assert!(e.starts_with("the link's state: ") && !e.contains('\n'), "{e}");
+    }
+}
+
+#[test]
+fn another_volume_is_told_from_the_same_under_another_name() {
+    let volume = state(0).volume.unwrap();
+    let moved = SavedVolume { name: "copy.nrrd".into(), source: None, ..volume.clone() };
+    assert_eq!(volume.difference(&moved), None);
+    let other = SavedVolume { dims: [5, 6, 8], ..moved };
+    assert!(volume.difference(&other).unwrap().contains("5×6×8"));
+}

@@ -1,0 +1,167 @@
+//! A state as TOML. Numbers are written in as few digits as read back to the bit; what is read is compared with what was
+//! understood of it, so that no key is dropped in silence.
+
+use std::path::Path;
+
+use isinglass_core::look::Look;
+use isinglass_core::transfer::TransferFunction;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::{ReadState, SavedCamera, SavedState, SavedView, SavedVolume, VERSION, VERSION_KEY};
+use crate::error::{FormatError, quoted, shown};
+use crate::transfer::{number_literal, text_literal};
+
+/// The file as a whole. The look is taken apart later, for what is missing in it.
+#[derive(Deserialize, Serialize)]
+struct StateFile {
+    isinglass_state: i64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    volume: Option<SavedVolume>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera: Option<SavedCamera>,
+    #[serde(default)]
+    view: SavedView,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    look: Option<Table>,
+}
+
+impl StateFile {
+    fn of(state: &SavedState) -> Self {
+        let SavedState { volume, camera, view, look } = state.clone();
+        let table = |look: Look| Table::try_from(look).expect("a look is a table of numbers and names");
+        Self { isinglass_state: VERSION, volume, camera, view, look: look.map(table) }
+    }
+
+    fn table(&self) -> Table {
+        Table::try_from(self).expect("a state is a table of numbers and names")
+    }
+}
+
+/// The text of a state.
+pub(super) fn write(state: &SavedState) -> String {
+    let mut out = String::new();
+    write_table(&mut out, "", &StateFile::of(state).table());
+    out
+}
+
+/// The state in a text, its numbers not looked at.
+pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
+    let problem = |problem: String| FormatError::State { path: shown(path), problem };
+    let syntax = |e: toml::de::Error| FormatError::Syntax {
+        path: shown(path),
+        line: line_at(text, e.span().map_or(0, |s| s.start)),
+        problem: one_line(e.message()),
+    };
+    let whole: Table = toml::from_str(text).map_err(syntax)?;
+    match whole.get(VERSION_KEY) {
+        Some(Value::Integer(VERSION)) => {}
+        Some(found) => {
+            return Err(problem(format!(
+                "{VERSION_KEY} is {}, expected {VERSION}; a newer program wrote it",
+                quoted(&found.to_string())
+            )));
+        }
+        None => return Err(problem(format!("found no {VERSION_KEY}, expected a saved state"))),
+    }
+    let file: StateFile = toml::from_str(text).map_err(syntax)?;
+    let look = file.look.map(look_of).transpose().map_err(|e| problem(format!("look: {e}")))?;
+    let state = SavedState { volume: file.volume, camera: file.camera, view: file.view, look };
+    let mut unknown = Vec::new();
+    find_unknown("", &whole, &StateFile::of(&state).table(), &mut unknown);
+    let note = (!unknown.is_empty()).then(|| {
+        let shown: Vec<_> = unknown.iter().take(MAX_NOTED).map(|key| quoted(key)).collect();
+        let more = if unknown.len() > MAX_NOTED { ", …" } else { "" };
+        format!("not known here and left out: {}{more}", shown.join(", "))
+    });
+    Ok(ReadState { state, note })
+}
+
+/// The look in a table. What is missing is as in the look of its transfer function alone, so that a file of an older
+/// program stays whole.
+fn look_of(table: Table) -> Result<Look, String> {
+    let message = |e: toml::de::Error| one_line(e.message());
+    let transfer = table.get("transfer").ok_or("found no transfer function, expected look.transfer")?;
+    let transfer: TransferFunction = transfer.clone().try_into().map_err(message)?;
+    let mut whole = Table::try_from(Look::new(transfer)).map_err(|e| one_line(&e.to_string()))?;
+    whole.extend(table);
+    Value::Table(whole).try_into().map_err(message)
+}
+
+/// The keys of `found` that have nothing in `known`.
+fn find_unknown(at: &str, found: &Table, known: &Table, unknown: &mut Vec<String>) {
+    for (key, value) in found {
+        let path = if at.is_empty() { key.clone() } else { format!("{at}.{key}") };
+        match (value, known.get(key)) {
+            (_, None) => unknown.push(path),
+            (Value::Table(found), Some(Value::Table(known))) => find_unknown(&path, found, known, unknown),
+            (Value::Array(found), Some(Value::Array(known))) => {
+                for (i, pair) in found.iter().zip(known).enumerate() {
+                    if let (Value::Table(found), Value::Table(known)) = pair {
+                        find_unknown(&format!("{path}.{i}"), found, known, unknown);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Scalars first, as TOML wants it, then the tables under their names. `at` is the name of the table.
+fn write_table(out: &mut String, at: &str, table: &Table) {
+    let is_section = |value: &Value| matches!(value, Value::Table(t) if at.is_empty() || t.len() > 1);
+    for (key, value) in table.iter().filter(|(_, v)| !is_section(v)) {
+        *out += &format!("{} = {}\n", key_literal(key), value_literal(value));
+    }
+    for (key, value) in table.iter().filter(|(_, v)| is_section(v)) {
+        let Value::Table(inner) = value else { continue };
+        let name = if at.is_empty() { key_literal(key) } else { format!("{at}.{}", key_literal(key)) };
+        *out += &format!("\n[{name}]\n");
+        write_table(out, &name, inner);
+    }
+}
+
+fn value_literal(value: &Value) -> String {
+    let list = |items: &[Value]| items.iter().map(value_literal).collect::<Vec<_>>().join(", ");
+    match value {
+        Value::String(text) => text_literal(text),
+        Value::Float(number) if f64::from(*number as f32) == *number => number_literal(*number as f32),
+        Value::Float(number) => format!("{number:?}"),
+        // A line for each of many: control points.
+        Value::Array(items) if items.iter().any(Value::is_table) => {
+            let lines: String = items.iter().map(|item| format!("  {},\n", value_literal(item))).collect();
+            format!("[\n{lines}]")
+        }
+        Value::Array(items) => format!("[{}]", list(items)),
+        Value::Table(table) => {
+            let pairs =
+                table.iter().map(|(key, value)| format!("{} = {}", key_literal(key), value_literal(value)));
+            format!("{{ {} }}", pairs.collect::<Vec<_>>().join(", "))
+        }
+        other => other.to_string(),
+    }
+}
+
+fn key_literal(key: &str) -> String {
+    let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if !key.is_empty() && key.chars().all(is_bare) { key.to_owned() } else { text_literal(key) }
+}
+
+/// The number, from 1, of the line with the byte `at`.
+pub(crate) fn line_at(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
+}
+
+/// A message of the parser on one line.
+pub(crate) fn one_line(message: &str) -> String {
+    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    match line.char_indices().nth(MAX_MESSAGE) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line,
+    }
+}
+
+/// Names of unknown keys that are told.
+const MAX_NOTED: usize = 3;
+/// Characters of a parser's message: it quotes what it does not understand.
+const MAX_MESSAGE: usize = 300;

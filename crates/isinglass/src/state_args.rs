@@ -1,0 +1,198 @@
+//! `--state`: a command sees what a saved state says, but for the flags that are given.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use isinglass_bench::progress::note;
+use isinglass_bench::scenes::OpenedScene;
+use isinglass_bench::view::Orbit;
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::look::Look;
+use isinglass_core::space::Aabb;
+use isinglass_core::transfer::TransferFunction;
+use isinglass_core::volume::Volume;
+use isinglass_formats::{
+    ReadState, SavedCamera, SavedState, SavedVolume, Srgb, read_state, state_from_link, state_to_link,
+};
+use isinglass_net::state_of_link;
+
+use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume};
+use crate::given::Given;
+use crate::library::OpenedFile;
+use crate::memory::MemoryArgs;
+
+/// Where a state is.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct StateArgs {
+    /// See what a saved state says: a file of the viewer's, or a link that it copied. Flags that are given hold
+    #[arg(long, value_name = "FILE|LINK")]
+    state: Option<String>,
+}
+
+impl StateArgs {
+    /// Whether one was named.
+    pub(crate) fn is_some(&self) -> bool {
+        self.state.is_some()
+    }
+
+    /// Reads the one that was named, or else the one that stands in a link that is followed.
+    pub(crate) fn read_or(&self, of_link: Option<&str>, given: Given) -> Result<Seen> {
+        match (&self.state, of_link) {
+            (None, Some(text)) => Ok(Seen::of(state_from_link(text)?, given)),
+            _ => self.read(given),
+        }
+    }
+
+    /// Reads it. What of it is not known here is told on standard error.
+    pub(crate) fn read(&self, given: Given) -> Result<Seen> {
+        let Some(text) = &self.state else { return Ok(Seen { state: SavedState::default(), given }) };
+        let read = if text.trim_start().starts_with("isinglass://") {
+            state_from_link(&state_of_link(text)?)?
+        } else {
+            read_state(Path::new(text))?
+        };
+        Ok(Seen::of(read, given))
+    }
+}
+
+/// What is to be seen: what a state says where no flag was given.
+pub(crate) struct Seen {
+    /// The state; nothing without `--state`.
+    pub(crate) state: SavedState,
+    /// The flags.
+    given: Given,
+}
+
+impl Seen {
+    fn of(read: ReadState, given: Given) -> Self {
+        if let Some(unknown) = read.note {
+            note(&unknown);
+        }
+        Self { state: read.state, given }
+    }
+
+    /// The volume that was named, or else the state's.
+    pub(crate) fn volume(&self, volume: &VolumeArgs) -> Result<VolumeArgs> {
+        if volume.volume.is_some() {
+            return Ok(volume.clone());
+        }
+        let saved = self.state.volume.as_ref();
+        let source = saved.and_then(|v| v.source.clone());
+        let source = source.context("the state does not say where its volume is, expected VOLUME")?;
+        let selection = saved.map(|v| v.selection()).transpose().map_err(anyhow::Error::msg)?;
+        Ok(volume.from_state(source, &selection.unwrap_or_default()))
+    }
+
+    /// Opens a volume, and how it is to look. Says so if it is not the state's.
+    pub(crate) fn open(
+        &self,
+        volume: &VolumeArgs,
+        look: &LookArgs,
+        layering: &LayeringArgs,
+    ) -> Result<(OpenedScene, Look)> {
+        let mut opened = open_volume(&self.volume(volume)?, look)?;
+        self.note_difference(&opened.scene.volume);
+        let wanted = self.look(opened.transfer.clone(), look, layering);
+        if self.state.look.is_some() {
+            opened.scene = opened.scene.with_look(&wanted.transfer, isinglass_server::march_settings(&wanted));
+            opened.transfer = wanted.transfer.clone();
+        }
+        Ok((opened, wanted))
+    }
+
+    /// The same for a server.
+    pub(crate) fn open_to_serve(
+        &self,
+        volume: &VolumeArgs,
+        look: &LookArgs,
+        layering: &LayeringArgs,
+        memory: &MemoryArgs,
+    ) -> Result<(OpenedFile, Look)> {
+        let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
+        self.note_difference(&opened.volume);
+        let wanted = self.look(opened.transfer.clone(), look, layering);
+        Ok((opened, wanted))
+    }
+
+    fn note_difference(&self, volume: &Volume) {
+        if let Some(difference) = self.state.volume.as_ref().and_then(|v| v.difference_from(volume)) {
+            note(&difference);
+        }
+    }
+
+    fn look(&self, transfer: TransferFunction, look: &LookArgs, layering: &LayeringArgs) -> Look {
+        let of_flags = look.look(transfer, layering);
+        match self.state.look.clone() {
+            Some(saved) => self.merged(saved, of_flags),
+            None => of_flags,
+        }
+    }
+
+    /// The state's look with those fields of `flags` that were given.
+    fn merged(&self, saved: Look, flags: Look) -> Look {
+        // Whoever adds a field says here which flag sets it.
+        let Look { transfer, shaded, layering, k } = flags;
+        let mut look = saved;
+        let has = |field| self.given.has(field);
+        if has("tf") {
+            look.transfer = transfer;
+        }
+        if has("shading") {
+            look.shaded = shaded;
+        }
+        if has("layering") {
+            look.layering = layering;
+        }
+        if has("k") {
+            look.k = k;
+        }
+        look
+    }
+
+    /// The camera over a volume in `bounds`: the state's, with the size and field of view that were given, or else that of
+    /// `orbit`.
+    pub(crate) fn camera(&self, orbit: &Orbit, view: &ViewArgs, bounds: &Aabb) -> Camera {
+        let flags = view.intrinsics();
+        let Some(saved) = &self.state.camera else { return orbit.camera(flags, bounds) };
+        let of_state = saved.intrinsics();
+        let size = if self.given.has("size") { flags } else { of_state };
+        let fov_y = if self.given.has("fov") { flags.fov_y } else { of_state.fov_y };
+        let intrinsics = Intrinsics { fov_y, ..size };
+        if self.given.has("orbit") {
+            return orbit.camera(intrinsics, bounds);
+        }
+        Camera::new(saved.pose(), intrinsics, bounds)
+    }
+
+    /// Behind the volume.
+    pub(crate) fn background(&self, flag: [u8; 3]) -> [u8; 3] {
+        match self.state.view.background {
+            Some(Srgb(rgb)) if !self.given.has("background") => rgb,
+            _ => flag,
+        }
+    }
+
+    /// The state for links to a server whose look is `look`: what the look says is the server's to say, and where the volume
+    /// lies on its disk nobody's to know.
+    pub(crate) fn for_link(&self, look: &Look) -> Option<String> {
+        let volume = self.state.volume.clone().map(|v| SavedVolume { source: None, ..v });
+        let state = SavedState { volume, look: Some(look.clone()), ..self.state.clone() };
+        (self.state != SavedState::default()).then(|| state_to_link(&state))
+    }
+
+    /// For a window: its size, in pixels of the state's picture unless one was given, and whether it is the state's; and the
+    /// state without what flags say.
+    pub(crate) fn window(&self, size: [u32; 2], fov_degrees: f32) -> (([u32; 2], bool), Option<SavedState>) {
+        let mut state = self.state.clone();
+        let of_state = state.camera.map(|camera| camera.size).filter(|_| !self.given.has("size"));
+        let has = |field| self.given.has(field);
+        if has("fov") {
+            state.camera = state.camera.map(|c| SavedCamera { fov_degrees: fov_degrees.into(), ..c });
+        }
+        state.camera = state.camera.filter(|_| !has("orbit"));
+        state.view.method = state.view.method.filter(|_| !has("method"));
+        let is_empty = state == SavedState::default();
+        ((of_state.unwrap_or(size), of_state.is_some()), (!is_empty).then_some(state))
+    }
+}
