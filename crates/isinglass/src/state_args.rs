@@ -95,7 +95,8 @@ impl Seen {
         self.note_difference(&opened.scene.volume);
         let wanted = self.look(opened.transfer.clone(), look, layering);
         if self.state.look.is_some() {
-            opened.scene = opened.scene.with_look(&wanted.transfer, isinglass_server::march_settings(&wanted));
+            opened.scene =
+                opened.scene.with_look(&wanted.transfer, isinglass_server::march_settings(&wanted));
             opened.transfer = wanted.transfer.clone();
         }
         Ok((opened, wanted))

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use egui::{Event, ThemePreference};
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::wire::Part;
 use isinglass_formats::{
     SavedCamera, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, state_from_link,
     state_to_link,
@@ -23,6 +24,14 @@ impl<S: FrameSource> ViewerApp<S> {
         let volume = SavedVolume::of(&description.volume);
         let volume = match &self.options.volume_source {
             Some((source, selection)) => volume.opened_from(source, selection),
+            None => volume,
+        };
+        let volume = match self.viewing.source().parts() {
+            // The part may have been changed since.
+            Some(parts) => {
+                let Part { channel, time, level, series, .. } = parts.shown;
+                SavedVolume { channel, time, level, series, ..volume }
+            }
             None => volume,
         };
         let view = SavedView {
