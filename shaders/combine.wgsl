@@ -18,10 +18,9 @@ var<private> layer: u32;
 var<private> caster: Raycaster;
 var<private> places: vec4u;
 
-// Parts of a ray, in world distance; the ray in the homogeneous pixel coordinates of a frame's camera is o + d·s.
+// Parts of a ray, in world distance, and the ray in the pixels of a frame's camera.
 struct Parts {
-    o: vec3f,
-    d: vec3f,
+    line: PixelLine,
     // Where the frame sees anything; empty if its end is not after its start.
     outer: vec2f,
     // Where its coverage is 1; empty likewise.
@@ -31,7 +30,13 @@ struct Parts {
 // Premultiplied colour and opacity seen along a ray of world space (`cast` and `cast_pieces` in the twin).
 fn cast_ray(ray: Ray) -> Over {
     var acc = over_identity();
-    let clipped = clip_box(combination.bounds_min, combination.bounds_max, ray);
+    let clipped = clip_region(
+        combination.bounds_min,
+        combination.bounds_max,
+        combination.clip_normal,
+        combination.clip_offset,
+        ray,
+    );
     if (clipped.s1 <= clipped.s0) {
         return acc;
     }
@@ -93,18 +98,19 @@ fn num_frames() -> u32 {
 
 fn parts_of(n: u32, ray: Ray, whole: vec2f) -> Parts {
     let basis = combination.casters[n].basis;
-    let o = pixel_from_world(basis, ray.origin - basis.eye);
-    let d = pixel_from_world(basis, ray.dir);
-    return Parts(o, d, clip_inset(n, o, d, 0.0, whole), clip_inset(n, o, d, band_of(n), whole));
+    let line = pixel_line(basis, ray);
+    return Parts(line, clip_inset(n, line, 0.0, whole), clip_inset(n, line, band_of(n), whole));
 }
 
 // The part of `within` that lies at least `inset` pixels inside the frustum of a frame.
-fn clip_inset(n: u32, o: vec3f, d: vec3f, inset: f32, within: vec2f) -> vec2f {
+fn clip_inset(n: u32, line: PixelLine, inset: f32, within: vec2f) -> vec2f {
+    let o = line.o;
+    let d = line.d;
     let right = combination.casters[n].basis.width - inset;
     let bottom = combination.casters[n].basis.height - inset;
     let near = combination.casters[n].basis.near;
     var planes = array<vec2f, 5>(
-        vec2f(o.z - near, d.z),
+        vec2f(line.depth.x - near, line.depth.y),
         vec2f(o.x - inset * o.z, d.x - inset * d.z),
         vec2f(right * o.z - o.x, right * d.z - d.x),
         vec2f(o.y - inset * o.z, d.y - inset * d.z),
@@ -151,8 +157,8 @@ fn cut_after(parts: Parts, s: f32, otherwise: f32) -> f32 {
 // Pixels from the nearest border, at most the band and at least 0.
 fn inset_at(n: u32, part: Parts, s: f32) -> f32 {
     let basis = combination.casters[n].basis;
-    let h = part.o + part.d * s;
-    if (part.outer.x >= part.outer.y || h.z < basis.near) {
+    let h = part.line.o + part.line.d * s;
+    if (part.outer.x >= part.outer.y || part.line.depth.x + part.line.depth.y * s < basis.near) {
         return 0.0;
     }
     let p = h.xy / h.z;

@@ -34,7 +34,8 @@ struct Step {
 }
 
 fn scene_lattice(ray: Ray, near: f32) -> Lattice {
-    let clipped = clip_box(scene.bounds_min, scene.bounds_max, ray);
+    let clipped =
+        clip_region(scene.bounds_min, scene.bounds_max, scene.clip_normal, scene.clip_offset, ray);
     let s0 = max(clipped.s0, near);
     let s1 = clipped.s1;
     if (s1 <= s0) {

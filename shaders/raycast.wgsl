@@ -11,7 +11,8 @@ struct Line {
     s_w0: f32,
     w1: f32,
     w0_minus_w1: f32,
-    w0_w1: f32,
+    depth_over_w: f32,
+    depth_slope: f32,
     // Whether the ray meets the frustum and the box at all.
     hit: bool,
 }
@@ -23,20 +24,23 @@ fn zero() -> u32 {
     return offset_at(0u);
 }
 
-// Clips in homogeneous coordinates, and to two world distances.
+// Clips in homogeneous coordinates, to what is left of the volume and to two world distances.
 fn clip(ray: Ray, within: vec2f) -> Line {
     var line: Line;
-    let clipped = clip_box(caster.bounds_min, caster.bounds_max, ray);
+    let clipped =
+        clip_region(caster.bounds_min, caster.bounds_max, caster.clip_normal, caster.clip_offset, ray);
     if (clipped.s1 <= clipped.s0) {
         return line;
     }
-    let o = pixel_from_world(caster.basis, ray.origin - caster.basis.eye);
-    let d = pixel_from_world(caster.basis, ray.dir);
+    let pixels = pixel_line(caster.basis, ray);
+    let o = pixels.o;
+    let d = pixels.d;
     let width = caster.basis.width;
     let height = caster.basis.height;
     let near = caster.basis.near;
+    let perspective = caster.basis.perspective;
     var planes = array<vec2f, 5>(
-        vec2f(o.z - near, d.z),
+        vec2f(pixels.depth.x - near, pixels.depth.y),
         vec2f(o.x, d.x),
         vec2f(width * o.z - o.x, width * d.z - d.x),
         vec2f(o.y, d.y),
@@ -61,14 +65,16 @@ fn clip(ray: Ray, within: vec2f) -> Line {
     }
     let h0 = o + d * s0;
     let h1 = o + d * s1;
-    let w0 = max(h0.z, near);
-    let w1 = max(h1.z, near);
+    let w0 = max(h0.z, near * perspective);
+    let w1 = max(h1.z, near * perspective);
     line.p0 = h0.xy / w0;
     line.d = h1.xy / w1 - line.p0;
     line.s_w0 = (s1 - s0) * w0;
     line.w1 = w1;
     line.w0_minus_w1 = w0 - w1;
-    line.w0_w1 = w0 * w1;
+    let depth_0 = pixels.depth.x + pixels.depth.y * s0;
+    line.depth_over_w = w0 * w1 * perspective + depth_0 * (1.0 - perspective);
+    line.depth_slope = pixels.depth.y * (s1 - s0) * (1.0 - perspective);
     line.hit = true;
     return line;
 }
@@ -144,7 +150,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
             }
         }
         if (any(met.is_met) && met.length > 0.0) {
-            cross(met, line.w0_minus_w1 <= 0.0, acc);
+            cross(met, line.w0_minus_w1 - line.depth_slope <= 0.0, acc);
         }
         if (is_done || (*acc).transmittance < TRANSMITTANCE_MIN) {
             return;
@@ -262,7 +268,8 @@ fn length_per_depth(list: u32) -> f32 {
     let width = u32(caster.basis.width);
     let nx = (2.0 * f32(list % width) + 1.0) / caster.basis.width - 1.0;
     let ny = 1.0 - (2.0 * f32(list / width) + 1.0) / caster.basis.height;
-    return length_of(caster.basis.forward + caster.basis.right * nx + caster.basis.up * ny);
+    let n = vec2f(nx, ny) * caster.basis.perspective;
+    return length_of(caster.basis.forward + caster.basis.right * n.x + caster.basis.up * n.y);
 }
 
 // A point of the line: its parameter, depth in units and world distance from the start.
@@ -274,7 +281,8 @@ struct Point {
 
 fn at(line: Line, t: f32) -> Point {
     let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
-    return Point(t, (line.w0_w1 * r - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
+    let depth = line.depth_over_w * r + line.depth_slope * t;
+    return Point(t, (depth - caster.basis.near) * caster.units_per_depth, line.s_w0 * t * r);
 }
 
 // A segment as a homogeneous medium.

@@ -1,4 +1,4 @@
-// Rays, boxes and cameras. Twin of crates/core/src/space.rs and crates/core/src/camera.rs.
+// Rays, boxes and cameras. Twin of crates/core/src/space.rs, crates/core/src/clip.rs and crates/core/src/camera.rs.
 
 struct Ray {
     origin: vec3f,
@@ -22,6 +22,22 @@ fn clip_box(bounds_min: vec3f, bounds_max: vec3f, ray: Ray) -> Interval {
     return Interval(s0, s1);
 }
 
+// The same inside a box and a half-space (core::clip::Region).
+fn clip_region(bounds_min: vec3f, bounds_max: vec3f, normal: vec3f, offset: f32, ray: Ray) -> Interval {
+    var clipped = clip_box(bounds_min, bounds_max, ray);
+    // Inside where a + b·s ≥ 0.
+    let a = dot(normal, ray.origin) - offset;
+    let b = dot(normal, ray.dir);
+    if (b > 0.0) {
+        clipped.s0 = max(clipped.s0, -a / b);
+    } else if (b < 0.0) {
+        clipped.s1 = min(clipped.s1, -a / b);
+    } else if (a < 0.0) {
+        clipped.s1 = clipped.s0;
+    }
+    return clipped;
+}
+
 fn safe_dir(dir: vec3f) -> vec3f {
     let tiny = bitcast<vec3f>((bitcast<vec3u>(dir) & vec3u(0x80000000u)) | vec3u(bitcast<u32>(TINY_DIR)));
     return select(dir, tiny, abs(dir) < vec3f(TINY_DIR));
@@ -37,16 +53,36 @@ struct CameraRay {
 }
 
 fn basis_ray(basis: Basis, x: f32, y: f32) -> CameraRay {
-    let nx = 2.0 * x / basis.width - 1.0;
-    let ny = 1.0 - 2.0 * y / basis.height;
-    let d = basis.forward + basis.right * nx + basis.up * ny;
+    let n = vec2f(2.0 * x / basis.width - 1.0, 1.0 - 2.0 * y / basis.height);
+    let of_dir = n * basis.perspective;
+    let of_origin = n * (1.0 - basis.perspective);
+    let d = basis.forward + basis.right * of_dir.x + basis.up * of_dir.y;
+    let origin = basis.eye + basis.right * of_origin.x + basis.up * of_origin.y;
     let length = length(d);
-    return CameraRay(Ray(basis.eye, d / length), length);
+    return CameraRay(Ray(origin, d / length), length);
 }
 
-// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector; w is the view depth.
-fn pixel_from_world(basis: Basis, v: vec3f) -> vec3f {
-    let w = dot(v, basis.forward);
+// A ray in the homogeneous pixel coordinates (x·w, y·w, w) of a camera: o + d·s.
+struct PixelLine {
+    o: vec3f,
+    d: vec3f,
+    // View depth of the origin, and what it grows by for each unit of s.
+    depth: vec2f,
+}
+
+fn pixel_line(basis: Basis, ray: Ray) -> PixelLine {
+    let from_eye = ray.origin - basis.eye;
+    let depth = vec2f(dot(from_eye, basis.forward), dot(ray.dir, basis.forward));
+    return PixelLine(
+        pixel_from_world(basis, from_eye, 1.0 - basis.perspective),
+        pixel_from_world(basis, ray.dir, 0.0),
+        depth,
+    );
+}
+
+// Of a vector from the eye, with the weight of a point where rays are parallel, or of a direction, with none.
+fn pixel_from_world(basis: Basis, v: vec3f, weight: f32) -> vec3f {
+    let w = dot(v, basis.forward) * basis.perspective + weight;
     let x = dot(v, basis.right) / dot(basis.right, basis.right);
     let y = dot(v, basis.up) / dot(basis.up, basis.up);
     return vec3f((w + x) * 0.5 * basis.width, (w - y) * 0.5 * basis.height, w);

@@ -11,10 +11,16 @@ struct Basis {
     width: f32,
     up: vec3f,
     height: f32,
+    // 1 where rays meet in the eye, 0 where they are parallel.
+    perspective: f32,
+    padding_0: u32,
+    padding_1: u32,
+    padding_2: u32,
 }
 
 // A volume, its look and what is constant over all rays (core::kernels::march::{Scene, Marcher}).
 struct Scene {
+    // What is left of the volume (core::clip::Region).
     bounds_min: vec3f,
     x_scale: f32,
     bounds_max: vec3f,
@@ -30,6 +36,8 @@ struct Scene {
     // Bricks along x, y, z.
     brick_dims: vec3u,
     diffuse: f32,
+    clip_normal: vec3f,
+    clip_offset: f32,
 }
 
 // core::transfer::TransferTable.
@@ -49,7 +57,7 @@ struct Band {
 // A layered frame with what is constant over all new rays (core::kernels::raycast::Raycaster).
 struct Raycaster {
     basis: Basis,
-    // The volume's box with a margin.
+    // What is left of the volume, with a margin (core::clip::Region).
     bounds_min: vec3f,
     units_per_depth: f32,
     bounds_max: vec3f,
@@ -62,6 +70,8 @@ struct Raycaster {
     // Samples a ray, 0 for all that there is.
     num_samples: u32,
     padding: u32,
+    clip_normal: vec3f,
+    clip_offset: f32,
 }
 
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
@@ -69,12 +79,14 @@ struct Combination {
     casters: array<Raycaster, MAX_FRAMES>,
     // Where the planes of each begin (combine.wgsl).
     places: array<vec4u, MAX_FRAMES>,
-    // The volume's box with the widest of the margins.
+    // What is left of the volume, with the widest of the margins.
     bounds_min: vec3f,
     // Lists from the border on which the newest frame's coverage grows to 1.
     band: f32,
     bounds_max: vec3f,
     num_frames: u32,
+    clip_normal: vec3f,
+    clip_offset: f32,
 }
 
 // How a picture goes to the screen.

@@ -157,7 +157,7 @@ pub fn scenes() -> Vec<(&'static str, Scene)> {
 /// A camera that sees the whole volume.
 pub fn camera(scene: &Scene, azimuth_deg: f32, (width, height): (u32, u32)) -> Camera {
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let distance = bounds.radius() * intrinsics.fit_distance();
     Camera::new(Pose::orbit(bounds.center(), azimuth_deg.to_radians(), 0.35, distance), intrinsics, &bounds)
 }
@@ -174,7 +174,7 @@ pub fn views(scene: &Scene) -> Vec<(&'static str, Camera)> {
     let beside = |degrees: f32| camera(scene, 25.0 + degrees, size);
     let eye = beside(0.0).pose.eye;
     let at = |eye: Vec3, target: Vec3| {
-        let intrinsics = Intrinsics { width: size.0, height: size.1, fov_y: 1.2 };
+        let intrinsics = Intrinsics::perspective(size.0, size.1, 1.2);
         Camera::new(Pose::look_at(eye, target, Vec3::Y), intrinsics, &bounds)
     };
     vec![

@@ -21,7 +21,7 @@ use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
 use isinglass_server::{RunningServer, ServeOptions, march_settings, start};
 
-const SIZE: Intrinsics = Intrinsics { width: 96, height: 80, fov_y: 0.6 };
+const SIZE: Intrinsics = Intrinsics::perspective(96, 80, 0.6);
 
 fn look(builtin: Builtin) -> Look {
     let transfer = load_transfer(builtin.name()).unwrap();

@@ -210,7 +210,7 @@ fn picture(volume: Volume, transfer: &str) -> Vec<u8> {
     let transfer = load_transfer(transfer).unwrap();
     let bounds = volume.bounds();
     let scene = Scene::new(volume.into(), &transfer, MarchSettings::default());
-    let intrinsics = Intrinsics { width: 96, height: 80, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(96, 80, 0.6);
     let pose = Pose::orbit(bounds.center(), 0.6, 0.35, bounds.radius() * intrinsics.fit_distance());
     render(&scene, &Camera::new(pose, intrinsics, &bounds)).to_srgb8([0.0; 3])
 }

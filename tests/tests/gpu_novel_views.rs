@@ -55,7 +55,7 @@ fn several_frames_are_combined_as_by_the_twin() {
     for (name, scene) in scenes().into_iter().take(2) {
         let bounds = scene.volume.bounds();
         let near = |degrees: f32, aside: f32, (width, height): (u32, u32)| {
-            let intrinsics = Intrinsics { width, height, fov_y: 0.7 };
+            let intrinsics = Intrinsics::perspective(width, height, 0.7);
             let pose = Pose::orbit(bounds.center(), degrees.to_radians(), 0.2, 0.8 * bounds.radius());
             let eye = pose.eye + pose.world_from_view * (Vec3::X * (aside * bounds.radius()));
             Camera::new(Pose { eye, ..pose }, intrinsics, &bounds)

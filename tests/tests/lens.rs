@@ -36,7 +36,7 @@ fn means_and_shifted_eyes_are_the_same_on_both_backends() {
     let transfer = isinglass_formats::preset("cloud").unwrap();
     let scene = Scene::new(Arc::new(Builtin::Cloud.volume(40)), &transfer, MarchSettings::default());
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width: 70, height: 53, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(70, 53, 0.7);
     let camera = |azimuth| {
         Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 3.0 * bounds.radius()), intrinsics, &bounds)
     };

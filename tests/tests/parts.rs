@@ -23,7 +23,7 @@ use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions};
 use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, start};
 
-const SIZE: Intrinsics = Intrinsics { width: 48, height: 40, fov_y: 0.6 };
+const SIZE: Intrinsics = Intrinsics::perspective(48, 40, 0.6);
 
 /// A file with three times: a volume each. Time 0 is shown at first; another is read half, and then waits for the gate, if
 /// there is one, or to be cancelled.

@@ -218,7 +218,7 @@ fn a_real_volume_goes_through_blocks() {
     let transfer = load_transfer("industrial").unwrap();
     let bounds = volume.bounds();
     let scene = Scene::new(volume.into(), &transfer, MarchSettings::default());
-    let intrinsics = Intrinsics { width: 192, height: 160, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(192, 160, 0.7);
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
     let mut references = References::default();
     let mut bytes = vec![];

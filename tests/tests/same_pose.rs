@@ -6,19 +6,22 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_formats::{OpenOptions, default_preset, load_transfer, open};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_tests::data_dir;
 
-const SIZE: Intrinsics = Intrinsics { width: 72, height: 64, fov_y: 0.6 };
+const SIZE: Intrinsics = Intrinsics::perspective(72, 64, 0.6);
 
 /// The backends of this machine. Without any adapter the GPU is left out, or in strict mode the test fails.
 fn backends() -> Vec<Backend> {
@@ -72,6 +75,45 @@ fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
             // Negative control: seven degrees to the side is another picture. (Three are not for a ball at one depth.)
             let beside = backend.raycast(&frame, &bounds, &camera_at(0.62)).unwrap();
             assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
+        }
+    }
+}
+
+/// The picture that a viewer shows where its camera rests: decoded, of a server's frame with its clip, and cut once more by
+/// the same clip.
+#[test]
+fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
+    for name in ["builtin:cubus@64", "builtin:shells@64"] {
+        let volume: Volume = open(name, &OpenOptions::default()).unwrap();
+        let transfer = load_transfer(default_preset(name, &volume, &Histogram::of(&volume))).unwrap();
+        let bounds = volume.bounds();
+        let inner = Aabb { min: bounds.min * 0.55, max: bounds.max * 0.3 };
+        let plane = Plane::new(Vec3::new(0.3, 1.0, 0.6), 0.05 * bounds.radius());
+        let clip = Clip { bounds: Some(inner), plane };
+        let whole = Scene::new(Arc::new(volume), &transfer, MarchSettings::default());
+        let settings = MarchSettings { clip, ..whole.settings };
+        let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.35, bounds.radius() * SIZE.fit_distance());
+        let camera = Camera::new(pose, SIZE, &bounds);
+        for camera in [camera, camera.to_orthographic(bounds.radius() * SIZE.fit_distance(), &bounds)] {
+            for backend in backends() {
+                let at = format!("{name}, {camera:?}, {}", backend.description());
+                let mut renderer = backend.renderer(whole.clone()).unwrap();
+                let uncut = renderer.render(&camera).unwrap();
+                renderer.set_scene(Scene { settings, ..whole.clone() }).unwrap();
+                let truth = renderer.render(&camera).unwrap();
+                assert!(error(&truth, &uncut).max_abs_255 > 30, "{at}: nothing is cut away");
+                let header =
+                    FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+                let frame = renderer.generate(header, Layering::default()).unwrap();
+                let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
+                let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
+                let decoded = codec::decode(&chunks).unwrap();
+                assert_eq!(decoded.header.camera, camera, "{at}");
+                let options = CastOptions { clip, ..CastOptions::default() };
+                let mut reprojector = backend.reprojector(Arc::new(decoded), &bounds).unwrap();
+                let shown = error(&reprojector.raycast_with(&camera, &options).unwrap(), &truth);
+                assert!(shown.max_abs_255 <= 1, "{at}: {shown:?}");
+            }
         }
     }
 }

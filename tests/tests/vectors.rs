@@ -43,7 +43,8 @@ fn checksum(frame: &LayeredFrame) -> u64 {
     let FrameHeader { frame: id, pose, look, camera, k } = frame.header;
     let Camera { pose: Pose { eye, world_from_view: q }, intrinsics, near, far } = camera;
     let integers = [id.0, pose.0, look.0, intrinsics.width, intrinsics.height, u32::from(k)];
-    let floats = [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, intrinsics.fov_y, near, far].map(f32::to_bits);
+    let floats = [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, intrinsics.projection.to_number(), near, far]
+        .map(f32::to_bits);
     let planes = [&frame.offsets, &frame.depth, &frame.c_rg, &frame.c_b_tau].into_iter().flatten().copied();
     let bytes = integers.into_iter().chain(floats).chain(planes).flat_map(u32::to_le_bytes);
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
@@ -103,7 +104,7 @@ fn make_missing_vectors() {
         let preset = default_preset(source, &volume, &Histogram::of(&volume)).to_string();
         let bounds = volume.bounds();
         let scene = Scene::new(Arc::new(volume), &load_transfer(&preset).unwrap(), MarchSettings::default());
-        let intrinsics = Intrinsics { width, height, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(width, height, 0.7);
         let pose = Pose::orbit(bounds.center(), azimuth, 0.35, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
         let header = FrameHeader { frame: FrameId(id), pose: PoseId(2), look: LookVersion(3), camera, k };

@@ -137,7 +137,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     let conditions = LatencyConditions {
         version: env!("CARGO_PKG_VERSION"),
         size: [demo.intrinsics.width, demo.intrinsics.height],
-        fov_deg: demo.intrinsics.fov_y.to_degrees(),
+        fov_deg: demo.intrinsics.fov_y().to_degrees(),
         refresh_hz: demo.refresh_hz,
         threads: rayon::current_num_threads(),
     };

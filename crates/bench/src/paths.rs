@@ -36,7 +36,7 @@ mod tests {
     #[test]
     fn every_path_is_what_its_name_says() {
         let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
         for name in names() {
             let path = builtin(name).unwrap().unwrap();
             let seconds = path.duration().as_secs_f32();

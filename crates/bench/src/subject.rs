@@ -40,12 +40,12 @@ impl Subject {
 
     /// What holds for all of its rows.
     pub(crate) fn conditions(&self, backend: &Backend, threads: usize) -> SubjectConditions {
-        let Intrinsics { width, height, fov_y } = self.intrinsics;
+        let Intrinsics { width, height, .. } = self.intrinsics;
         let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii } = self.orbit;
         SubjectConditions {
             version: env!("CARGO_PKG_VERSION"),
             size: [width, height],
-            fov_deg: fov_y.to_degrees(),
+            fov_deg: self.intrinsics.fov_y().to_degrees(),
             orbit_deg: [azimuth_degrees, elevation_degrees],
             distance_radii: distance_in_radii.unwrap_or_else(|| self.intrinsics.fit_distance()),
             angles_deg: self.angles_degrees.clone(),

@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn a_frame_is_seen_from_where_it_was_made() {
         let bounds = Aabb { min: Vec3::new(-1.0, -2.0, -0.5), max: Vec3::new(1.0, 2.0, 0.5) };
-        let intrinsics = Intrinsics { width: 40, height: 30, fov_y: 0.6 };
+        let intrinsics = Intrinsics::perspective(40, 30, 0.6);
         for distance_in_radii in [None, Some(0.5), Some(0.0), Some(7.0)] {
             let orbit = Orbit { azimuth_degrees: 33.0, elevation_degrees: -12.0, distance_in_radii };
             let camera = orbit.camera(intrinsics, &bounds);

@@ -7,6 +7,8 @@ use std::time::Duration;
 
 use egui::PointerButton;
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::clip::Clip;
+use isinglass_core::look::Look;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
@@ -14,6 +16,7 @@ use isinglass_net::{Clock, ReceivedFrame, State};
 
 use crate::bindings::{Action, take_actions};
 use crate::camera_controls::{CameraControls, ControlInput};
+use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
 use crate::look_panel::{self, Settings};
 use crate::meters::RefreshMeter;
@@ -54,6 +57,10 @@ pub(crate) struct ViewerApp<S> {
     stereo: Stereo,
     shows_overlay: bool,
     aids: ViewAids,
+    is_orthographic: bool,
+    clip_editor: ClipEditor,
+    /// Where the handles of the clip were drawn.
+    clip_view: Option<clip_editor::View>,
     /// When the centre of rotation was chosen.
     center_chosen_at: Option<Duration>,
     editor: TransferEditor,
@@ -86,6 +93,9 @@ impl<S: FrameSource> ViewerApp<S> {
             stereo: options.stereo,
             shows_overlay: options.shows_overlay,
             aids: ViewAids { shows_axes: options.shows_overlay, ..ViewAids::default() },
+            is_orthographic: options.is_orthographic,
+            clip_editor: ClipEditor::default(),
+            clip_view: None,
             options,
             viewing,
             controls: None,
@@ -149,6 +159,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Numbers => self.shows_overlay = !self.shows_overlay,
                 Action::LookPanel => self.is_look_open = !self.is_look_open,
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
+                Action::Clip => self.toggle_clip(now),
+                Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
                 Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
                 Action::Undo | Action::Redo => {
@@ -178,6 +190,31 @@ impl<S: FrameSource> ViewerApp<S> {
         resets
     }
 
+    fn toggle_clip(&mut self, now: Duration) {
+        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
+        let mut clip = look.clip;
+        self.clip_editor.toggle(&mut clip, bounds);
+        self.set_clip(now, clip);
+    }
+
+    fn set_clip(&mut self, now: Duration, clip: Clip) {
+        if let Some(look) = self.viewing.look().filter(|look| look.clip != clip) {
+            self.viewing.set_look(now, Look { clip, ..(*look).clone() });
+        }
+    }
+
+    /// Handles take what is meant for them, before the camera does.
+    fn drag_clip(&mut self, ctx: &egui::Context, now: Duration, events: &mut Vec<egui::Event>) {
+        let (Some(view), Some(look)) = (self.clip_view, self.viewing.look()) else { return };
+        if let Some(clip) = self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, at)) {
+            self.set_clip(now, clip);
+            ctx.request_repaint();
+        }
+        if self.clip_editor.is_busy() {
+            ctx.set_cursor_icon(egui::CursorIcon::Grab);
+        }
+    }
+
     fn orientation(&self) -> Orientation {
         let description = self.viewing.source().description();
         Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
@@ -192,13 +229,17 @@ impl<S: FrameSource> ViewerApp<S> {
         let is_double = ctx.input(|i| i.pointer.button_double_clicked(PointerButton::Primary));
         let at = ctx.pointer_interact_pos().filter(|at| is_double && rect.contains(*at) && is_free(ctx, *at));
         let (Some(at), Some(frame)) = (at, &refresh.frame) else { return };
-        if !self.stereo().is_mono() {
+        if !self.stereo().is_mono() || self.clip_editor.is_busy() {
             return;
         }
+        let region = refresh.clip.region(&refresh.bounds);
         let pixel = pixel_at(rect, &refresh.camera, at);
-        if let Some(point) = visible_point(&frame.frame, &refresh.bounds, &refresh.camera, pixel)
+        if let Some(point) = visible_point(&frame.frame, &region, &refresh.camera, pixel)
             && let Some((_, controls)) = &mut self.controls
-            && controls.set_center(point)
+            && match self.is_orthographic {
+                true => controls.set_center_of_parallel(point),
+                false => controls.set_center(point),
+            }
         {
             self.center_chosen_at = Some(now);
         }
@@ -223,6 +264,8 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_center: self.marks_center(now),
         };
         self.aids.paint(ui.painter(), &scene);
+        let view = clip_editor::View { rect, camera: refresh.camera, bounds: refresh.bounds };
+        self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
     }
 
     fn marks_center(&self, now: Duration) -> bool {
@@ -254,6 +297,9 @@ impl<S: FrameSource> ViewerApp<S> {
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
         self.editor.follow(&look.transfer, &scale);
+        let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
+            return;
+        };
         let mut settings = Settings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
@@ -261,19 +307,29 @@ impl<S: FrameSource> ViewerApp<S> {
             method: self.novel_views.selected,
             stereo: self.stereo,
             aids: self.aids,
+            is_orthographic: self.is_orthographic,
+            clip_editor: &mut self.clip_editor,
+            bounds,
+            forward,
         };
         let files = &mut self.state_files;
         let wish =
             look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
-        let Settings { look: mut wanted, frame_size, method, stereo, aids, .. } = settings;
-        let shown = (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids);
-        if (method, frame_size, stereo, aids) != shown {
+        let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
+        let shown = (
+            self.novel_views.selected,
+            self.viewing.frame_size,
+            self.stereo,
+            self.aids,
+            self.is_orthographic,
+        );
+        if (method, frame_size, stereo, aids, is_orthographic) != shown {
             // The picture beneath has been drawn already.
             ctx.request_repaint();
         }
         self.novel_views.selected = method;
         self.viewing.frame_size = frame_size;
-        (self.stereo, self.aids) = (stereo, aids);
+        (self.stereo, self.aids, self.is_orthographic) = (stereo, aids, is_orthographic);
         let edit = self.editor.take_edit(ctx);
         if let Some(transfer) = edit.transfer {
             wanted.transfer = transfer;
@@ -355,7 +411,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let picture = self.stereo().eye_intrinsics(window);
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
         let resets = self.keys(&ctx, now, &picture);
-        let events = ctx.input(|i| i.events.clone());
+        let mut events = ctx.input(|i| i.events.clone());
+        self.drag_clip(&ctx, now, &mut events);
         let free = |at| is_free(&ctx, at);
         let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), free);
         // Zooming is about a point of the eye's own picture.
@@ -368,6 +425,12 @@ impl<S: FrameSource> ViewerApp<S> {
         input.orbit[0] -= turn_pixels;
 
         let refresh = self.refresh(now, &input, picture);
+        // Two eyes would each need their own handles.
+        self.clip_view = refresh.as_ref().filter(|_| self.stereo().is_mono()).map(|r| clip_editor::View {
+            rect,
+            camera: r.camera,
+            bounds: r.bounds,
+        });
         let state = self.viewing.source().state();
         if let Some(notice) = self.viewing.source_mut().take_notice() {
             self.notice = Some((notice, now));
@@ -428,8 +491,15 @@ impl<S: FrameSource> ViewerApp<S> {
 
     /// The ray cast, or the newest picture of another method.
     fn paint(&mut self, ui: &egui::Ui, rect: egui::Rect, refresh: &Refresh, frame: Arc<ReceivedFrame>) {
-        let (camera, bounds) = (refresh.camera, refresh.bounds);
-        match self.novel_views.show(ui.ctx(), &frame, &bounds, &camera) {
+        let (camera, bounds, clip) = (refresh.camera, refresh.bounds, refresh.clip);
+        let is_parallel =
+            [&camera, &frame.frame.header.camera].map(|c| c.intrinsics.projection.is_orthographic());
+        let other = match is_parallel {
+            [false, false] => self.novel_views.show(ui.ctx(), &frame, &bounds, &camera),
+            _ if self.novel_views.selected == 0 => None,
+            _ => Some(Shown::Problem("this method goes between perspective views only".into())),
+        };
+        match other {
             Some(Shown::Picture(texture)) => {
                 let whole = egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
                 ui.painter().image(texture, rect, whole, egui::Color32::WHITE);
@@ -445,7 +515,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
         let background = self.aids.linear_background();
         ui.painter()
-            .add(PicturePaint { frame, kept, camera, bounds, stereo, quality, background }.shape(rect));
+            .add(PicturePaint { frame, kept, camera, bounds, clip, stereo, quality, background }.shape(rect));
     }
 
     /// Only the ray cast has two eyes.
@@ -454,14 +524,19 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     fn refresh(&mut self, now: Duration, input: &ControlInput, picture: Intrinsics) -> Option<Refresh> {
+        let is_orthographic = self.is_orthographic;
         let (bounds, controls) = self.controls(&picture)?;
         controls.apply(input, &picture);
         let (bounds, pose) = (*bounds, controls.pose());
+        let camera = match is_orthographic {
+            true => controls.parallel_camera(picture, &bounds),
+            false => controls.camera(picture, &bounds),
+        };
         if let Some(recorder) = &self.options.recorder {
             let at = now.saturating_sub(self.opened_at);
             recorder.lock().unwrap_or_else(PoisonError::into_inner).record(at, &pose, &bounds);
         }
-        let mut refresh = self.viewing.refresh(now, pose, picture, &bounds);
+        let mut refresh = self.viewing.refresh(now, camera.pose, camera.intrinsics, &bounds);
         if !self.stereo().is_mono() && refresh.standing == Standing::Exact {
             // The frame is the middle's between the eyes; each of them sees a novel view.
             refresh.standing = Standing::Settled;
@@ -537,7 +612,7 @@ fn micros(micros: u64) -> Option<Duration> {
 /// The picture fills `rect`: one pixel of it is one of the screen.
 fn picture_intrinsics(rect: egui::Rect, pixels_per_point: f32, fov_y: f32) -> Intrinsics {
     let pixels = |points: f32| (points * pixels_per_point).round().clamp(1.0, MAX_PICTURE_SIDE) as u32;
-    Intrinsics { width: pixels(rect.width()), height: pixels(rect.height()), fov_y }
+    Intrinsics::perspective(pixels(rect.width()), pixels(rect.height()), fov_y)
 }
 
 /// Refreshes of the numbers while nothing moves.

@@ -15,6 +15,10 @@ pub enum Action {
     LookPanel,
     /// The volume's box on or off.
     Box,
+    /// Handles of the clip box, and a clip box if there is none, on or off.
+    Clip,
+    /// Perspective or parallel rays.
+    Projection,
     /// Axes and scale bar on or off.
     Axes,
     /// The next kind of stereo.
@@ -85,6 +89,8 @@ pub const BINDINGS: &[Binding] = &[
             (SHIFT, Key::Num7, Action::StandardView(Side::Top, true)),
         ],
     ),
+    keys("5", "perspective or orthographic", &[(NONE, Key::Num5, Action::Projection)]),
+    keys("c", "clip: handles to drag on or off", &[(NONE, Key::C, Action::Clip)]),
     keys("l", "look panel open or folded", &[(NONE, Key::L, Action::LookPanel)]),
     keys("o", "numbers on or off", &[(NONE, Key::O, Action::Numbers)]),
     keys("b", "the volume's box on or off", &[(NONE, Key::B, Action::Box)]),
@@ -157,7 +163,7 @@ pub(crate) fn take_actions(events: &mut Vec<Event>, types: bool) -> Vec<Action> 
 
 /// Digits are found by their place on the keyboard: with shift, or in some countries without, they are other signs.
 fn action_of(key: Key, physical_key: Option<Key>, modifiers: Modifiers) -> Option<Action> {
-    let is_digit = |k: &Key| matches!(k, Key::Num1 | Key::Num3 | Key::Num7);
+    let is_digit = |k: &Key| matches!(k, Key::Num1 | Key::Num3 | Key::Num5 | Key::Num7);
     let key = physical_key.filter(is_digit).unwrap_or(key);
     let chords = BINDINGS.iter().flat_map(|b| b.chords);
     let mut fitting = chords.filter(|(m, k, _)| *k == key && modifiers.matches_exact(*m));

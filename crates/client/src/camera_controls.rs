@@ -150,7 +150,17 @@ impl CameraControls {
 
     /// Turns about another point from now on; the view stays as it is. A point that is not before the eye is refused.
     pub fn set_center(&mut self, center: Vec3) -> bool {
-        let eye_from_center = self.world_from_view.inverse() * (self.pose().eye - center);
+        self.set_center_at(center, None)
+    }
+
+    /// The same where rays are parallel: a point is nowhere near to an eye, and what the picture shows stays as large.
+    pub fn set_center_of_parallel(&mut self, center: Vec3) -> bool {
+        self.set_center_at(center, Some(self.eye_from_center.z))
+    }
+
+    fn set_center_at(&mut self, center: Vec3, depth: Option<f32>) -> bool {
+        let from_center = self.world_from_view.inverse() * (self.pose().eye - center);
+        let eye_from_center = from_center.with_z(depth.unwrap_or(from_center.z));
         let depth = eye_from_center.z;
         let is_usable = eye_from_center.is_finite() && depth == self.bounded_depth(depth);
         if is_usable {
@@ -207,9 +217,15 @@ impl CameraControls {
         Camera::new(self.pose(), intrinsics, bounds)
     }
 
+    /// The camera of parallel rays now. It shows what lies at the depth of the centre as large as [`Self::camera`] does, for a
+    /// perspective picture of the given size; zooming changes how much that is.
+    pub fn parallel_camera(&self, intrinsics: Intrinsics, bounds: &Aabb) -> Camera {
+        self.camera(intrinsics, bounds).to_orthographic(self.eye_from_center.z, bounds)
+    }
+
     /// World length of one pixel at the depth of the centre.
     fn world_per_pixel(&self, intrinsics: &Intrinsics) -> f32 {
-        2.0 * intrinsics.tan_half().1 * self.eye_from_center.z / intrinsics.height.max(1) as f32
+        2.0 * intrinsics.half_size_at(1.0).1 * self.eye_from_center.z / intrinsics.height.max(1) as f32
     }
 
     fn move_eye(&mut self, shift: Vec3) {
@@ -247,7 +263,7 @@ const MAX_ZOOM_STEP: f32 = 20.0;
 mod tests {
     use super::*;
 
-    const INTRINSICS: Intrinsics = Intrinsics { width: 640, height: 400, fov_y: 0.7 };
+    const INTRINSICS: Intrinsics = Intrinsics::perspective(640, 400, 0.7);
 
     fn bounds() -> Aabb {
         Aabb { min: Vec3::new(-4.0, -2.0, 1.0), max: Vec3::new(4.0, 6.0, 8.0) }
@@ -264,7 +280,7 @@ mod tests {
 
     fn pixel_of(c: &CameraControls, p: Vec3) -> [f32; 2] {
         let basis = c.camera(INTRINSICS, &bounds()).basis();
-        let h = basis.pixel_from_world(p - basis.eye);
+        let h = basis.pixel_from_point(p);
         [h.x / h.z, h.y / h.z]
     }
 
@@ -465,7 +481,7 @@ mod tests {
         let other = Aabb { min: bounds().min * 3.0 + 1.0, max: bounds().max * 3.0 + 1.0 };
         let corners = |c: &CameraControls, b: &Aabb| {
             let basis = c.camera(INTRINSICS, b).basis();
-            b.corners().map(|p| basis.pixel_from_world(p - basis.eye)).map(|h| [h.x / h.z, h.y / h.z])
+            b.corners().map(|p| basis.pixel_from_point(p)).map(|h| [h.x / h.z, h.y / h.z])
         };
         let before = corners(&c, &bounds());
         c.turn_to(&other);

@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     const BOUNDS: Aabb = Aabb { min: Vec3::new(-1.0, 0.0, -3.0), max: Vec3::new(2.0, 5.0, 1.0) };
-    const INTRINSICS: Intrinsics = Intrinsics { width: 64, height: 48, fov_y: 0.7 };
+    const INTRINSICS: Intrinsics = Intrinsics::perspective(64, 48, 0.7);
 
     fn at(path: &CameraPath, seconds: f32) -> Pose {
         path.pose_at(Duration::from_secs_f32(seconds), &INTRINSICS, &BOUNDS).unwrap()

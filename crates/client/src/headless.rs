@@ -40,6 +40,7 @@ pub struct DisplayRecord {
 pub struct HeadlessViewer<S> {
     viewing: Viewing<S>,
     picture: Intrinsics,
+    is_orthographic: bool,
     records: Vec<DisplayRecord>,
 }
 
@@ -47,7 +48,13 @@ impl<S: FrameSource> HeadlessViewer<S> {
     /// Pictures of the size `picture`, frames of the same and their margin.
     pub fn new(source: S, picture: Intrinsics, foresight: Foresight) -> Self {
         let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, ..FrameSize::default() };
-        Self { viewing: Viewing::new(source, frame_size, foresight), picture, records: Vec::new() }
+        let viewing = Viewing::new(source, frame_size, foresight);
+        Self { viewing, picture, is_orthographic: false, records: Vec::new() }
+    }
+
+    /// Whether rays are parallel from now on: the picture shows as much of the volume's middle as it does else.
+    pub fn set_orthographic(&mut self, is_orthographic: bool) {
+        self.is_orthographic = is_orthographic;
     }
 
     /// Whoever brings the frames.
@@ -64,7 +71,12 @@ impl<S: FrameSource> HeadlessViewer<S> {
     /// is shown; nothing, and nothing is recorded, as long as the volume is not known.
     pub fn tick(&mut self, now: Duration, pose: Pose) -> Option<&DisplayRecord> {
         let bounds = self.bounds()?;
-        let refresh = self.viewing.refresh(now, pose, self.picture, &bounds);
+        let mut camera = Camera::new(pose, self.picture, &bounds);
+        if self.is_orthographic {
+            let depth = (bounds.center() - pose.eye).dot(pose.forward());
+            camera = camera.to_orthographic(depth.max(1e-3 * bounds.radius()), &bounds);
+        }
+        let refresh = self.viewing.refresh(now, camera.pose, camera.intrinsics, &bounds);
         let source = self.viewing.source();
         self.records.push(DisplayRecord {
             at: now,
@@ -95,7 +107,7 @@ mod tests {
 
     #[test]
     fn every_tick_is_recorded_with_the_camera_of_its_own_pose() {
-        let picture = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let picture = Intrinsics::perspective(8, 8, 0.7);
         let pose = |i: u64| Pose::orbit(Vec3::ZERO, i as f32 * 0.01, 0.0, 5.0);
         let mut viewer = HeadlessViewer::new(FakeSource::default(), picture, Foresight::default());
         assert!(viewer.tick(Duration::ZERO, pose(0)).is_none(), "no volume yet");

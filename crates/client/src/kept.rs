@@ -10,6 +10,7 @@ use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
 use crate::camera_controls::angle_between_degrees;
+use crate::foresight::eye_of;
 
 /// A few frames of one volume and look, from cameras as different as there were; the newest last.
 #[derive(Debug, Default)]
@@ -56,7 +57,7 @@ impl KeptFrames {
 
     /// The frame that a newer one comes nearest to.
     fn most_repeated(&self, bounds: &Aabb) -> usize {
-        let poses: Vec<_> = self.frames.iter().map(|f| f.frame.header.camera.pose).collect();
+        let poses: Vec<_> = self.frames.iter().map(|f| eye_of(&f.frame.header.camera, bounds)).collect();
         let distance = |i: usize, j: usize| {
             let turned = angle_between_degrees(&poses[i], &poses[j], bounds.center()).to_radians();
             let looking = poses[i].forward().angle_between(poses[j].forward());
@@ -94,7 +95,7 @@ mod tests {
     const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
 
     fn camera(azimuth_degrees: f32, distance: f32) -> Camera {
-        let intrinsics = Intrinsics { width: 40, height: 30, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(40, 30, 0.7);
         let pose = Pose::orbit(Vec3::ZERO, azimuth_degrees.to_radians(), 0.2, distance);
         Camera::new(pose, intrinsics, &BOUNDS)
     }

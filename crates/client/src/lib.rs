@@ -10,6 +10,8 @@ mod background;
 mod bindings;
 pub mod camera_controls;
 mod camera_path;
+mod clip_editor;
+mod clip_panel;
 mod display;
 mod display_loss;
 mod foresight;

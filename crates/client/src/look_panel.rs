@@ -1,10 +1,14 @@
 //! The panel at the right: transfer function, how frames are made, and what is drawn around them.
 
 use egui::{Align2, RichText, Ui, vec2};
+use glam::Vec3;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
+use isinglass_core::space::Aabb;
 
+use crate::clip_editor::ClipEditor;
+use crate::clip_panel;
 use crate::panels::pane;
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
@@ -26,6 +30,14 @@ pub(crate) struct Settings<'a> {
     pub(crate) stereo: Stereo,
     /// What is drawn around the picture.
     pub(crate) aids: ViewAids,
+    /// Whether rays are parallel.
+    pub(crate) is_orthographic: bool,
+    /// The handles of the clip.
+    pub(crate) clip_editor: &'a mut ClipEditor,
+    /// The volume's box.
+    pub(crate) bounds: Aabb,
+    /// The viewing direction.
+    pub(crate) forward: Vec3,
 }
 
 /// Shows the panel, open or folded, and changes what was set; the answer is what to do with states.
@@ -60,6 +72,10 @@ pub(crate) fn show(
                 ui.set_width(PANEL_WIDTH);
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
                 section(ui, "Frames", false, |ui| frames(ui, settings));
+                section(ui, "Clip", false, |ui| {
+                    let Settings { look, clip_editor, bounds, forward, .. } = &mut *settings;
+                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward);
+                });
                 section(ui, "View", false, |ui| view(ui, settings));
                 // Asked for by key, it is there to be written to.
                 let is_asked = state_files.wants_focus();
@@ -140,13 +156,19 @@ fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
 }
 
 /// A line of a grid: a name, which the control is called by too, and the control.
-fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> egui::Response) {
+pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> egui::Response) {
     let label = ui.label(name).on_hover_text(hint);
     control(ui).labelled_by(label.id);
     ui.end_row();
 }
 
 fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
+    ui.horizontal(|ui| {
+        ui.label("projection (5)");
+        for (name, is_orthographic) in [("perspective", false), ("orthographic", true)] {
+            ui.selectable_value(&mut settings.is_orthographic, is_orthographic, name);
+        }
+    });
     let aids = &mut settings.aids;
     ui.horizontal(|ui| {
         ui.checkbox(&mut aids.shows_axes, "axes and scale (a)");

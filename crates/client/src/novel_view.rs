@@ -211,7 +211,7 @@ mod tests {
     }
 
     fn wish(width: u32) -> Wish {
-        let intrinsics = Intrinsics { width, height: 1, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(width, 1, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), intrinsics, &BOUNDS);
         let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(0), camera, k: 4 };
         let frame = LayeredFrame::empty(header);

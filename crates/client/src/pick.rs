@@ -2,19 +2,19 @@
 
 use glam::Vec3;
 use isinglass_core::camera::Camera;
+use isinglass_core::clip::Region;
 use isinglass_core::layer::LayeredFrame;
-use isinglass_core::space::Aabb;
 
-/// Where half of what is seen along the ray through a point of the picture lies in front, world space: on an opaque
-/// surface the surface, in a cloud its visible middle. None where next to nothing is seen.
+/// Where half of what is seen along the ray through a point of the picture lies in front, of what is left of the volume,
+/// world space: on an opaque surface the surface, in a cloud its visible middle. None where next to nothing is seen.
 pub(crate) fn visible_point(
     frame: &LayeredFrame,
-    bounds: &Aabb,
+    region: &Region,
     camera: &Camera,
     [x, y]: [f32; 2],
 ) -> Option<Vec3> {
     let (ray, _) = camera.ray(x, y);
-    let (s0, s1) = bounds.clip(&ray)?;
+    let (s0, s1) = region.clip(&ray)?;
     let step = (s1 - s0) / NUM_STEPS as f32;
     let mut transmittance = 1.0;
     let mut opacities = [0.0; NUM_STEPS];
@@ -35,7 +35,7 @@ pub(crate) fn visible_point(
 fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     let camera = &frame.header.camera;
     let basis = camera.basis();
-    let middle = basis.pixel_from_world((from + to) * 0.5 - basis.eye);
+    let middle = basis.pixel_from_point((from + to) * 0.5);
     let (column, row) = ((middle.x / middle.z).floor(), (middle.y / middle.z).floor());
     let is_inside = (0.0..basis.width).contains(&column) && (0.0..basis.height).contains(&row);
     if middle.z <= 0.0 || !is_inside {
@@ -71,12 +71,19 @@ mod tests {
     use isinglass_core::ids::{FrameId, LookVersion, PoseId};
     use isinglass_core::layer::{FrameHeader, Segment};
 
+    use isinglass_core::clip::{Clip, Plane};
+    use isinglass_core::space::Aabb;
+
     use super::*;
 
     const BOUNDS: Aabb = Aabb { min: Vec3::splat(-2.0), max: Vec3::splat(2.0) };
 
+    fn whole() -> Region {
+        Clip::default().region(&BOUNDS)
+    }
+
     fn camera(azimuth: f32) -> Camera {
-        let intrinsics = Intrinsics { width: 60, height: 40, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(60, 40, 0.7);
         Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.0, 9.0), intrinsics, &BOUNDS)
     }
 
@@ -109,25 +116,38 @@ mod tests {
         for (azimuth, at) in
             [(0.0, [30.0, 20.0]), (0.0, [40.5, 12.5]), (0.3, [30.0, 20.0]), (-0.5, [25.0, 26.0])]
         {
-            let p = visible_point(&frame, &BOUNDS, &camera(azimuth), at).unwrap();
+            let p = visible_point(&frame, &whole(), &camera(azimuth), at).unwrap();
             // The first twentieth of the slab has half of the opacity: −ln(1/2)/12 of 0.2·2r.
             let behind = z - p.z;
             let half = 0.5f32.ln() / -12.0 * 0.2 * 2.0 * BOUNDS.radius();
             assert!((behind - half).abs() < TOLERANCE, "{azimuth} {at:?}: {behind} behind the surface");
             let back = camera(azimuth).basis();
-            let h = back.pixel_from_world(p - back.eye);
+            let h = back.pixel_from_point(p);
             assert!((h.x / h.z - at[0]).abs() < 1e-2 && (h.y / h.z - at[1]).abs() < 1e-2, "on the ray");
         }
         // Control: another slab, another point.
-        let p = visible_point(&slab(0.5, 0.6, 12.0), &BOUNDS, &camera(0.0), [30.0, 20.0]).unwrap();
+        let p = visible_point(&slab(0.5, 0.6, 12.0), &whole(), &camera(0.0), [30.0, 20.0]).unwrap();
         assert!(z - p.z > 0.5);
     }
 
     #[test]
+    fn what_is_cut_away_is_not_meant() {
+        // Opaque from z = 0.2 r down to −0.2 r; all above z = 0 is cut away.
+        let frame = slab(0.4, 0.6, 400.0);
+        let cut = Clip { bounds: None, plane: Plane::new(Vec3::NEG_Z, 0.0) }.region(&BOUNDS);
+        for camera in [camera(0.2), camera(0.2).to_orthographic(9.0, &BOUNDS)] {
+            let p = visible_point(&frame, &cut, &camera, [30.0, 20.0]).unwrap();
+            assert!(p.z.abs() < TOLERANCE, "on the cut: {p}");
+            let p = visible_point(&frame, &whole(), &camera, [30.0, 20.0]).unwrap();
+            assert!((p.z - 0.2 * BOUNDS.radius()).abs() < TOLERANCE, "on the surface: {p}");
+        }
+    }
+
+    #[test]
     fn where_nothing_is_seen_there_is_no_point() {
-        assert_eq!(visible_point(&slab(0.4, 0.6, 0.01), &BOUNDS, &camera(0.0), [30.0, 20.0]), None);
-        assert_eq!(visible_point(&slab(0.4, 0.6, 9.0), &BOUNDS, &camera(0.0), [-500.0, 20.0]), None);
-        let thin = visible_point(&slab(0.3, 0.7, 0.5), &BOUNDS, &camera(0.0), [30.0, 20.0]).unwrap();
+        assert_eq!(visible_point(&slab(0.4, 0.6, 0.01), &whole(), &camera(0.0), [30.0, 20.0]), None);
+        assert_eq!(visible_point(&slab(0.4, 0.6, 9.0), &whole(), &camera(0.0), [-500.0, 20.0]), None);
+        let thin = visible_point(&slab(0.3, 0.7, 0.5), &whole(), &camera(0.0), [30.0, 20.0]).unwrap();
         assert!(thin.z.abs() < 0.3, "in a cloud about its middle: {thin}");
     }
 }

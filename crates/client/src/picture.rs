@@ -4,6 +4,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isinglass_core::camera::Camera;
+use isinglass_core::clip::Clip;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::space::Aabb;
 use isinglass_gpu::{Channels, Eye, GpuError, NUM_SLOTS, ViewPass};
@@ -24,6 +25,8 @@ pub(crate) struct PicturePaint {
     pub(crate) camera: Camera,
     /// The box of the volume.
     pub(crate) bounds: Aabb,
+    /// What of it is shown.
+    pub(crate) clip: Clip,
     /// Whether it is for two eyes.
     pub(crate) stereo: Stereo,
     /// How finely to cast, if for one eye.
@@ -128,7 +131,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         let problem = r.show(device, queue, self).err();
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let num_samples = self.quality.num_samples;
-        r.pass.set_options(queue, &CastOptions { num_samples, ..Default::default() });
+        r.pass.set_options(queue, &CastOptions { num_samples, clip: self.clip, ..Default::default() });
         if self.is_enlarged() {
             let smaller = Camera { intrinsics: self.quality.size_of(self.camera.intrinsics), ..self.camera };
             r.pass.prepare_smaller(device, queue, encoder, &smaller, self.background);

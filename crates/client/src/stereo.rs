@@ -3,7 +3,7 @@
 //! The eyes look off-axis and meet at the volume's centre, which so lies on the screen ([`View::stereo`]). Their distance
 //! is kept as the angle under which the centre sees them, so that depth stays as comfortable when zooming as it was.
 
-use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::camera::{Camera, Intrinsics, Projection};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::space::Aabb;
 
@@ -68,12 +68,18 @@ impl Stereo {
         // An odd column is drawn by both.
         let half = Intrinsics { width: window.width.div_ceil(2), ..window };
         let least = |i: &Intrinsics| {
-            let (x, y) = i.tan_half();
+            let (x, y) = i.half_size_at(1.0);
             x.min(y)
         };
         let wider = least(&window) / least(&half);
-        let fov_y = 2.0 * ((window.fov_y * 0.5).tan() * wider).atan();
-        Intrinsics { fov_y: fov_y.min(MAX_FOV_Y), ..half }
+        let projection = match window.projection {
+            Projection::Perspective { fov_y } => {
+                let fov_y = 2.0 * ((fov_y * 0.5).tan() * wider).atan();
+                Projection::Perspective { fov_y: fov_y.min(MAX_FOV_Y) }
+            }
+            Projection::Orthographic { height } => Projection::Orthographic { height: height * wider },
+        };
+        Intrinsics { projection, ..half }
     }
 
     /// What the left and the right eye see around `camera`. `bounds` is the box of the volume.
@@ -109,7 +115,7 @@ mod tests {
 
     use super::*;
 
-    const WINDOW: Intrinsics = Intrinsics { width: 1101, height: 760, fov_y: 0.7 };
+    const WINDOW: Intrinsics = Intrinsics::perspective(1101, 760, 0.7);
 
     #[test]
     fn half_a_window_shows_as_much_as_the_whole() {
@@ -127,8 +133,8 @@ mod tests {
         // Negative control: with the window's own angle, the volume would be cut off.
         let cut = Intrinsics { width: 551, ..WINDOW };
         assert!(cut.fit_distance() > 1.2 * WINDOW.fit_distance());
-        let sliver = side_by_side.eye_intrinsics(Intrinsics { width: 1, height: 8192, fov_y: 2.9 });
-        assert!(sliver.fov_y <= MAX_FOV_Y);
+        let sliver = side_by_side.eye_intrinsics(Intrinsics::perspective(1, 8192, 2.9));
+        assert!(sliver.fov_y() <= MAX_FOV_Y);
     }
 
     #[test]

@@ -49,15 +49,19 @@ impl ViewAids {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
     }
 
-    /// Draws what is to be drawn.
-    pub(crate) fn paint(&self, painter: &Painter, scene: &Scene<'_>) {
+    /// What draws over this background.
+    pub(crate) fn pen<'a>(&self, painter: &'a Painter) -> Pen<'a> {
         let [r, g, b] = self.background.map(f32::from);
         let is_dark = 0.299 * r + 0.587 * g + 0.114 * b < 128.0;
         let ink = if is_dark { Color32::from_gray(225) } else { Color32::from_gray(25) };
-        let pen =
-            Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } };
+        Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } }
+    }
+
+    /// Draws what is to be drawn.
+    pub(crate) fn paint(&self, painter: &Painter, scene: &Scene<'_>) {
+        let pen = self.pen(painter);
         if self.shows_box {
-            pen.draw_box(scene);
+            pen.draw_box(scene.rect, scene.camera, scene.bounds, pen.ink);
         }
         if self.shows_axes {
             pen.draw_axes(scene);
@@ -69,18 +73,22 @@ impl ViewAids {
     }
 }
 
-struct Pen<'a> {
-    painter: &'a Painter,
-    ink: Color32,
+/// Draws lines and words that can be seen on matter of any colour.
+pub(crate) struct Pen<'a> {
+    pub(crate) painter: &'a Painter,
+    pub(crate) ink: Color32,
     halo: Color32,
 }
 
 impl Pen<'_> {
-    /// Lines can be seen on matter of any colour.
-    fn line(&self, ends: [Pos2; 2], width: f32, color: Color32) {
+    pub(crate) fn line(&self, ends: [Pos2; 2], width: f32, color: Color32) {
         let halo = self.halo.gamma_multiply(f32::from(color.a()) / 255.0 * 0.6);
         self.painter.line_segment(ends, Stroke::new(width + 2.0, halo));
         self.painter.line_segment(ends, Stroke::new(width, color));
+    }
+
+    pub(crate) fn disc(&self, at: Pos2, radius: f32, color: Color32) {
+        self.painter.circle(at, radius, color, Stroke::new(1.5, self.halo.gamma_multiply(0.8)));
     }
 
     fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
@@ -92,21 +100,16 @@ impl Pen<'_> {
     }
 
     /// Edges of faces that look away are faint.
-    fn draw_box(&self, scene: &Scene<'_>) {
-        let basis = scene.camera.basis();
-        let corners = scene.bounds.corners();
-        let eye = scene.camera.pose.eye;
-        let faces_eye = |axis: usize, is_high: bool| {
-            let side = if is_high { scene.bounds.max } else { scene.bounds.min };
-            (eye[axis] > side[axis]) == is_high
-        };
+    pub(crate) fn draw_box(&self, rect: Rect, camera: &Camera, bounds: &Aabb, color: Color32) {
+        let basis = camera.basis();
+        let corners = bounds.corners();
         for (a, b) in edges() {
             let axis = (a ^ b).trailing_zeros() as usize;
             let others = [(axis + 1) % 3, (axis + 2) % 3];
-            let is_front = others.iter().any(|&other| faces_eye(other, a >> other & 1 == 1));
+            let is_front = others.iter().any(|&other| faces_eye(camera, bounds, other, a >> other & 1 == 1));
             let strength = if is_front { 0.85 } else { 0.3 };
-            if let Some(ends) = projected(&basis, scene.rect, corners[a], corners[b]) {
-                self.line(ends, 1.0, self.ink.gamma_multiply(strength));
+            if let Some(ends) = projected(&basis, rect, corners[a], corners[b]) {
+                self.line(ends, 1.0, color.gamma_multiply(strength));
             }
         }
     }
@@ -139,7 +142,8 @@ impl Pen<'_> {
     /// Beside the axes: a length that is right at the depth of the centre of rotation.
     fn draw_scale(&self, scene: &Scene<'_>) {
         let depth = (scene.center - scene.camera.pose.eye).dot(scene.camera.pose.forward());
-        let world_per_point = 2.0 * scene.camera.intrinsics.tan_half().1 * depth / scene.rect.height();
+        let intrinsics = &scene.camera.intrinsics;
+        let world_per_point = 2.0 * intrinsics.half_size_at(depth).1 / scene.rect.height();
         let Some((length, text)) = round_length(world_per_point * MAX_SCALE_POINTS, scene.unit) else {
             return;
         };
@@ -150,7 +154,9 @@ impl Pen<'_> {
             self.line([end + vec2(0.0, -4.0), end + vec2(0.0, 4.0)], 2.0, self.ink);
         }
         self.text(left + vec2(0.0, -8.0), Align2::LEFT_BOTTOM, &text, 13.0, self.ink);
-        let note = "at the centre of rotation; perspective";
+        let is_parallel = intrinsics.projection.is_orthographic();
+        let note =
+            if is_parallel { "at any depth; orthographic" } else { "at the centre of rotation; perspective" };
         self.text(left + vec2(0.0, 7.0), Align2::LEFT_TOP, note, 10.0, self.ink.gamma_multiply(0.7));
     }
 
@@ -164,13 +170,22 @@ impl Pen<'_> {
 }
 
 /// The twelve edges of a box, by the numbers of its corners.
-fn edges() -> impl Iterator<Item = (usize, usize)> {
+pub(crate) fn edges() -> impl Iterator<Item = (usize, usize)> {
     (0..8usize).flat_map(|a| (0..3).map(move |axis| (a, a | 1 << axis))).filter(|(a, b)| a != b)
 }
 
+/// Whether a face of a box shows its outer side.
+pub(crate) fn faces_eye(camera: &Camera, bounds: &Aabb, axis: usize, is_high: bool) -> bool {
+    let side = if is_high { bounds.max } else { bounds.min };
+    if camera.intrinsics.projection.is_orthographic() {
+        return (camera.pose.forward()[axis] < 0.0) == is_high;
+    }
+    (camera.pose.eye[axis] > side[axis]) == is_high
+}
+
 /// A line of the world on the screen, cut where it passes the eye.
-fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
-    let (mut a, mut b) = (basis.pixel_from_world(a - basis.eye), basis.pixel_from_world(b - basis.eye));
+pub(crate) fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
+    let (mut a, mut b) = (basis.pixel_from_point(a), basis.pixel_from_point(b));
     // Homogeneous points: cutting is linear. Nearer than this, pixels are far outside.
     let least = a.z.abs().max(b.z.abs()) * 1e-3;
     if a.z.max(b.z) <= least {
@@ -210,7 +225,7 @@ const AXES_MARGIN: f32 = 58.0;
 const AXIS_LENGTH: f32 = 32.0;
 const LETTER_GAP: f32 = 10.0;
 /// x, y and z.
-const AXIS_COLORS: [Color32; 3] =
+pub(crate) const AXIS_COLORS: [Color32; 3] =
     [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
 const MAX_SCALE_POINTS: f32 = 150.0;
 
@@ -238,7 +253,7 @@ mod tests {
 
     #[test]
     fn lines_lie_where_the_ray_cast_sees_their_ends_and_pass_behind_the_eye() {
-        let intrinsics = Intrinsics { width: 200, height: 100, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(200, 100, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.4, 0.3, 5.0), intrinsics, &BOUNDS);
         let rect = Rect::from_min_size(pos2(10.0, 20.0), vec2(100.0, 50.0));
         let basis = camera.basis();
@@ -257,6 +272,30 @@ mod tests {
         assert!(ends.iter().all(|p| p.x.is_finite() && p.y.is_finite()));
         assert!(ends[0].distance(pos2(30.0, 50.0)) < 1e-3, "the end in sight stays");
         assert_eq!(projected(&basis, rect, behind, behind), None);
+    }
+
+    #[test]
+    fn parallel_rays_show_the_same_faces_and_lengths_from_any_distance() {
+        let intrinsics = Intrinsics::perspective(200, 100, 0.7);
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.4, 0.3, 5.0), intrinsics, &BOUNDS);
+        let parallel = camera.to_orthographic(5.0, &BOUNDS);
+        let rect = Rect::from_min_size(pos2(10.0, 20.0), vec2(100.0, 50.0));
+        let basis = parallel.basis();
+        let right = camera.pose.world_from_view * Vec3::X;
+        let length = |depth: f32| {
+            let from = camera.pose.eye + camera.pose.forward() * depth;
+            let [a, b] = projected(&basis, rect, from, from + right).unwrap();
+            a.distance(b)
+        };
+        // Half of the height is 5·tan 0.35, over 25 points.
+        assert!((length(5.0) - 25.0 / (5.0 * 0.35f32.tan())).abs() < 1e-3);
+        assert!((length(5.0) - length(3.0)).abs() < 1e-3 && (length(5.0) - length(7.0)).abs() < 1e-3);
+        for (axis, is_high) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+            assert_eq!(
+                faces_eye(&parallel, &BOUNDS, axis, is_high),
+                faces_eye(&camera, &BOUNDS, axis, is_high)
+            );
+        }
     }
 
     #[test]

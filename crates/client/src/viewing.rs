@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::PoseId;
+use isinglass_core::camera::{Camera, Intrinsics, Pose, Projection};
+use isinglass_core::clip::Clip;
+use isinglass_core::ids::{LookVersion, PoseId};
 use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
@@ -14,7 +15,7 @@ use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
 use crate::camera_controls::angle_between_degrees;
-use crate::foresight::{Foresight, Limits, guard_band, widest};
+use crate::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
 use crate::frame_source::FrameSource;
 use crate::kept::KeptFrames;
 use crate::pace::Pace;
@@ -91,6 +92,8 @@ pub struct Refresh {
     pub camera: Camera,
     /// The box of the volume.
     pub bounds: Aabb,
+    /// What of the volume is to be seen, now: whatever the frame holds.
+    pub clip: Clip,
     /// The frame to cast.
     pub frame: Option<Arc<ReceivedFrame>>,
     /// Older frames for what it does not see; most often none.
@@ -106,7 +109,8 @@ pub struct Refresh {
     pub is_ahead: bool,
     /// Whether camera or frame differ from the refresh before.
     pub changed: bool,
-    /// Since when the picture has been made with an older look than is wished for; none: it is made with that look.
+    /// Since when the picture has been made with an older look than is wished for; none: it is made with that look, or with
+    /// one that shows more and is cut here.
     pub older_look_since: Option<Duration>,
 }
 
@@ -133,7 +137,9 @@ pub struct Viewing<S> {
     /// The look that was asked for, until the server has it.
     wanted_look: Option<Arc<Look>>,
     look_pace: Pace<Look>,
-    /// The last change of it.
+    /// The server's looks, the newest last.
+    looks: VecDeque<(LookVersion, Arc<Look>)>,
+    /// The last change of the one wished for.
     look_changed_at: Option<Duration>,
     older_look_since: Option<Duration>,
     /// The box of the volume that the newest frame is of.
@@ -159,6 +165,7 @@ impl<S: FrameSource> Viewing<S> {
             micros_per_list: None,
             wanted_look: None,
             look_pace: Pace::new(LOOK_PERIOD),
+            looks: VecDeque::new(),
             look_changed_at: None,
             older_look_since: None,
             frame_bounds: None,
@@ -182,17 +189,21 @@ impl<S: FrameSource> Viewing<S> {
         let full = self.frame_size.frame_for(picture, max_side);
         self.began_at.get_or_insert(now);
         self.send_look(now);
+        self.note_look();
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
         let frame = self.choose(now, newest, (pose, full));
-        if self.last.as_ref().is_some_and(|(last, _)| last.pose != pose) {
+        if self.last.as_ref().is_some_and(|(last, _)| has_moved(last, &camera)) {
             self.moved_at = now;
         }
-        self.predictor.observe(now, pose, bounds.center());
-        let ahead = self.predictor.predict().filter(|_| self.foresight.predicts).unwrap_or(pose);
+        let eye = eye_of(&camera, bounds);
+        self.predictor.observe(now, eye, bounds.center());
+        let predicted = self.predictor.predict().filter(|ahead| self.foresight.predicts && *ahead != eye);
+        let ahead_camera = predicted.map_or(camera, |ahead| camera_of(ahead, &camera, bounds));
+        let ahead = ahead_camera.pose;
         let has_own = frame.as_deref().filter(|f| self.is_settled(now, f, (pose, full)));
-        let size = self.size(now, Camera { pose: ahead, ..camera }, pose, has_own, max_side, bounds);
+        let size = self.size(now, ahead_camera, &camera, has_own, max_side, bounds);
         if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != ahead) {
             if self.left.len() == MAX_LEFT {
                 self.left.pop_front();
@@ -221,7 +232,7 @@ impl<S: FrameSource> Viewing<S> {
         let drawn = *self.frame_bounds.get_or_insert(*bounds);
         let (drawn, camera) = match is_of_volume {
             true => (*self.frame_bounds.insert(*bounds), camera),
-            false => (drawn, Camera::new(scaled(&pose, bounds, &drawn), picture, &drawn)),
+            false => (drawn, scaled(&camera, bounds, &drawn)),
         };
         let mut kept = Vec::new();
         if let Some(frame) = frame.as_ref().filter(|_| self.foresight.keeps) {
@@ -229,29 +240,33 @@ impl<S: FrameSource> Viewing<S> {
             kept = self.kept.choose(frame, &camera, &drawn);
         }
         let header = frame.as_ref().map(|f| f.frame.header);
-        let has_older_look = frame.as_ref().is_some_and(|f| !self.has_wanted_look(f));
+        let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
-            frame_age: frame.as_deref().and_then(|f| self.age(now, f, &pose)),
-            turned_degrees: header.map(|h| angle_between_degrees(&h.camera.pose, &pose, bounds.center())),
-            is_ahead: ahead != pose,
+            frame_age: frame.as_deref().and_then(|f| self.age(now, f, (pose, full))),
+            turned_degrees: header.map(|h| {
+                let (of_frame, shown) = (eye_of(&h.camera, bounds), eye_of(&camera, bounds));
+                angle_between_degrees(&of_frame, &shown, bounds.center())
+            }),
+            is_ahead: predicted.is_some(),
             kept,
             camera,
             bounds: drawn,
+            clip: self.look().map_or_else(Clip::default, |look| look.clip),
             frame,
             changed,
             older_look_since: self.older_look_since,
         }
     }
 
-    /// The size to ask for. `ahead` is the camera of the picture at the pose to ask for, `pose` the one shown, and
-    /// `own` its frame, if it is there.
+    /// The size to ask for. `ahead` is the camera of the picture to ask for, `shown` the one shown, and `own` its frame, if it
+    /// is there.
     fn size(
         &self,
         now: Duration,
         ahead: Camera,
-        pose: Pose,
+        shown: &Camera,
         own: Option<&ReceivedFrame>,
         max_side: u32,
         bounds: &Aabb,
@@ -285,7 +300,8 @@ impl<S: FrameSource> Viewing<S> {
         let bare = of_size(1.0);
         let reach = self.predictor.reach().filter(|_| self.foresight.guards && !self.predictor.is_resting());
         let Some(reach) = reach else { return bare };
-        let wide = |i| guard_band(Camera { intrinsics: i, ..ahead }, pose, reach, bounds, limits);
+        let reach = camera_of(reach, shown, bounds);
+        let wide = |i| guard_band(Camera { intrinsics: i, ..ahead }, shown, &reach, bounds, limits);
         let growth = wide(bare).num_pixels() as f32 / bare.num_pixels() as f32;
         wide(of_size(growth))
     }
@@ -360,6 +376,30 @@ impl<S: FrameSource> Viewing<S> {
             && self.look() == of_server.map(|(_, look)| look)
     }
 
+    /// Whether a picture of a frame is that of the look that was asked for last: if the frame has it, or one that differs in
+    /// showing more of the volume, which the viewer cuts.
+    fn shows_wanted_look(&self, frame: &ReceivedFrame, bounds: &Aabb) -> bool {
+        let of_frame = self.looks.iter().find(|(version, _)| *version == frame.frame.header.look);
+        self.has_wanted_look(frame)
+            || of_frame.zip(self.look()).is_some_and(|((_, of_frame), wanted)| {
+                self.source.is_of_volume(frame)
+                    && wanted.clip.is_within(&of_frame.clip, bounds)
+                    && **of_frame == Look { clip: of_frame.clip, ..(*wanted).clone() }
+            })
+    }
+
+    /// Remembers the looks of frames that may still be on their way.
+    fn note_look(&mut self) {
+        let Some((version, look)) = self.source.look() else { return };
+        if self.looks.back().is_none_or(|(last, known)| *last != version || !Arc::ptr_eq(known, &look)) {
+            self.looks.retain(|(known, _)| *known != version);
+            self.looks.push_back((version, look));
+        }
+        while self.looks.len() > MAX_LOOKS {
+            self.looks.pop_front();
+        }
+    }
+
     /// Whether no frame has been there and the first is being asked for. That one is small, so that there is something to
     /// see while the server makes a whole one, which is asked for a moment later: by then the server is at work.
     fn is_beginning(&self, now: Duration) -> bool {
@@ -409,22 +449,36 @@ impl<S: FrameSource> Viewing<S> {
         is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
     }
 
-    fn age(&self, now: Duration, frame: &ReceivedFrame, pose: &Pose) -> Option<Duration> {
-        let of_frame = &frame.frame.header.camera.pose;
-        if of_frame == pose {
+    fn age(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> Option<Duration> {
+        let Camera { pose: of_frame, intrinsics, .. } = &frame.frame.header.camera;
+        // With parallel rays the pose does not say how much is seen.
+        let is_parallel = intrinsics.projection.is_orthographic();
+        let is_zoomed = is_parallel && intrinsics.projection != own.1.projection && !is_own(frame, own);
+        if *of_frame == own.0 && !is_zoomed {
             return Some(Duration::ZERO);
         }
-        let left = self.left.iter().rev().find(|(p, _)| p == of_frame).map(|(_, at)| *at);
+        let left = self.left.iter().rev().find(|(p, _)| p == of_frame && !is_parallel).map(|(_, at)| *at);
         // A pose that is forgotten is older than all that are not.
         let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
         now.checked_sub(since)
     }
 }
 
-/// The pose that sees the box `to` as `pose` sees the box `from`, where both are the same but for their size.
-fn scaled(pose: &Pose, from: &Aabb, to: &Aabb) -> Pose {
-    let eye = to.center() + (pose.eye - from.center()) * (to.radius() / from.radius());
-    Pose { eye, ..*pose }
+/// The camera that sees the box `to` as `camera` sees the box `from`, where both are the same but for their size.
+fn scaled(camera: &Camera, from: &Aabb, to: &Aabb) -> Camera {
+    let growth = to.radius() / from.radius();
+    let Camera { pose, mut intrinsics, .. } = *camera;
+    if let Projection::Orthographic { height } = &mut intrinsics.projection {
+        *height *= growth;
+    }
+    let eye = to.center() + (pose.eye - from.center()) * growth;
+    Camera::new(Pose { eye, ..pose }, intrinsics, to)
+}
+
+/// Whether a camera sees anything otherwise than another one. A window may change its size without that.
+fn has_moved(a: &Camera, b: &Camera) -> bool {
+    let [of_a, of_b] = [a, b].map(|c| c.intrinsics.projection);
+    a.pose != b.pose || (of_a != of_b && (of_a.is_orthographic() || of_b.is_orthographic()))
 }
 
 /// Whether a frame holds the lists of `full` from `pose`, with or without a margin around them. A smaller frame, asked
@@ -448,6 +502,8 @@ const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
 /// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
 /// asked for too early, no more.
 const FINER_PATIENCE: Duration = Duration::from_millis(1500);
+/// Looks that are remembered: at 30 a second four seconds' worth.
+const MAX_LOOKS: usize = 128;
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
 const MAX_LEFT: usize = 256;
 

@@ -31,6 +31,8 @@ pub struct WindowOptions {
     pub initial_orbit: InitialOrbit,
     /// Vertical field of view, radians.
     pub fov_y: f32,
+    /// Whether rays are parallel at first.
+    pub is_orthographic: bool,
     /// Size of the frames that are asked for.
     pub frame_size: FrameSize,
     /// Whether the picture is for two eyes at first.
@@ -66,6 +68,7 @@ impl Default for WindowOptions {
             size: [1100, 760],
             initial_orbit: InitialOrbit::default(),
             fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
+            is_orthographic: false,
             frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             stereo: Stereo::default(),
             foresight: Foresight::default(),

@@ -1,4 +1,4 @@
-//! Pose and intrinsics of a pinhole camera, and the rays through its pixels.
+//! Pose and intrinsics of a camera, and the rays through its pixels: all from the eye, or all parallel.
 
 use glam::{Quat, Vec3};
 
@@ -7,7 +7,7 @@ use crate::space::{Aabb, Ray};
 /// Where a camera is and how it is turned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Centre of projection, world space.
+    /// Centre of projection, world space. Of parallel rays, the middle of the plane that they start on.
     pub eye: Vec3,
     /// Rotation from view space (looking along −z, +y up) to world space; unit length.
     pub world_from_view: Quat,
@@ -43,6 +43,14 @@ impl Pose {
         }
     }
 
+    /// The pose whose eye is moved along the viewing direction to where all of `bounds` is well in front: parallel rays stay
+    /// the same.
+    pub fn before(&self, bounds: &Aabb) -> Self {
+        let forward = self.forward();
+        let depth = (bounds.center() - self.eye).dot(forward);
+        Self { eye: self.eye + forward * (depth - 2.0 * bounds.radius()), ..*self }
+    }
+
     /// Unit viewing direction, world space.
     pub fn forward(&self) -> Vec3 {
         self.world_from_view * Vec3::NEG_Z
@@ -56,39 +64,123 @@ impl Pose {
     }
 }
 
-/// Size of the picture and its vertical field of view.
+/// Size of the picture, and how much of the world it shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Vertical field of view, radians, in (0, π).
-    pub fov_y: f32,
+    /// Which way its rays run.
+    pub projection: Projection,
+}
+
+/// Which way the rays of a picture run, and how far apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// All from the eye.
+    Perspective {
+        /// Vertical field of view, radians, in (0, π).
+        fov_y: f32,
+    },
+    /// All along the viewing direction, from the plane of the eye: what is far away is as large as what is near.
+    Orthographic {
+        /// Height of what the picture shows, world units.
+        height: f32,
+    },
+}
+
+impl Projection {
+    /// As one number, which frames and poses are stored and sent with: the vertical field of view in radians or, of an
+    /// orthographic picture, minus its height in world units.
+    pub fn to_number(self) -> f32 {
+        match self {
+            Self::Perspective { fov_y } => fov_y,
+            Self::Orthographic { height } => -height,
+        }
+    }
+
+    /// Inverse of [`Projection::to_number`]; of a number that is none, a projection that is not valid.
+    pub fn from_number(number: f32) -> Self {
+        if number < 0.0 {
+            Self::Orthographic { height: -number }
+        } else {
+            Self::Perspective { fov_y: number }
+        }
+    }
+
+    /// Whether the rays are parallel.
+    pub fn is_orthographic(self) -> bool {
+        matches!(self, Self::Orthographic { .. })
+    }
+
+    /// Whether a peer's projection can be used.
+    pub fn is_valid(self) -> bool {
+        match self {
+            Self::Perspective { fov_y } => fov_y > 1e-3 && fov_y < 3.1,
+            Self::Orthographic { height } => HEIGHTS.contains(&height),
+        }
+    }
 }
 
 impl Intrinsics {
+    /// A picture with a vertical field of view, radians.
+    pub const fn perspective(width: u32, height: u32, fov_y: f32) -> Self {
+        Self { width, height, projection: Projection::Perspective { fov_y } }
+    }
+
+    /// A picture of parallel rays that shows `world_height` world units from its upper to its lower border.
+    pub const fn orthographic(width: u32, height: u32, world_height: f32) -> Self {
+        Self { width, height, projection: Projection::Orthographic { height: world_height } }
+    }
+
+    /// The same pixels with another vertical field of view, radians.
+    pub const fn with_fov_y(&self, fov_y: f32) -> Self {
+        Self::perspective(self.width, self.height, fov_y)
+    }
+
     /// Number of pixels.
     pub fn num_pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
 
-    /// Tangents of half the horizontal and half the vertical field of view.
-    pub fn tan_half(&self) -> (f32, f32) {
-        let y = (self.fov_y * 0.5).tan();
+    /// Vertical field of view, radians; 0 where rays are parallel.
+    pub fn fov_y(&self) -> f32 {
+        match self.projection {
+            Projection::Perspective { fov_y } => fov_y,
+            Projection::Orthographic { .. } => 0.0,
+        }
+    }
+
+    /// Half the width and half the height of what the picture shows at a view depth, world units. At depth 1 of a
+    /// perspective picture they are the tangents of half its fields of view.
+    pub fn half_size_at(&self, depth: f32) -> (f32, f32) {
+        let y = match self.projection {
+            Projection::Perspective { fov_y } => (fov_y * 0.5).tan() * depth,
+            Projection::Orthographic { height } => height * 0.5,
+        };
         (y * self.width as f32 / self.height as f32, y)
     }
 
     /// The same pixels with `margin` more of them on every side (a guard band): pixel (x, y) of `self` has the ray of
-    /// pixel (x + margin, y + margin) of the result, up to the rounding of the angle.
+    /// pixel (x + margin, y + margin) of the result, up to the rounding of the angle or height.
     pub fn with_margin(&self, margin: u32) -> Self {
         if margin == 0 {
             return *self;
         }
         let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);
-        // In double precision, so that the angle is rounded once.
-        let tan = (f64::from(self.fov_y) * 0.5).tan() * f64::from(height) / f64::from(self.height);
-        Self { width, height, fov_y: (2.0 * tan.atan()) as f32 }
+        let growth = f64::from(height) / f64::from(self.height);
+        // In double precision, so that it is rounded once.
+        let projection = match self.projection {
+            Projection::Perspective { fov_y } => {
+                let tan = (f64::from(fov_y) * 0.5).tan() * growth;
+                Projection::Perspective { fov_y: (2.0 * tan.atan()) as f32 }
+            }
+            Projection::Orthographic { height } => {
+                Projection::Orthographic { height: (f64::from(height) * growth) as f32 }
+            }
+        };
+        Self { width, height, projection }
     }
 
     /// The margin with which `inner` becomes `self`, if there is one.
@@ -97,19 +189,23 @@ impl Intrinsics {
         (inner.with_margin(margin) == *self).then_some(margin)
     }
 
-    /// The distance, in units of a sphere's radius, at which the sphere just fits the view.
+    /// The distance, in units of a sphere's radius, at which the sphere just fits a perspective view; 1, from where all of
+    /// it is in front, for one of parallel rays.
     pub fn fit_distance(&self) -> f32 {
-        let (x, y) = self.tan_half();
+        if self.projection.is_orthographic() {
+            return 1.0;
+        }
+        let (x, y) = self.half_size_at(1.0);
         1.0 / x.min(y).atan().sin()
     }
 }
 
-/// A pinhole camera with the depth interval that its layered frame is quantised in.
+/// A camera with the depth interval that its layered frame is quantised in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Position and rotation.
     pub pose: Pose,
-    /// Picture size and field of view.
+    /// Picture size and projection.
     pub intrinsics: Intrinsics,
     /// Least view depth of the volume's bounding sphere, world units, positive.
     pub near: f32,
@@ -131,16 +227,26 @@ impl Camera {
 
     /// The vectors that make rays, in the form every kernel uses.
     pub fn basis(&self) -> Basis {
-        let (tan_x, tan_y) = self.intrinsics.tan_half();
+        let (half_width, half_height) = self.intrinsics.half_size_at(1.0);
         let q = self.pose.world_from_view;
         Basis {
             eye: self.pose.eye,
             forward: q * Vec3::NEG_Z,
-            right: q * Vec3::X * tan_x,
-            up: q * Vec3::Y * tan_y,
+            right: q * Vec3::X * half_width,
+            up: q * Vec3::Y * half_height,
             width: self.intrinsics.width as f32,
             height: self.intrinsics.height as f32,
+            perspective: if self.intrinsics.projection.is_orthographic() { 0.0 } else { 1.0 },
         }
+    }
+
+    /// The camera of parallel rays that shows what lies at view depth `depth` where this one does, and as large. All of
+    /// the volume in `bounds` is in front of it.
+    pub fn to_orthographic(&self, depth: f32, bounds: &Aabb) -> Self {
+        let Intrinsics { width, height, .. } = self.intrinsics;
+        let world_height = 2.0 * self.intrinsics.half_size_at(depth).1;
+        let intrinsics = Intrinsics::orthographic(width, height, world_height);
+        Self::new(self.pose.before(bounds), intrinsics, bounds)
     }
 
     /// The ray through the point (`x`, `y`) of pixel space, and world distance per unit of view depth along it.
@@ -153,10 +259,10 @@ impl Camera {
     pub fn overhang(&self, bounds: &Aabb) -> f32 {
         let basis = self.basis();
         let beyond = |corner: Vec3| {
-            let h = basis.pixel_from_world(corner - basis.eye);
+            let h = basis.pixel_from_point(corner);
             let (x, y) = (h.x / h.z, h.y / h.z);
             let beyond = (-x).max(x - basis.width).max(-y).max(y - basis.height);
-            if h.z > 0.0 { beyond } else { f32::INFINITY }
+            if basis.depth_of(corner) > 0.0 { beyond } else { f32::INFINITY }
         };
         bounds.corners().into_iter().map(beyond).fold(0.0, f32::max)
     }
@@ -167,57 +273,118 @@ impl Camera {
         self.pose.is_valid()
             && (1..=MAX_SIDE).contains(&i.width)
             && (1..=MAX_SIDE).contains(&i.height)
-            && i.fov_y > 1e-3
-            && i.fov_y < 3.1
+            && i.projection.is_valid()
             && self.near > 0.0
             && self.far > self.near
             && self.far.is_finite()
     }
 }
 
-/// A camera as an eye and three vectors: a pixel's direction is `forward + x·right + y·up` with x, y in [−1, 1]; its
-/// view depth is exactly 1.
+/// A camera as an eye and three vectors. With x, y in [−1, 1] over the picture, a pixel's ray goes from the eye along
+/// `forward + x·right + y·up` or, where rays are parallel, from `eye + x·right + y·up` along `forward`. The view depth of
+/// such a direction is exactly 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis {
     /// Centre of projection, world space.
     pub eye: Vec3,
     /// Unit viewing direction.
     pub forward: Vec3,
-    /// Right, scaled by the tangent of half the horizontal field of view.
+    /// Right, as long as half of the picture's width at view depth 1.
     pub right: Vec3,
-    /// Up, scaled by the tangent of half the vertical field of view.
+    /// Up, as long as half of the picture's height at view depth 1.
     pub up: Vec3,
     /// Columns.
     pub width: f32,
     /// Rows.
     pub height: f32,
+    /// 1 where rays meet in the eye, 0 where they are parallel.
+    pub perspective: f32,
+}
+
+/// A ray in the homogeneous pixel coordinates (x·w, y·w, w) of a camera: `o + d·s` at world distance s from its origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelLine {
+    /// The ray's origin.
+    pub o: Vec3,
+    /// Its direction.
+    pub d: Vec3,
+    /// View depth of the origin, and what it grows by for each unit of s.
+    pub depth: [f32; 2],
+}
+
+impl PixelLine {
+    /// The homogeneous pixel at world distance `s`.
+    #[inline]
+    pub fn at(&self, s: f32) -> Vec3 {
+        self.o + self.d * s
+    }
+
+    /// The view depth at world distance `s`.
+    #[inline]
+    pub fn depth_at(&self, s: f32) -> f32 {
+        self.depth[0] + self.depth[1] * s
+    }
 }
 
 impl Basis {
     /// The direction of view depth 1 through a point of pixel space.
     pub fn direction(&self, x: f32, y: f32) -> Vec3 {
-        let nx = 2.0 * x / self.width - 1.0;
-        let ny = 1.0 - 2.0 * y / self.height;
+        let [nx, ny] = self.normalized(x, y).map(|n| n * self.perspective);
         self.forward + self.right * nx + self.up * ny
+    }
+
+    /// Where the ray through a point of pixel space starts, world space.
+    pub fn origin(&self, x: f32, y: f32) -> Vec3 {
+        let [nx, ny] = self.normalized(x, y).map(|n| n * (1.0 - self.perspective));
+        self.eye + self.right * nx + self.up * ny
+    }
+
+    fn normalized(&self, x: f32, y: f32) -> [f32; 2] {
+        [2.0 * x / self.width - 1.0, 1.0 - 2.0 * y / self.height]
     }
 
     /// See [`Camera::ray`].
     pub fn ray(&self, x: f32, y: f32) -> (Ray, f32) {
         let d = self.direction(x, y);
         let length = d.length();
-        (Ray { origin: self.eye, dir: d / length }, length)
+        (Ray { origin: self.origin(x, y), dir: d / length }, length)
     }
 
-    /// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector; w is the view depth. For points pass
-    /// `p − eye`, for directions the direction: the map is linear, so both work.
-    pub fn pixel_from_world(&self, v: Vec3) -> Vec3 {
-        let w = v.dot(self.forward);
+    /// Homogeneous pixel coordinates (x·w, y·w, w) of a point of the world. The weight w is the view depth or, where rays
+    /// are parallel, 1.
+    pub fn pixel_from_point(&self, point: Vec3) -> Vec3 {
+        self.pixel_from_world(point - self.eye, 1.0 - self.perspective)
+    }
+
+    /// The same of a direction: what is added to a point's for each unit of it.
+    pub fn pixel_from_direction(&self, direction: Vec3) -> Vec3 {
+        self.pixel_from_world(direction, 0.0)
+    }
+
+    fn pixel_from_world(&self, v: Vec3, weight: f32) -> Vec3 {
+        let w = v.dot(self.forward) * self.perspective + weight;
         let x = v.dot(self.right) / self.right.length_squared();
         let y = v.dot(self.up) / self.up.length_squared();
         Vec3::new((w + x) * 0.5 * self.width, (w - y) * 0.5 * self.height, w)
     }
+
+    /// View depth of a point of the world.
+    pub fn depth_of(&self, point: Vec3) -> f32 {
+        (point - self.eye).dot(self.forward)
+    }
+
+    /// A ray in this camera's pixels.
+    pub fn line(&self, ray: &Ray) -> PixelLine {
+        PixelLine {
+            o: self.pixel_from_point(ray.origin),
+            d: self.pixel_from_direction(ray.dir),
+            depth: [self.depth_of(ray.origin), ray.dir.dot(self.forward)],
+        }
+    }
 }
 
+/// Heights of orthographic pictures, world units: so that their squares times those of pixels are single-precision numbers.
+const HEIGHTS: std::ops::RangeInclusive<f32> = 1e-16..=1e15;
 /// Largest picture side that is accepted from anyone.
 pub const MAX_SIDE: u32 = 8192;
 
@@ -227,7 +394,7 @@ mod tests {
 
     fn camera() -> Camera {
         let bounds = Aabb { min: Vec3::new(-1.0, -2.0, -3.0), max: Vec3::new(1.0, 2.0, 3.0) };
-        let intrinsics = Intrinsics { width: 64, height: 48, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(64, 48, 0.7);
         let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.2, bounds.radius() * intrinsics.fit_distance());
         Camera::new(pose, intrinsics, &bounds)
     }
@@ -253,7 +420,7 @@ mod tests {
         let basis = camera.basis();
         for (x, y) in [(0.5, 0.5), (10.0, 40.25), (63.5, 47.5)] {
             let (ray, s_per_depth) = camera.ray(x, y);
-            let h = basis.pixel_from_world(ray.at(7.0) - basis.eye);
+            let h = basis.pixel_from_point(ray.at(7.0));
             assert!((h.x / h.z - x).abs() < 1e-3 && (h.y / h.z - y).abs() < 1e-3);
             assert!((h.z * s_per_depth - 7.0).abs() < 1e-4);
         }
@@ -262,7 +429,7 @@ mod tests {
     #[test]
     fn a_margin_keeps_the_rays_of_all_pixels() {
         for (width, height, fov_y) in [(64, 48, 0.7), (1920, 1080, 0.7), (31, 255, 2.0), (256, 256, 0.05)] {
-            let inner = Intrinsics { width, height, fov_y };
+            let inner = Intrinsics::perspective(width, height, fov_y);
             for margin in [0, 1, 16, 37, 200] {
                 let outer = inner.with_margin(margin);
                 assert_eq!((outer.width, outer.height), (width + 2 * margin, height + 2 * margin));
@@ -271,7 +438,7 @@ mod tests {
                 let (a, b) = (camera(inner), camera(outer).basis());
                 let m = margin as f32;
                 for (x, y) in [(0.5, 0.5), (width as f32 - 0.5, 0.5), (7.5, height as f32 - 0.5)] {
-                    let h = b.pixel_from_world(a.ray(x, y).0.dir);
+                    let h = b.pixel_from_direction(a.ray(x, y).0.dir);
                     let off = (h.x / h.z - m - x).abs().max((h.y / h.z - m - y).abs());
                     // A dozen roundings of 2^-24 of the coordinate, and of the angle times 1 + tan²; a list has any
                     // weight only from a thousandth of a pixel on.
@@ -286,7 +453,7 @@ mod tests {
     #[test]
     fn overhang_is_what_a_margin_must_cover() {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
-        let intrinsics = Intrinsics { width: 90, height: 60, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(90, 60, 0.7);
         let at = |distance| Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, distance), intrinsics, &bounds);
         assert_eq!(at(8.0).overhang(&bounds), 0.0);
         assert_eq!(at(1.0).overhang(&bounds), f32::INFINITY);
@@ -301,7 +468,7 @@ mod tests {
     #[test]
     fn near_and_far_enclose_the_sphere_also_from_inside() {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 1.0 };
+        let intrinsics = Intrinsics::perspective(8, 8, 1.0);
         let outside = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 10.0), intrinsics, &bounds);
         assert!((outside.near - (10.0 - 3f32.sqrt())).abs() < 1e-4);
         // The farthest that a pose datagram may name, and everything nearer.

@@ -4,10 +4,11 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`wanted`], [`space`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
+//! Modules use only those above them: [`ids`], [`wanted`], [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
 //! [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 pub mod camera;
+pub mod clip;
 pub mod codec;
 pub mod ids;
 pub mod image_error;

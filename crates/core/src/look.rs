@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::clip::{Clip, ClipError};
 use crate::kernels::layering::Layering;
 use crate::layer::MAX_K;
 use crate::transfer::{TransferError, TransferFunction};
@@ -17,6 +18,8 @@ pub struct Look {
     pub layering: Layering,
     /// Longest list, 1 to [`MAX_K`].
     pub k: u8,
+    /// What of the volume is looked at.
+    pub clip: Clip,
 }
 
 /// Why a look cannot be used.
@@ -33,12 +36,15 @@ pub enum LookError {
     /// The list length is out of range.
     #[error("k is {0}, expected 1 to {MAX_K}")]
     K(u8),
+    /// The clip is not one.
+    #[error(transparent)]
+    Clip(#[from] ClipError),
 }
 
 impl Look {
     /// A transfer function with everything else as it is unless somebody chooses.
     pub fn new(transfer: TransferFunction) -> Self {
-        Self { transfer, shaded: true, layering: Layering::default(), k: DEFAULT_K }
+        Self { transfer, shaded: true, layering: Layering::default(), k: DEFAULT_K, clip: Clip::default() }
     }
 
     /// Checks what the type cannot say.
@@ -53,6 +59,7 @@ impl Look {
         if !(1..=MAX_K).contains(&usize::from(self.k)) {
             return Err(LookError::K(self.k));
         }
+        self.clip.validate()?;
         Ok(self.transfer.validate()?)
     }
 }

@@ -9,6 +9,7 @@
 //! Transforms are named `a_from_b`. Lengths named `s` are world distances along a ray with a unit direction.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// A ray in world space; `dir` has unit length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,12 +28,32 @@ impl Ray {
 }
 
 /// An axis-aligned box in world space.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Corners", into = "Corners")]
 pub struct Aabb {
     /// Least corner.
     pub min: Vec3,
     /// Greatest corner.
     pub max: Vec3,
+}
+
+/// A box as it is written.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct Corners {
+    min: [f32; 3],
+    max: [f32; 3],
+}
+
+impl From<Corners> for Aabb {
+    fn from(corners: Corners) -> Self {
+        Self { min: corners.min.into(), max: corners.max.into() }
+    }
+}
+
+impl From<Aabb> for Corners {
+    fn from(bounds: Aabb) -> Self {
+        Self { min: bounds.min.into(), max: bounds.max.into() }
+    }
 }
 
 impl Aabb {

@@ -32,7 +32,7 @@ fn field_scene(field: Field, sigma_max: f32, step_in_voxels: f32) -> Scene {
         unit_length: UnitLength::Voxel,
         points: vec![ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.5 }],
     };
-    let settings = MarchSettings { step_in_voxels, shading: None };
+    let settings = MarchSettings { step_in_voxels, shading: None, ..Default::default() };
     let mut scene = Scene::new(Arc::new(field.volume(96)), &transfer, settings);
     scene.table = identity_table(sigma_max);
     scene.occupancy = scene.bricks.occupancy(&scene.table);
@@ -41,7 +41,7 @@ fn field_scene(field: Field, sigma_max: f32, step_in_voxels: f32) -> Scene {
 
 fn camera(scene: &Scene, azimuth: f32) -> Camera {
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width: 24, height: 20, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(24, 20, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * intrinsics.fit_distance());
     Camera::new(pose, intrinsics, &bounds)
 }

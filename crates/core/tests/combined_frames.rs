@@ -17,7 +17,7 @@ use isinglass_core::volume::procedural::Builtin;
 
 use self::common::scene;
 
-const PICTURE: Intrinsics = Intrinsics { width: 72, height: 56, fov_y: 0.7 };
+const PICTURE: Intrinsics = Intrinsics::perspective(72, 56, 0.7);
 
 /// Near enough that the volume goes on beyond the picture on all sides.
 fn near(azimuth_degrees: f32, pan: Vec3, bounds: &Aabb) -> Camera {

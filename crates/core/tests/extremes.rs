@@ -34,7 +34,7 @@ fn is_finite(picture: &Picture) -> bool {
 /// All kernels, the codec between them. Returns the rendered picture.
 fn through_everything(scene: &Scene, pose: Pose) -> Picture {
     let bounds = scene.volume.bounds();
-    let camera = Camera::new(pose, Intrinsics { width: 20, height: 20, fov_y: 0.7 }, &bounds);
+    let camera = Camera::new(pose, Intrinsics::perspective(20, 20, 0.7), &bounds);
     assert!(camera.is_valid(), "{camera:?}");
     let picture = render(scene, &camera);
     assert!(is_finite(&picture), "{pose:?}");

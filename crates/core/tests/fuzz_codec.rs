@@ -41,7 +41,7 @@ fn seeds() -> (Vec<Seed>, Vec<Arc<Reference>>) {
     for (width, height, k, noise) in
         [(17, 33, 8, 0), (20, 70, 4, 300), (5, 3, 32, 40), (64, 130, 1, 5), (1, 1, 2, 0), (33, 31, 3, 9000)]
     {
-        let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+        let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 5.0), intrinsics, &bounds);
         let header = FrameHeader { frame: FrameId(1), pose: PoseId(2), look: LookVersion(3), camera, k };
         let mut frame = LayeredFrame::empty(header);

@@ -22,7 +22,7 @@ use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLengt
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Volume, Voxels};
 
-const INTRINSICS: Intrinsics = Intrinsics { width: 72, height: 64, fov_y: 0.7 };
+const INTRINSICS: Intrinsics = Intrinsics::perspective(72, 64, 0.7);
 
 fn scene(volume: Volume, most_opaque: f32) -> Scene {
     let p = |x, color, opacity| ControlPoint { x, color, opacity };
@@ -199,7 +199,7 @@ fn blur_has_the_radius_of_the_circle_of_confusion() {
     let frame = frame_of(&scene, camera);
     let at = Vec3::new(1.0, 0.0, -2.0);
     let z = (at - camera.pose.eye).dot(camera.pose.forward());
-    let pixels = INTRINSICS.height as f32 * 0.5 / (INTRINSICS.fov_y * 0.5).tan();
+    let pixels = INTRINSICS.height as f32 * 0.5 / (INTRINSICS.fov_y() * 0.5).tan();
     let sharp = moments(&raycast(&frame, &bounds, &camera));
     for (aperture_radius, focus_depth) in [(2.0, z), (2.0, 0.85 * z), (2.0, 1.2 * z), (1.0, 0.8 * z)] {
         let exposure = Exposure { aperture_radius, num_samples: 64, ..pinhole(focus_depth) };
@@ -221,7 +221,7 @@ fn blur_has_the_radius_of_the_circle_of_confusion() {
 /// The left eye sees what is nearer than the focus further to the right, by e·(1/z − 1/f)·(h/2)/tan(fov/2) pixels in all.
 #[test]
 fn eyes_see_the_parallax_of_their_distance() {
-    let pixels = INTRINSICS.height as f32 * 0.5 / (INTRINSICS.fov_y * 0.5).tan();
+    let pixels = INTRINSICS.height as f32 * 0.5 / (INTRINSICS.fov_y() * 0.5).tan();
     for along in [-8.0, 0.0, 8.0] {
         let scene = ball(Vec3::new(0.0, 2.0, along));
         let bounds = scene.volume.bounds();

@@ -122,6 +122,9 @@ impl FramesOnGpu {
                 )
             };
             (combination.bounds_min, combination.bounds_max) = (min, max);
+            combination.clip_normal = caster.clip_normal;
+            combination.clip_offset =
+                if n == 0 { caster.clip_offset } else { combination.clip_offset.min(caster.clip_offset) };
             combination.casters[n] = caster;
             combination.places[n] = layer.places();
         }

@@ -3,10 +3,11 @@
 
 use bytemuck::{Pod, Zeroable};
 use isinglass_core::camera::Camera;
+use isinglass_core::clip::Region;
 use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
-use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
+use isinglass_core::kernels::raycast::{CastOptions, MARGIN_UNITS, Reconstruction};
 use isinglass_core::layer::DEPTH_UNITS;
 use isinglass_core::space::Aabb;
 
@@ -22,6 +23,10 @@ pub(crate) struct Basis {
     pub(crate) width: f32,
     pub(crate) up: [f32; 3],
     pub(crate) height: f32,
+    pub(crate) perspective: f32,
+    pub(crate) padding_0: u32,
+    pub(crate) padding_1: u32,
+    pub(crate) padding_2: u32,
 }
 
 impl Basis {
@@ -37,6 +42,10 @@ impl Basis {
             width: basis.width,
             up: basis.up.into(),
             height: basis.height,
+            perspective: basis.perspective,
+            padding_0: 0,
+            padding_1: 0,
+            padding_2: 0,
         }
     }
 }
@@ -57,13 +66,15 @@ pub(crate) struct Scene {
     pub(crate) ambient: f32,
     pub(crate) brick_dims: [u32; 3],
     pub(crate) diffuse: f32,
+    pub(crate) clip_normal: [f32; 3],
+    pub(crate) clip_offset: f32,
 }
 
 impl Scene {
     /// What is constant over all rays of a scene.
     pub(crate) fn of(scene: &march::Scene) -> Self {
         let volume = &scene.volume;
-        let bounds = volume.bounds();
+        let Region { bounds, normal, offset } = scene.region();
         let shading = scene.settings.shading.unwrap_or_default();
         Self {
             bounds_min: bounds.min.into(),
@@ -78,6 +89,8 @@ impl Scene {
             ambient: shading.ambient,
             brick_dims: scene.occupancy.dims,
             diffuse: shading.diffuse,
+            clip_normal: normal.into(),
+            clip_offset: offset,
         }
     }
 }
@@ -105,40 +118,29 @@ pub(crate) struct Raycaster {
     pub(crate) skips_empty_space: u32,
     pub(crate) num_samples: u32,
     pub(crate) padding: u32,
+    pub(crate) clip_normal: [f32; 3],
+    pub(crate) clip_offset: f32,
 }
 
 impl Raycaster {
-    /// The generating camera of a frame and the box of its volume; the margin is that of
+    /// The generating camera of a frame and the box of its volume, cast as `options` say; the margin is that of
     /// [`isinglass_core::kernels::raycast::Raycaster::new`].
-    pub(crate) fn of(camera: &Camera, bounds: &Aabb) -> Self {
+    pub(crate) fn of(camera: &Camera, bounds: &Aabb, options: &CastOptions) -> Self {
         let depth_per_unit = (camera.far - camera.near) / DEPTH_UNITS;
-        let margin = 2.0 * depth_per_unit;
+        let region = options.clip.region(bounds).grown(MARGIN_UNITS * depth_per_unit);
         Self {
             basis: Basis::of(camera),
-            bounds_min: (bounds.min - margin).into(),
+            bounds_min: region.bounds.min.into(),
             units_per_depth: depth_per_unit.recip(),
-            bounds_max: (bounds.max + margin).into(),
+            bounds_max: region.bounds.max.into(),
             has_frame: 1,
-            is_nearest: 0,
-            skips_empty_space: 1,
-            num_samples: 0,
+            is_nearest: (options.reconstruction == Reconstruction::Nearest).into(),
+            skips_empty_space: options.skips_empty_space.into(),
+            num_samples: options.num_samples,
             padding: 0,
+            clip_normal: region.normal.into(),
+            clip_offset: region.offset,
         }
-    }
-
-    /// How the frame is cast.
-    pub(crate) fn options(&self) -> CastOptions {
-        let reconstruction =
-            if self.is_nearest == 0 { Reconstruction::Mixed } else { Reconstruction::Nearest };
-        let skips_empty_space = self.skips_empty_space != 0;
-        CastOptions { reconstruction, skips_empty_space, num_samples: self.num_samples }
-    }
-
-    /// Casts so from now on.
-    pub(crate) fn set_options(&mut self, options: &CastOptions) {
-        self.is_nearest = (options.reconstruction == Reconstruction::Nearest).into();
-        self.skips_empty_space = options.skips_empty_space.into();
-        self.num_samples = options.num_samples;
     }
 }
 
@@ -152,6 +154,8 @@ pub(crate) struct Combination {
     pub(crate) band: f32,
     pub(crate) bounds_max: [f32; 3],
     pub(crate) num_frames: u32,
+    pub(crate) clip_normal: [f32; 3],
+    pub(crate) clip_offset: f32,
 }
 
 /// See `shaders/shared/types.wgsl`.

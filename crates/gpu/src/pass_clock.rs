@@ -137,7 +137,7 @@ mod tests {
         };
         let scene = Scene::new(Arc::new(Builtin::Cloud.volume(32)), &transfer, MarchSettings::default());
         let bounds = scene.volume.bounds();
-        let intrinsics = Intrinsics { width: 64, height: 64, fov_y: 0.6 };
+        let intrinsics = Intrinsics::perspective(64, 64, 0.6);
         let pose = Pose::orbit(bounds.center(), 0.3, 0.2, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
         let mut renderer = GpuRenderer::new(&gpu, scene).unwrap();

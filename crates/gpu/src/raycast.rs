@@ -30,6 +30,7 @@ pub(crate) struct FrameOnGpu {
     caster: wgpu::Buffer,
     /// What `caster` holds.
     uniform: Raycaster,
+    options: CastOptions,
     /// The camera of the frame and the box of its volume.
     seen_by: Option<(Camera, Aabb)>,
     buffers: Buffers,
@@ -61,7 +62,8 @@ impl FrameOnGpu {
         let buffers = Buffers::new(device, planes([8; NUM_PLANES], alignment(device)));
         let (bind_group, build_group) = buffers.bind(device, layout, &builder, &caster);
         let uniform = bytemuck::Zeroable::zeroed();
-        Self { builder, caster, uniform, seen_by: None, buffers, bind_group, build_group }
+        let options = CastOptions::default();
+        Self { builder, caster, uniform, options, seen_by: None, buffers, bind_group, build_group }
     }
 
     /// Replaces the frame. `bounds` is the box of the volume that it was made of. A frame that is refused leaves the
@@ -102,9 +104,7 @@ impl FrameOnGpu {
                 Ok((buffers, groups))
             })?;
         }
-        let former = self.uniform;
-        self.uniform = Raycaster::of(&frame.header.camera, bounds);
-        self.uniform.set_options(&former.options());
+        self.uniform = Raycaster::of(&frame.header.camera, bounds, &self.options);
         let is_written = scoped(device, "writing a layered frame", || {
             for (plane, words) in written {
                 let Plane { buffer, start, .. } = self.buffers.planes[plane];
@@ -133,9 +133,12 @@ impl FrameOnGpu {
 
     /// How the frame is cast from now on.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
-        let former = self.uniform;
-        self.uniform.set_options(options);
-        if self.uniform != former {
+        if self.options == *options {
+            return;
+        }
+        self.options = *options;
+        if let Some((camera, bounds)) = &self.seen_by {
+            self.uniform = Raycaster::of(camera, bounds, options);
             self.write_uniform(queue);
         }
     }

@@ -28,7 +28,20 @@ macro_rules! layout {
 
 fn rust_layouts() -> BTreeMap<&'static str, Layout> {
     [
-        layout!(Basis { eye, near, forward, far, right, width, up, height }),
+        layout!(Basis {
+            eye,
+            near,
+            forward,
+            far,
+            right,
+            width,
+            up,
+            height,
+            perspective,
+            padding_0,
+            padding_1,
+            padding_2
+        }),
         layout!(Scene {
             bounds_min,
             x_scale,
@@ -41,7 +54,9 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             dims,
             ambient,
             brick_dims,
-            diffuse
+            diffuse,
+            clip_normal,
+            clip_offset
         }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
         layout!(Raycaster {
@@ -53,9 +68,20 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             is_nearest,
             skips_empty_space,
             num_samples,
-            padding
+            padding,
+            clip_normal,
+            clip_offset
         }),
-        layout!(Combination { casters, places, bounds_min, band, bounds_max, num_frames }),
+        layout!(Combination {
+            casters,
+            places,
+            bounds_min,
+            band,
+            bounds_max,
+            num_frames,
+            clip_normal,
+            clip_offset
+        }),
         layout!(Display { background, encode_srgb }),
     ]
     .into_iter()

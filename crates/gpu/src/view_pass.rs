@@ -125,7 +125,7 @@ impl ViewPass {
     pub fn warm_up(&self, device: &wgpu::Device, queue: &wgpu::Queue) -> Result<WarmUp, GpuError> {
         scoped(device, "preparing the first draws", || {
             // Nothing is in the one pixel, but its ray is one.
-            let pixel = Intrinsics { width: 1, height: 1, fov_y: 1.0 };
+            let pixel = Intrinsics::perspective(1, 1, 1.0);
             let nowhere = Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::ZERO };
             let camera = Camera::new(Pose::orbit(glam::Vec3::ONE, 0.0, 0.0, 1.0), pixel, &nowhere);
             self.prepare(queue, &camera, [0.0; 3]);

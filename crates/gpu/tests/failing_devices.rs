@@ -46,7 +46,7 @@ fn a_lost_device_is_an_error() {
     };
     let scene = Scene::new(Arc::new(Builtin::Cloud.volume(16)), &transfer, Default::default());
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width: 32, height: 32, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
     let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 4 };
     let frame = layering::generate(&scene, header, Layering::VisibilityMerge);

@@ -13,11 +13,13 @@ use isinglass_bench::quality::march_settings;
 use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
-use isinglass_core::camera::{Intrinsics, MAX_SIDE};
+use isinglass_core::camera::{Camera, Intrinsics, MAX_SIDE};
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
+use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
@@ -26,6 +28,7 @@ use isinglass_formats::{
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
 
+use crate::clip_args::ClipArgs;
 use crate::library::{FileLoader, OpenedFile};
 use crate::memory::MemoryArgs;
 
@@ -49,7 +52,7 @@ impl VolumeArgs {
     }
 
     /// The volume that a saved state names; flags that take another part of it hold.
-    pub(crate) fn from_state(&self, source: String, saved: &Selection) -> Self {
+    pub(crate) fn in_state(&self, source: String, saved: &Selection) -> Self {
         let of_flags = self.part.selection();
         let part = PartArgs {
             channel: of_flags.channel.or(saved.channel),
@@ -173,14 +176,28 @@ pub(crate) struct ViewArgs {
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = DEFAULT_FOV_Y_DEGREES)]
     pub(crate) fov: f32,
+    /// Parallel rays: what is far away is as large as what is near. The picture shows as much of the volume's middle as it
+    /// would with --fov
+    #[arg(long)]
+    pub(crate) orthographic: bool,
 }
 
 impl ViewArgs {
-    /// The intrinsics.
+    /// The intrinsics of a perspective picture.
     pub(crate) fn intrinsics(&self) -> Intrinsics {
         let [width, height] = self.size;
-        Intrinsics { width, height, fov_y: self.fov.to_radians() }
+        Intrinsics::perspective(width, height, self.fov.to_radians())
     }
+}
+
+/// The camera of parallel rays that shows as much of the middle of `bounds` as `camera` does.
+pub(crate) fn orthographic(camera: &Camera, bounds: &Aabb) -> Camera {
+    if camera.intrinsics.projection.is_orthographic() {
+        return *camera;
+    }
+    let depth = (bounds.center() - camera.pose.eye).dot(camera.pose.forward());
+    // An eye in the very middle would see nothing of it.
+    camera.to_orthographic(depth.max(1e-3 * bounds.radius()), bounds)
 }
 
 /// How matter looks.
@@ -192,6 +209,8 @@ pub(crate) struct LookArgs {
     /// Whether gradients shade the colours
     #[arg(long, value_enum, default_value_t = Switch::On)]
     pub(crate) shading: Switch,
+    #[command(flatten)]
+    pub(crate) clip: ClipArgs,
 }
 
 /// On or off.
@@ -212,7 +231,7 @@ impl LookArgs {
     /// What is asked for, of a volume whose transfer function is `transfer`.
     pub(crate) fn look(&self, transfer: TransferFunction, layering: &LayeringArgs) -> Look {
         let LayeringArgs { layering, k } = *layering;
-        Look { shaded: self.is_shaded(), layering, k, ..Look::new(transfer) }
+        Look { shaded: self.is_shaded(), layering, k, clip: self.clip.clip(), ..Look::new(transfer) }
     }
 }
 
@@ -417,7 +436,8 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<Opened
     let before = outline(source, &volume.options())?;
     let opened = show_progress(&before, |progress| {
         let options = OpenOptions { progress: Some(progress), ..volume.options() };
-        open_scene(source, look.tf.as_deref(), march_settings(look.is_shaded()), &options)
+        let settings = MarchSettings { clip: look.clip.clip(), ..march_settings(look.is_shaded()) };
+        open_scene(source, look.tf.as_deref(), settings, &options)
     });
     Ok(opened?)
 }

@@ -5,6 +5,7 @@
 //! is one line.
 
 mod args;
+mod clip_args;
 mod commands;
 mod given;
 mod lens_args;

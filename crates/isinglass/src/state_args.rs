@@ -17,7 +17,7 @@ use isinglass_formats::{
 };
 use isinglass_net::state_of_link;
 
-use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume};
+use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume, orthographic};
 use crate::given::Given;
 use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
@@ -81,7 +81,7 @@ impl Seen {
         let source = saved.and_then(|v| v.source.clone());
         let source = source.context("the state does not say where its volume is, expected VOLUME")?;
         let selection = saved.map(|v| v.selection()).transpose().map_err(anyhow::Error::msg)?;
-        Ok(volume.from_state(source, &selection.unwrap_or_default()))
+        Ok(volume.in_state(source, &selection.unwrap_or_default()))
     }
 
     /// Opens a volume, and how it is to look. Says so if it is not the state's.
@@ -133,7 +133,7 @@ impl Seen {
     /// The state's look with those fields of `flags` that were given.
     fn merged(&self, saved: Look, flags: Look) -> Look {
         // Whoever adds a field says here which flag sets it.
-        let Look { transfer, shaded, layering, k } = flags;
+        let Look { transfer, shaded, layering, k, clip } = flags;
         let mut look = saved;
         let has = |field| self.given.has(field);
         if has("tf") {
@@ -148,6 +148,12 @@ impl Seen {
         if has("k") {
             look.k = k;
         }
+        if has("clip_box") {
+            look.clip.bounds = clip.bounds;
+        }
+        if has("clip_plane") {
+            look.clip.plane = clip.plane;
+        }
         look
     }
 
@@ -155,15 +161,23 @@ impl Seen {
     /// `orbit`.
     pub(crate) fn camera(&self, orbit: &Orbit, view: &ViewArgs, bounds: &Aabb) -> Camera {
         let flags = view.intrinsics();
-        let Some(saved) = &self.state.camera else { return orbit.camera(flags, bounds) };
+        let is_parallel = view.orthographic || self.state.view.orthographic == Some(true);
+        let around = |intrinsics| {
+            let camera = orbit.camera(intrinsics, bounds);
+            if is_parallel { orthographic(&camera, bounds) } else { camera }
+        };
+        let Some(saved) = &self.state.camera else { return around(flags) };
         let of_state = saved.intrinsics();
         let size = if self.given.has("size") { flags } else { of_state };
-        let fov_y = if self.given.has("fov") { flags.fov_y } else { of_state.fov_y };
-        let intrinsics = Intrinsics { fov_y, ..size };
+        let projection = if self.given.has("fov") { flags.projection } else { of_state.projection };
+        let intrinsics = Intrinsics { projection, ..size };
         if self.given.has("orbit") {
-            return orbit.camera(intrinsics, bounds);
+            return around(intrinsics);
         }
-        Camera::new(saved.pose(), intrinsics, bounds)
+        let camera = Camera::new(saved.pose(), intrinsics, bounds);
+        // As large as the viewer shows it: at the depth of what its camera turns about.
+        let (_, eye_from_center) = saved.placement();
+        if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
     }
 
     /// Behind the volume.
@@ -193,6 +207,7 @@ impl Seen {
         }
         state.camera = state.camera.filter(|_| !has("orbit"));
         state.view.method = state.view.method.filter(|_| !has("method"));
+        state.view.orthographic = state.view.orthographic.filter(|_| !has("orthographic"));
         let is_empty = state == SavedState::default();
         ((of_state.unwrap_or(size), of_state.is_some()), (!is_empty).then_some(state))
     }

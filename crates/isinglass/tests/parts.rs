@@ -75,7 +75,7 @@ fn serve(bench: &Bench, flags: &str) -> Served {
 fn viewer(link: &str) -> Client {
     let client = Client::connect(&link.parse().unwrap(), ClientOptions::default()).unwrap();
     client.wait_connected(Duration::from_secs(30)).unwrap();
-    let size = Intrinsics { width: 40, height: 40, fov_y: 0.6 };
+    let size = Intrinsics::perspective(40, 40, 0.6);
     client.set_pose(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 50.0), size);
     client
 }

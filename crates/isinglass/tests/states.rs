@@ -22,7 +22,7 @@ fn state() -> SavedState {
     let volume = Builtin::Cubus.volume(32);
     let orbit =
         InitialOrbit { azimuth_degrees: 25.0, elevation_degrees: -15.0, distance_in_radii: Some(3.0) };
-    let intrinsics = Intrinsics { width: 64, height: 48, fov_y: 35f32.to_radians() };
+    let intrinsics = Intrinsics::perspective(64, 48, 35f32.to_radians());
     let controls = CameraControls::new(orbit, &volume.bounds(), &intrinsics);
     let (lo, hi) = volume.value_range();
     let saved = SavedVolume {

@@ -124,7 +124,7 @@ const MAX_ORDERS: usize = 16;
 
 /// How the volume is marched under a look.
 pub fn march_settings(look: &Look) -> MarchSettings {
-    MarchSettings { shading: look.shaded.then(Shading::default), ..MarchSettings::default() }
+    MarchSettings { shading: look.shaded.then(Shading::default), clip: look.clip, ..MarchSettings::default() }
 }
 
 impl RunningServer {

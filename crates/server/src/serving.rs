@@ -534,8 +534,8 @@ mod tests {
     #[test]
     fn wishes_are_bounded_and_keep_their_shape() {
         for k in [1, 8, 15, 32] {
-            let wish = |width, height| bounded(Intrinsics { width, height, fov_y: 1.0 }, k);
-            assert_eq!(wish(1920, 1200), Intrinsics { width: 1920, height: 1200, fov_y: 1.0 });
+            let wish = |width, height| bounded(Intrinsics::perspective(width, height, 1.0), k);
+            assert_eq!(wish(1920, 1200), Intrinsics::perspective(1920, 1200, 1.0));
             let (big, most) = (wish(8192, 4096), max_lists(k));
             assert!(big.num_pixels() <= most && big.num_pixels() > most * 9 / 10);
             assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);

@@ -11,7 +11,7 @@ use super::*;
 use crate::view::Orbit;
 
 fn intrinsics() -> Intrinsics {
-    Intrinsics { width: 48, height: 40, fov_y: 0.7 }
+    Intrinsics::perspective(48, 40, 0.7)
 }
 
 /// A small frame of shells.

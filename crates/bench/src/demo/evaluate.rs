@@ -74,7 +74,7 @@ pub(crate) fn evaluate(
         let truth = rgb(renderer.render(&tick.camera)?);
         let last = frame.flatten();
         // A margin around the picture is not shown.
-        let margin = frame.header.camera.intrinsics.margin_around(&options.intrinsics).unwrap_or(0);
+        let margin = frame.header.camera.intrinsics.margin_around(&tick.camera.intrinsics).unwrap_or(0);
         let last = rgb(last.cropped(margin));
         if (last.width, last.height) != (shown.width, shown.height) {
             return Err(BenchError::Demo(format!(

@@ -15,7 +15,9 @@ use std::path::Path;
 use glam::Vec3;
 use isinglass_client::{CameraPath, Foresight};
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::clip::Clip;
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
@@ -46,6 +48,8 @@ pub struct DemoOptions {
     pub transfer: Option<String>,
     /// Whether gradients shade.
     pub shaded: bool,
+    /// What of the volume is looked at.
+    pub clip: Clip,
     /// Layering rule.
     pub layering: Layering,
     /// Longest list.
@@ -60,6 +64,8 @@ pub struct DemoOptions {
     pub foresight: Foresight,
     /// Picture and frame size, field of view.
     pub intrinsics: Intrinsics,
+    /// Whether rays are parallel. The picture then shows as much of the volume's middle as it would with the field of view.
+    pub is_orthographic: bool,
     /// Where kernels run.
     pub backend: BackendChoice,
     /// The link between server and viewer.
@@ -83,13 +89,15 @@ impl Default for DemoOptions {
             spacing: None,
             transfer: None,
             shaded: true,
+            clip: Clip::default(),
             layering: Layering::default(),
             k: 8,
             method: Method::default(),
             orbit: Orbit::default(),
             path: None,
             foresight: Foresight::default(),
-            intrinsics: Intrinsics { width: 256, height: 256, fov_y: 40f32.to_radians() },
+            intrinsics: Intrinsics::perspective(256, 256, 40f32.to_radians()),
+            is_orthographic: false,
             backend: BackendChoice::default(),
             link: LinkModel::default(),
             plan: Plan::default(),
@@ -114,8 +122,8 @@ pub struct Outcome {
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
     let &DemoOptions { raw, selection, spacing, .. } = options;
     let open = OpenOptions { raw, selection, spacing, ..OpenOptions::default() };
-    let opened =
-        open_scene(&options.source, options.transfer.as_deref(), march_settings(options.shaded), &open)?;
+    let settings = MarchSettings { clip: options.clip, ..march_settings(options.shaded) };
+    let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
     // Before playing: nobody wants to wait for a report that cannot be written.
@@ -158,6 +166,7 @@ fn serve_and_play(
         .map_err(|e| failed("no threads for the server", &e))?;
     let look = Look {
         shaded: options.shaded,
+        clip: options.clip,
         layering: options.layering,
         k: options.k,
         ..Look::new(opened.transfer.clone())

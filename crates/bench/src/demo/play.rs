@@ -58,6 +58,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
     let clock = client.clock().clone();
     let now = || Duration::from_micros(clock.now_micros());
     let mut viewer = HeadlessViewer::new(client, options.intrinsics, options.foresight);
+    viewer.set_orthographic(options.is_orthographic);
     let interval = Duration::from_secs_f32(1.0 / options.refresh_hz);
     let motion = match &options.path {
         Some(path) => Motion::Recorded(path.clone()),

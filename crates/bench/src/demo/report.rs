@@ -293,7 +293,7 @@ mod tests {
     /// A refresh every 0.1 s; each shows `frame` and is off the input by `late` refreshes.
     fn ticks(frames: &[u32], late: usize) -> Vec<Tick> {
         let bounds = Aabb { min: -Vec3::ONE, max: Vec3::ONE };
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
         let camera = |i: usize| -> Camera { Orbit::default().turned(i as f32).camera(intrinsics, &bounds) };
         let tick = |(i, &frame): (usize, &u32)| Tick {
             at: Duration::from_millis(100 * i as u64),

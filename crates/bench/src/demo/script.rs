@@ -139,7 +139,7 @@ mod tests {
     fn the_path_turns_stops_returns_and_stops() {
         let motion = Motion::Orbit { start: Orbit::default(), degrees_per_second: 30.0 };
         let script = Script::new(motion, Duration::from_millis(500));
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
         let bounds = Aabb { min: glam::Vec3::NEG_ONE, max: glam::Vec3::ONE };
         let azimuth = |s: f32| {
             let at = Duration::from_secs_f32(s);
@@ -172,7 +172,7 @@ mod tests {
         let script = Script::new(Motion::Recorded(path.clone()), Duration::from_secs(1));
         assert_eq!(script.duration(), Duration::from_secs_f32(5.5));
         assert_eq!(script.rests().len(), 1);
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
         let bounds = Aabb { min: glam::Vec3::NEG_ONE, max: glam::Vec3::ONE };
         for s in [0.0, 0.3, 2.5, 5.0] {
             let at = Duration::from_secs_f32(s);

@@ -204,7 +204,7 @@ pub(crate) fn stretch(picture: &Picture, of: &Intrinsics, camera: &Camera) -> Pi
     }
     let mut out = Picture::new(shown.width, shown.height);
     let size = [of.width as usize, of.height as usize];
-    let ((of_x, of_y), (shown_x, shown_y)) = (of.tan_half(), shown.tan_half());
+    let ((of_x, of_y), (shown_x, shown_y)) = (of.half_size_at(1.0), shown.half_size_at(1.0));
     // From the middle of one to the middle of the other, by the tangents that a pixel spans.
     let map = |p: u32, n: u32, tan: f32, n_of: u32, tan_of: f32| {
         let from_middle = (p as f32 + 0.5) / n as f32 - 0.5;

@@ -69,7 +69,7 @@ impl SlabMesh {
         let warp = Warp::new(&slabs.basis, &new);
         let order = ScanOrder::new(&slabs.basis, &new, columns as u32, rows as u32, TILE as f32);
         // The slab of the new eye, and from there to both sides: slabs on one side hide none on the other.
-        let eye = slabs.slab_at(slabs.basis.pixel_from_world(new.eye - slabs.basis.eye).z);
+        let eye = slabs.slab_at(slabs.basis.depth_of(new.eye));
         let beyond = (eye.clamp(0.0, slabs.num as f32)) as usize;
         let nearest_first: Vec<usize> = (beyond..slabs.num).chain((0..beyond).rev()).collect();
         nearest_first

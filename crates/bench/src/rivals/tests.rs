@@ -25,7 +25,7 @@ const BLUE: Vec3 = Vec3::Z;
 
 fn camera() -> Camera {
     let pose = Pose { eye: Vec3::new(0.0, 0.0, 5.0), world_from_view: Quat::IDENTITY };
-    Camera::new(pose, Intrinsics { width: SIDE, height: SIDE, fov_y: 0.7 }, &BOUNDS)
+    Camera::new(pose, Intrinsics::perspective(SIDE, SIDE, 0.7), &BOUNDS)
 }
 
 /// The view depth at a share of the way from near to far.
@@ -36,7 +36,7 @@ fn depth(share: f32) -> f32 {
 
 /// How far the eye must move to the right for matter at a depth to move to the left by so many pixels.
 fn step_for(pixels: f32, depth: f32) -> f32 {
-    let (tan_x, _) = camera().intrinsics.tan_half();
+    let (tan_x, _) = camera().intrinsics.half_size_at(1.0);
     pixels * depth * 2.0 * tan_x / SIDE as f32
 }
 
@@ -240,7 +240,7 @@ fn near_points_hide_far_ones_without_a_sort() {
                 continue;
             }
             let (ray, s_per_depth) = old.ray(x as f32 + 0.5, y as f32 + 0.5);
-            let h = new.pixel_from_world(ray.at(depth(0.1) * s_per_depth) - new.eye);
+            let h = new.pixel_from_point(ray.at(depth(0.1) * s_per_depth));
             let (px, py) = (h.x / h.z, h.y / h.z);
             // The middle of a point of which the rim may round either way.
             let (cx, cy) = (px - px.floor() - 0.5, py - py.floor() - 0.5);
@@ -346,7 +346,7 @@ fn frames_of_slabs_are_not_cut_again() {
     let scene =
         crate::scenes::open_scene("builtin:shells@24", None, Default::default(), &options).unwrap().scene;
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width: 32, height: 32, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0 * bounds.radius()), intrinsics, &bounds);
     let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 6 };
     let count = |rule: Layering| {
@@ -395,7 +395,7 @@ fn a_flat_mesh_is_its_billboard() {
 #[test]
 fn every_camera_gives_a_picture() {
     let frame = busy_frame();
-    let intrinsics = Intrinsics { width: 37, height: 21, fov_y: 1.2 };
+    let intrinsics = Intrinsics::perspective(37, 21, 1.2);
     let mut poses: Vec<Pose> = (0..12).map(|i| Pose::orbit(Vec3::ZERO, i as f32 * 0.6, 0.3, 3.0)).collect();
     poses.extend([0.0, 0.3, 1.0, 1e6].map(|d| Pose::orbit(Vec3::ZERO, 0.1, -0.2, d)));
     poses.push(Pose { eye: camera().pose.eye, world_from_view: Quat::from_rotation_y(std::f32::consts::PI) });
@@ -419,8 +419,8 @@ fn a_margin_is_not_shown() {
     let frame = busy_frame();
     let margin = 7;
     let shown = Intrinsics { width: SIDE - 2 * margin, height: SIDE - 2 * margin, ..camera().intrinsics };
-    let tan = camera().intrinsics.tan_half().1 * shown.height as f32 / SIDE as f32;
-    let inner = Camera { intrinsics: Intrinsics { fov_y: 2.0 * tan.atan(), ..shown }, ..camera() };
+    let tan = camera().intrinsics.half_size_at(1.0).1 * shown.height as f32 / SIDE as f32;
+    let inner = Camera { intrinsics: shown.with_fov_y(2.0 * tan.atan()), ..camera() };
     let whole_view = Camera { intrinsics: shown, ..camera() };
     let middle = frame.flatten().cropped(margin);
     for method in Method::ALL {

@@ -25,10 +25,10 @@ impl Warp {
     /// From the pixels of `old` to those of `new`.
     pub(super) fn new(old: &Basis, new: &Basis) -> Self {
         Self {
-            per_x: new.pixel_from_world(old.right * (2.0 / old.width)),
-            per_y: new.pixel_from_world(old.up * (-2.0 / old.height)),
-            per_depth: new.pixel_from_world(old.forward - old.right + old.up),
-            offset: new.pixel_from_world(old.eye - new.eye),
+            per_x: new.pixel_from_direction(old.right * (2.0 / old.width)),
+            per_y: new.pixel_from_direction(old.up * (-2.0 / old.height)),
+            per_depth: new.pixel_from_direction(old.forward - old.right + old.up),
+            offset: new.pixel_from_point(old.eye),
         }
     }
 
@@ -55,7 +55,7 @@ pub(super) struct ScanOrder {
 impl ScanOrder {
     /// For `columns`×`rows` cells of side `cell` pixels.
     pub(super) fn new(old: &Basis, new: &Basis, columns: u32, rows: u32, cell: f32) -> Self {
-        let h = old.pixel_from_world(new.eye - old.eye);
+        let h = old.pixel_from_point(new.eye);
         let is_ahead = h.z >= 0.0;
         // An eye moved sideways has its epipole at infinity; the sign of a zero depth is that of `is_ahead`.
         let depth = if is_ahead { h.z.max(f32::MIN_POSITIVE) } else { h.z };

@@ -210,7 +210,7 @@ impl<'a> Tasks<'a> {
                 let cast = CastOptions {
                     reconstruction: options.reconstructions.get(reading).copied().unwrap_or_default(),
                     skips_empty_space,
-                    num_samples: 0,
+                    ..CastOptions::default()
                 };
                 timed(backend, || views[i].views.view_with(&turned[angle], &cast))
             }

@@ -49,6 +49,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 StereoMode::SideBySide => StereoPicture::SideBySide,
                 StereoMode::Anaglyph => StereoPicture::RedCyan,
             }),
+            orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
             method: Some(self.novel_views.names[self.novel_views.selected].into()),
@@ -79,6 +80,7 @@ impl<S: FrameSource> ViewerApp<S> {
         set(&mut self.aids.shows_box, view.shows_box);
         set(&mut self.aids.shows_axes, view.shows_axes);
         set(&mut self.shows_overlay, view.shows_numbers);
+        set(&mut self.is_orthographic, view.orthographic);
         self.aids.background = view.background.map_or(self.aids.background, |Srgb(rgb)| rgb);
         if let Some(theme) = view.theme {
             ctx.set_theme(theme_preference(theme));
@@ -99,7 +101,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if let Some(camera) = &state.camera {
             self.options.fov_y = camera.fov_y();
-            let picture = self.stereo().eye_intrinsics(Intrinsics { fov_y: camera.fov_y(), ..window });
+            let picture = self.stereo().eye_intrinsics(window.with_fov_y(camera.fov_y()));
             let placed = self.controls(&picture).map(|(_, c)| c.place(camera.center(), camera.placement()));
             if placed == Some(false) {
                 note = note
@@ -135,7 +137,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if let Some(outcome) = self.state_files.take() {
             match outcome {
                 Outcome::Read(read) => {
-                    self.restore_with_note(ctx, now, window, &read.state, read.note.clone())
+                    self.restore_with_note(ctx, now, window, &read.state, read.note.clone());
                 }
                 Outcome::NoState(path) => self.editor.open(path, ctx),
                 Outcome::Written(path) => self.notice = Some((format!("saved as {}", path.display()), now)),

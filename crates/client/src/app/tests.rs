@@ -58,7 +58,8 @@ impl HereSource {
         }
         if let Some(look) = self.wanted.take() {
             let volume = self.scene.volume.clone();
-            self.scene = Scene::new(volume, &look.transfer, MarchSettings::default());
+            let settings = MarchSettings { clip: look.clip, ..MarchSettings::default() };
+            self.scene = Scene::new(volume, &look.transfer, settings);
             self.look = (self.look.0.next(), Arc::new(look));
         }
         let Some((pose, intrinsics)) = self.asked else { return };
@@ -333,10 +334,10 @@ fn a_double_click_makes_what_is_seen_the_centre_of_rotation() {
     let app = w.state();
     let (bounds, controls) = app.controls.as_ref().unwrap();
     // The harness leaves a margin of eight points around the window.
-    let picture = Intrinsics { width: 624, height: 464, fov_y: app.options.fov_y };
+    let picture = Intrinsics::perspective(624, 464, app.options.fov_y);
     let at = at - vec2(8.0, 8.0);
     let basis = controls.camera(picture, bounds).basis();
-    let h = basis.pixel_from_world(center - basis.eye);
+    let h = basis.pixel_from_point(center);
     // A step of the search along the ray, seen from the side, is less than half a pixel.
     assert!((h.x / h.z - at.x).abs() < 0.5 && (h.y / h.z - at.y).abs() < 0.5, "{} {}", h.x / h.z, h.y / h.z);
 }
@@ -365,7 +366,7 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
         let mut w = window(size);
         w.ctx.set_theme(theme);
         open_panel(&mut w);
-        for section in ["Frames", "View"] {
+        for section in ["Frames", "Clip", "View"] {
             w.get_by_label(section).scroll_to_me();
             w.run_steps(4);
             w.get_by_label(section).click();
@@ -375,4 +376,5 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
     }
 }
 
+mod clip;
 mod states;

@@ -106,7 +106,7 @@ impl FakeSource {
 }
 
 pub(crate) const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-const PICTURE: Intrinsics = Intrinsics { width: 60, height: 40, fov_y: 0.7 };
+const PICTURE: Intrinsics = Intrinsics::perspective(60, 40, 0.7);
 
 fn ms(x: u64) -> Duration {
     Duration::from_millis(x)
@@ -235,7 +235,7 @@ fn a_frame_in_blocks_is_waited_behind_for_the_exact_one() {
     let near = Pose::orbit(Vec3::ZERO, 0.0, 0.2, 2.0);
     let foresight = Foresight { predicts: false, ..Foresight::default() };
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
-    let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+    let picture = Intrinsics::perspective(320, 200, 0.7);
     let refresh = |v: &mut Viewing<FakeSource>, at| {
         let r = v.refresh(ms(at), near, picture, &BOUNDS);
         (r.standing, r.frame.is_some_and(|f| f.is_exact), v.source.asked.len())
@@ -266,7 +266,7 @@ fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
     let foresight = Foresight { predicts: false, ..Foresight::default() };
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
     v.source.max_side = Some(4096);
-    let picture = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+    let picture = Intrinsics::perspective(320, 200, 0.7);
     v.refresh(ms(0), near(0.0), picture, &BOUNDS);
     assert_eq!(v.source.asked, [(near(0.0), picture)]);
     v.source.answer(1, ms(0), true);
@@ -322,7 +322,7 @@ fn a_frame_of_another_size_settles_but_is_never_exact() {
     let mut v =
         Viewing::new(FakeSource::default(), FrameSize { scale: 0.5, ..Default::default() }, Foresight::NONE);
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-    assert_eq!(v.source.asked[0].1, Intrinsics { width: 30, height: 20, fov_y: 0.7 });
+    assert_eq!(v.source.asked[0].1, Intrinsics::perspective(30, 20, 0.7));
     v.source.answer(1, ms(0), true);
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Settled);
 }
@@ -336,7 +336,7 @@ fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
     v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     // A quarter of the lists costs 147.5 ms.
-    let half = Intrinsics { width: 30, height: 20, fov_y: 0.7 };
+    let half = Intrinsics::perspective(30, 20, 0.7);
     v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[1], (at(5.0), half));
     v.source.answer(2, ms(20), true);
@@ -411,7 +411,7 @@ fn a_look_being_edited_is_seen_in_small_frames() {
     v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
     v.refresh(ms(100), at(0.0), PICTURE, &BOUNDS);
     let num_asked = v.source.asked.len();
-    let half = Intrinsics { width: 30, height: 20, fov_y: 0.7 };
+    let half = Intrinsics::perspective(30, 20, 0.7);
     v.set_look(ms(200), look("skin"));
     v.refresh(ms(201), at(0.0), PICTURE, &BOUNDS);
     v.refresh(ms(349), at(0.0), PICTURE, &BOUNDS);
@@ -423,7 +423,7 @@ fn a_look_being_edited_is_seen_in_small_frames() {
 #[test]
 fn frames_are_asked_for_in_the_picture_s_shape_within_the_limits() {
     let size = FrameSize::default();
-    let picture = |width, height| Intrinsics { width, height, fov_y: 1.0 };
+    let picture = |width, height| Intrinsics::perspective(width, height, 1.0);
     assert_eq!(size.frame_for(picture(800, 600), 4096), picture(800, 600));
     assert_eq!(size.frame_for(picture(3840, 2160), 4096), picture(1920, 1080));
     assert_eq!(size.frame_for(picture(1000, 2400), 4096), picture(500, 1200));
@@ -466,4 +466,60 @@ fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_
     let after = viewing.refresh(ms(900), far, PICTURE, &large);
     assert_eq!((after.bounds, after.camera.pose), (large, far));
     assert!(after.older_look_since.is_none());
+}
+
+#[test]
+fn a_cut_is_no_older_look_but_anything_else_is() {
+    let mut v = viewing();
+    let clipped = |max: f32| Look {
+        clip: Clip { bounds: Some(Aabb { min: Vec3::NEG_ONE, max: Vec3::splat(max) }), plane: None },
+        ..look("first")
+    };
+    v.source.look = Some((LookVersion(3), Arc::new(clipped(0.5))));
+    v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS);
+    v.source.answer(1, ms(10), true);
+    let refresh = |v: &mut Viewing<FakeSource>, time| v.refresh(ms(time), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(refresh(&mut v, 20).older_look_since, None);
+    // Smaller: cut here, at once, and not settled before the server has it.
+    v.set_look(ms(30), clipped(0.3));
+    let cut = refresh(&mut v, 40);
+    assert_eq!((cut.older_look_since, cut.clip), (None, clipped(0.3).clip));
+    assert_eq!(cut.standing, Standing::Refining);
+    // The server has it, the frame that is shown is still the one before.
+    v.source.look = Some((LookVersion(4), Arc::new(clipped(0.3))));
+    assert_eq!(refresh(&mut v, 80).older_look_since, None);
+    // Larger than the frame knows, or another transfer function: not this picture.
+    v.set_look(ms(90), clipped(0.6));
+    assert_eq!(refresh(&mut v, 130).older_look_since, Some(ms(130)));
+    v.set_look(ms(140), Look { k: 3, ..clipped(0.3) });
+    assert_eq!(refresh(&mut v, 180).older_look_since, Some(ms(130)));
+    v.set_look(ms(190), clipped(0.5));
+    assert_eq!(refresh(&mut v, 230).older_look_since, None);
+}
+
+#[test]
+fn zooming_with_parallel_rays_is_a_movement_and_is_foreseen() {
+    let mut v = viewing();
+    v.predictor.note_shown(ms(100), ms(0));
+    let camera = |zoom: f32| {
+        let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.2, 6.0);
+        Camera::new(pose, PICTURE, &BOUNDS).to_orthographic(6.0 * (-zoom).exp(), &BOUNDS)
+    };
+    let height = |i: Intrinsics| i.half_size_at(1.0).1 / i.height as f32;
+    let mut ahead = 0;
+    for i in 0..60 {
+        let c = camera(i as f32 * 0.01);
+        let refresh = v.refresh(ms(100 + 16 * i), c.pose, c.intrinsics, &BOUNDS);
+        assert!(i == 0 || refresh.standing == Standing::Waiting || refresh.standing == Standing::Moving);
+        let (pose, asked) = *v.source.asked.last().unwrap();
+        // The eye stands where all of the volume is in front of it, and only what is shown shrinks.
+        assert!((pose.eye - c.pose.eye).length() < 1e-4);
+        ahead += usize::from(height(asked) < height(c.intrinsics) * 0.995);
+    }
+    assert!(ahead > 20, "smaller than now, as it will be: {ahead}");
+    let c = camera(0.59);
+    for i in 0..20 {
+        v.refresh(ms(1100 + 16 * i), c.pose, c.intrinsics, &BOUNDS);
+    }
+    assert_eq!(*v.source.asked.last().unwrap(), (c.pose, c.intrinsics), "at rest to the bit");
 }

@@ -111,7 +111,7 @@ mod tests {
     fn made(builtin: Builtin) -> LayeredFrame {
         let scene = soft_scene(builtin);
         let bounds = scene.volume.bounds();
-        let intrinsics = Intrinsics { width: 96, height: 80, fov_y: 0.6 };
+        let intrinsics = Intrinsics::perspective(96, 80, 0.6);
         let distance = bounds.radius() * intrinsics.fit_distance();
         let camera = Camera::new(Pose::orbit(glam::Vec3::ZERO, 0.5, 0.3, distance), intrinsics, &bounds);
         let (frame, pose, look) = (FrameId(1), PoseId(1), LookVersion(1));

@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::{Quat, Vec3};
 
 use super::{CodecError, MAX_BANDS, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, TILE, at_most, scale};
-use crate::camera::{Camera, Intrinsics, Pose};
+use crate::camera::{Camera, Intrinsics, Pose, Projection};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, MAX_K};
 
@@ -79,7 +79,18 @@ impl ChunkHeader {
         w.put((camera.intrinsics.width as u16).to_le_bytes());
         w.put((camera.intrinsics.height as u16).to_le_bytes());
         let (eye, q) = (camera.pose.eye, camera.pose.world_from_view);
-        for x in [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, camera.intrinsics.fov_y, camera.near, camera.far] {
+        for x in [
+            eye.x,
+            eye.y,
+            eye.z,
+            q.x,
+            q.y,
+            q.z,
+            q.w,
+            camera.intrinsics.projection.to_number(),
+            camera.near,
+            camera.far,
+        ] {
             w.put(x.to_le_bytes());
         }
         w.put(self.payload_bytes.to_le_bytes());
@@ -107,13 +118,13 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     let look = LookVersion(u32::from_le_bytes(r.take()));
     let width = u32::from(u16::from_le_bytes(r.take()));
     let height = u32::from(u16::from_le_bytes(r.take()));
-    let [ex, ey, ez, qx, qy, qz, qw, fov_y, near, far] =
+    let [ex, ey, ez, qx, qy, qz, qw, projection, near, far] =
         std::array::from_fn(|_| f32::from_le_bytes(r.take()));
     let payload_bytes = u32::from_le_bytes(r.take());
 
     let camera = Camera {
         pose: Pose { eye: Vec3::new(ex, ey, ez), world_from_view: Quat::from_xyzw(qx, qy, qz, qw) },
-        intrinsics: Intrinsics { width, height, fov_y },
+        intrinsics: Intrinsics { width, height, projection: Projection::from_number(projection) },
         near,
         far,
     };

@@ -36,7 +36,7 @@ impl Random {
 
 fn header(width: u32, height: u32, k: u8) -> FrameHeader {
     let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
-    let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, bounds.radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &bounds);
     FrameHeader { frame: FrameId(7), pose: PoseId(8), look: LookVersion(9), camera, k }

@@ -19,8 +19,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::march::TRANSMITTANCE_MIN;
-use super::raycast::{CastOptions, Raycaster, clip_by_planes, frustum_planes};
-use crate::camera::{Basis, Camera};
+use super::raycast::{CastOptions, MARGIN_UNITS, Raycaster, clip_by_planes, frustum_planes};
+use crate::camera::{Basis, Camera, PixelLine};
+use crate::clip::{Clip, Region};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
@@ -28,7 +29,9 @@ use crate::space::{Aabb, Ray};
 /// Frames with what is constant over all rays of a picture.
 pub struct Combiner {
     layers: Vec<Layer>,
-    bounds: Aabb,
+    /// What is left of the volume, with the widest of the margins.
+    region: Region,
+    options: CastOptions,
 }
 
 /// One frame.
@@ -46,17 +49,10 @@ struct View {
     near: f32,
 }
 
-/// A ray in the homogeneous pixel coordinates of a frame's camera: `o + d·s`.
-#[derive(Clone, Copy)]
-struct Line {
-    o: Vec3,
-    d: Vec3,
-}
-
 /// Parts of a ray, in world distance.
 #[derive(Clone, Copy)]
 struct Parts {
-    line: Line,
+    line: PixelLine,
     /// Where the frame sees anything.
     outer: (f32, f32),
     /// Where its coverage is 1.
@@ -77,58 +73,53 @@ impl View {
         Self { basis: camera.basis(), near: camera.near }
     }
 
-    fn line(&self, ray: &Ray) -> Line {
-        let o = self.basis.pixel_from_world(ray.origin - self.basis.eye);
-        Line { o, d: self.basis.pixel_from_world(ray.dir) }
-    }
-
     /// The part of `within` that lies at least `inset` pixels inside the frustum; empty if its end is not after its
     /// start.
-    fn clip(&self, Line { o, d }: Line, inset: f32, within: (f32, f32)) -> (f32, f32) {
-        let planes = frustum_planes(o, d, [self.basis.width, self.basis.height], self.near, inset);
+    fn clip(&self, line: &PixelLine, inset: f32, within: (f32, f32)) -> (f32, f32) {
+        let planes = frustum_planes(line, [self.basis.width, self.basis.height], self.near, inset);
         clip_by_planes(planes, within)
     }
 
-    /// Pixels from the nearest border, negative outside and minus infinity behind the near plane.
-    fn inset(&self, h: Vec3) -> f32 {
-        if h.z < self.near {
+    /// Pixels of a homogeneous pixel at a view depth from the nearest border, negative outside and minus infinity behind the
+    /// near plane.
+    fn inset(&self, h: Vec3, depth: f32) -> f32 {
+        if depth < self.near {
             return f32::NEG_INFINITY;
         }
         let (x, y) = (h.x / h.z, h.y / h.z);
         x.min(self.basis.width - x).min(y).min(self.basis.height - y)
     }
-}
 
-impl Line {
-    fn at(&self, s: f32) -> Vec3 {
-        self.o + self.d * s
+    /// The same of a point of the world.
+    fn inset_of(&self, point: Vec3) -> f32 {
+        self.inset(self.basis.pixel_from_point(point), self.basis.depth_of(point))
     }
 }
 
 impl Combiner {
     /// At most [`MAX_FRAMES`] frames of one volume and look, the newest first; `bounds` is the box of the volume, `display`
-    /// the camera of the picture.
-    pub fn new(frames: &[&LayeredFrame], bounds: &Aabb, display: &Camera) -> Self {
+    /// the camera of the picture, and of the volume what `clip` leaves is shown.
+    pub fn new(frames: &[&LayeredFrame], bounds: &Aabb, display: &Camera, clip: &Clip) -> Self {
         let mut rounding = 0f32;
         let layers = frames.iter().take(MAX_FRAMES).enumerate().map(|(n, frame)| {
             let camera = &frame.header.camera;
-            rounding = rounding.max(2.0 * (camera.far - camera.near) / DEPTH_UNITS);
+            rounding = rounding.max(MARGIN_UNITS * (camera.far - camera.near) / DEPTH_UNITS);
             let view = View::of(camera);
             let band = if n == 0 { band_of_newest(camera, &display.basis(), bounds) } else { BAND };
             Layer { caster: Raycaster::new(frame, bounds), view, band }
         });
         let layers = layers.collect();
-        let margin = Vec3::splat(rounding);
-        Self { layers, bounds: Aabb { min: bounds.min - margin, max: bounds.max + margin } }
+        let options = CastOptions { clip: *clip, ..CastOptions::default() };
+        Self { layers, region: clip.region(bounds).grown(rounding), options }
     }
 
     /// Premultiplied colour and opacity seen along a ray of world space.
     pub fn cast(&self, ray: &Ray) -> Over {
         let Some((newest, older)) = self.layers.split_first() else { return Over::default() };
-        let Some(all) = self.bounds.clip(ray) else { return Over::default() };
-        let line = newest.view.line(ray);
-        if older.is_empty() || newest.view.clip(line, newest.band, all) == all {
-            return newest.caster.cast(ray, &CastOptions::default());
+        let Some(all) = self.region.clip(ray) else { return Over::default() };
+        let line = newest.view.basis.line(ray);
+        if older.is_empty() || newest.view.clip(&line, newest.band, all) == all {
+            return newest.caster.cast(ray, &self.options);
         }
         self.cast_pieces(ray, all)
     }
@@ -138,12 +129,12 @@ impl Combiner {
         cuts[0] = all.0;
         let parts: [Option<Parts>; MAX_FRAMES] = std::array::from_fn(|n| {
             let layer = self.layers.get(n)?;
-            let line = layer.view.line(ray);
-            let outer = layer.view.clip(line, 0.0, all);
+            let line = layer.view.basis.line(ray);
+            let outer = layer.view.clip(&line, 0.0, all);
             if outer.1 <= outer.0 {
                 return None;
             }
-            let inner = layer.view.clip(line, layer.band, all);
+            let inner = layer.view.clip(&line, layer.band, all);
             cuts[4 * n + 2..4 * n + 4].copy_from_slice(&[outer.0, outer.1]);
             if inner.1 > inner.0 {
                 cuts[4 * n + 4..4 * n + 6].copy_from_slice(&[inner.0, inner.1]);
@@ -196,14 +187,16 @@ impl Combiner {
         within: (f32, f32),
     ) {
         if let Piece::Alone(n) = piece {
-            let seen = self.layers[n].caster.cast_between(ray, within, &CastOptions::default());
+            let seen = self.layers[n].caster.cast_between(ray, within, &self.options);
             acc.c += seen.c * acc.transmittance;
             acc.transmittance *= seen.transmittance;
             return;
         }
         let insets = |s: f32| -> [f32; MAX_FRAMES] {
             std::array::from_fn(|n| match (parts[n], self.layers.get(n)) {
-                (Some(p), Some(layer)) => layer.view.inset(p.line.at(s)).clamp(0.0, layer.band),
+                (Some(p), Some(layer)) => {
+                    layer.view.inset(p.line.at(s), p.line.depth_at(s)).clamp(0.0, layer.band)
+                }
                 _ => 0.0,
             })
         };
@@ -232,7 +225,7 @@ impl Combiner {
             }
             let (mut tau, mut light) = (0.0, Vec3::ZERO);
             for (n, weight) in weights.into_iter().enumerate().filter(|(_, w)| *w > LEAST_WEIGHT) {
-                let seen = self.layers[n].caster.cast_between(ray, (from, to), &CastOptions::default());
+                let seen = self.layers[n].caster.cast_between(ray, (from, to), &self.options);
                 // Where nothing can be seen through, casting stops: how much more there is was not looked at.
                 let tau_n = -seen.transmittance.max(TRANSMITTANCE_MIN).ln();
                 if tau_n > 0.0 {
@@ -252,8 +245,13 @@ impl Combiner {
 /// The picture of several layered frames of one volume and look from a camera, the newest first; with one frame that of
 /// [`super::raycast::raycast`]. Premultiplied linear. `bounds` is the box of the volume.
 pub fn combine(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera) -> Picture {
+    combine_clipped(frames, bounds, camera, &Clip::default())
+}
+
+/// The same of what `clip` leaves of the volume.
+pub fn combine_clipped(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera, clip: &Clip) -> Picture {
     let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
-    let combiner = Combiner::new(frames, bounds, camera);
+    let combiner = Combiner::new(frames, bounds, camera, clip);
     let basis = camera.basis();
     let width = picture.width as usize;
     picture.pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
@@ -270,7 +268,7 @@ pub fn combine(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera) -> Pict
 pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb) -> Vec<usize> {
     let sees = |camera: &Camera, p: Vec3, inset: f32| {
         let view = View::of(camera);
-        view.inset(view.basis.pixel_from_world(p - view.basis.eye)) > inset
+        view.inset_of(p) > inset
     };
     let all = points(&display.basis(), bounds);
     // Half a list: from its own pose a frame sees all points, which lie on the rays of pixels.
@@ -291,8 +289,7 @@ pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb)
 /// shows matter beyond the border, at most.
 pub fn band_of_newest(newest: &Camera, display: &Basis, bounds: &Aabb) -> f32 {
     let view = View::of(newest);
-    let inset = |p: Vec3| view.inset(view.basis.pixel_from_world(p - view.basis.eye));
-    points(display, bounds).into_iter().map(|p| -inset(p)).fold(0.0, f32::max).clamp(0.0, BAND)
+    points(display, bounds).into_iter().map(|p| -view.inset_of(p)).fold(0.0, f32::max).clamp(0.0, BAND)
 }
 
 /// Points of the box that a picture shows: on a grid of its rays, from the first pixel to the last, where each enters

@@ -61,9 +61,10 @@ impl View {
 
     /// Whether it can be drawn: finite, ordered, of a bounded size.
     pub fn is_valid(&self) -> bool {
-        let Basis { eye, forward, right, up, width, height } = self.basis;
+        let Basis { eye, forward, right, up, width, height, perspective } = self.basis;
         let is_side = |side: f32| (1.0..=MAX_SIDE as f32).contains(&side);
         [eye, forward, right, up].iter().all(|v| v.is_finite())
+            && (perspective == 0.0 || perspective == 1.0)
             && is_side(width)
             && is_side(height)
             && self.near > 0.0

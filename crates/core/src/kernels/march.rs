@@ -21,6 +21,7 @@ use rayon::prelude::*;
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
 use crate::camera::Camera;
+use crate::clip::{Clip, Region};
 use crate::layer::Over;
 use crate::picture::Picture;
 use crate::space::{Ray, safe_dir};
@@ -35,11 +36,13 @@ pub struct MarchSettings {
     pub step_in_voxels: f32,
     /// Shading, or none.
     pub shading: Option<Shading>,
+    /// What of the volume is marched.
+    pub clip: Clip,
 }
 
 impl Default for MarchSettings {
     fn default() -> Self {
-        Self { step_in_voxels: 0.5, shading: Some(Shading::default()) }
+        Self { step_in_voxels: 0.5, shading: Some(Shading::default()), clip: Clip::default() }
     }
 }
 
@@ -85,9 +88,14 @@ impl Scene {
         Self { table, occupancy, lit, settings, ..self.clone() }
     }
 
-    /// The lattice of steps of a ray inside the volume, in front of the camera's near plane.
+    /// What is left of the volume.
+    pub fn region(&self) -> Region {
+        self.settings.clip.region(&self.volume.bounds())
+    }
+
+    /// The lattice of steps of a ray inside what is left of the volume, in front of the camera's near plane.
     pub fn lattice(&self, ray: &Ray, near: f32) -> Option<Lattice> {
-        let (s0, s1) = self.volume.bounds().clip(ray)?;
+        let (s0, s1) = self.region().clip(ray)?;
         let s0 = s0.max(near);
         if s1 <= s0 {
             return None;

@@ -8,7 +8,9 @@
 //!
 //!   depth(t) = w0·w1/(w1 + t(w0 − w1)),    distance(t) = S·t·w0/(w1 + t(w0 − w1)),
 //!
-//! so one division a list gives both, by three constants a ray (S·w0, w1, w0 − w1). In each list the segments that
+//! so one division a list gives both, by three constants a ray (S·w0, w1, w0 − w1). Where the rays of the generating
+//! camera are parallel, w is 1 everywhere and the depth linear in t; the sum of both forms, each times 0 or 1, holds for
+//! either camera. In each list the segments that
 //! the ray's depth interval overlaps are composited in the ray's order, front to back or, if the ray runs towards
 //! the old eye, back to front. A segment crossed over a length l of its own length z gives opacity 1 − (1 − α)^(l/z).
 //!
@@ -38,7 +40,8 @@ pub(crate) use self::pieces::{opacity, transmittance};
 use self::reach::Reach;
 use super::empty_space::{EmptySpace, TILE, cell_bits, cell_of_depth};
 use super::march::{TRANSMITTANCE_MIN, has_avx2};
-use crate::camera::{Basis, Camera};
+use crate::camera::{Basis, Camera, PixelLine};
+use crate::clip::{Clip, Region};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
@@ -54,7 +57,7 @@ pub enum Reconstruction {
 }
 
 /// How to cast.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CastOptions {
     /// How the lists are read.
     pub reconstruction: Reconstruction,
@@ -62,11 +65,18 @@ pub struct CastOptions {
     pub skips_empty_space: bool,
     /// Samples a ray ([`super::subsample`]), or 0 for the full cast.
     pub num_samples: u32,
+    /// What of the volume is shown, whatever the frame holds: segments are cut to their length inside.
+    pub clip: Clip,
 }
 
 impl Default for CastOptions {
     fn default() -> Self {
-        Self { reconstruction: Reconstruction::default(), skips_empty_space: true, num_samples: 0 }
+        Self {
+            reconstruction: Reconstruction::default(),
+            skips_empty_space: true,
+            num_samples: 0,
+            clip: Clip::default(),
+        }
     }
 }
 
@@ -84,7 +94,11 @@ pub struct Raycaster {
     basis: Basis,
     /// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector are its products with these.
     pixel_rows: [Vec3; 3],
+    /// What is added for a point.
+    pixel_offset: Vec3,
     bounds: Aabb,
+    /// By how much ends of segments may lie outside of what was marched, world units.
+    margin: f32,
     near: f32,
     units_per_depth: f32,
     has_avx2: bool,
@@ -113,11 +127,10 @@ impl Raycaster {
     pub fn new(frame: &LayeredFrame, bounds: &Aabb) -> Self {
         let camera = &frame.header.camera;
         let depth_per_unit = (camera.far - camera.near) / DEPTH_UNITS;
-        // Rounding puts a segment's end up to half a unit outside of the box.
-        let margin = Vec3::splat(2.0 * depth_per_unit);
         let basis = camera.basis();
         let x = basis.right / basis.right.length_squared();
         let y = basis.up / basis.up.length_squared();
+        let weight = basis.forward * basis.perspective;
         let longest = frame.offsets.windows(2).map(|o| o[1] - o[0]).max().unwrap_or(0) as usize;
         let row_length = [ROW_8, ROW_16, ROW_32].into_iter().find(|n| longest <= *n).unwrap_or(0);
         let (backs, occupied, media) = unpack(frame, &basis, depth_per_unit, row_length);
@@ -130,12 +143,10 @@ impl Raycaster {
             empty_space: EmptySpace::new(frame),
             size: [camera.intrinsics.width as i32, camera.intrinsics.height as i32],
             basis,
-            pixel_rows: [
-                (basis.forward + x) * (0.5 * basis.width),
-                (basis.forward - y) * (0.5 * basis.height),
-                basis.forward,
-            ],
-            bounds: Aabb { min: bounds.min - margin, max: bounds.max + margin },
+            pixel_rows: [(weight + x) * (0.5 * basis.width), (weight - y) * (0.5 * basis.height), weight],
+            pixel_offset: Vec3::new(0.5 * basis.width, 0.5 * basis.height, 1.0) * (1.0 - basis.perspective),
+            bounds: *bounds,
+            margin: MARGIN_UNITS * depth_per_unit,
             near: camera.near,
             units_per_depth: depth_per_unit.recip(),
             has_avx2: has_avx2(),
@@ -159,10 +170,15 @@ impl Raycaster {
 
     /// The same between two world distances from the ray's origin.
     pub fn cast_between(&self, ray: &Ray, within: (f32, f32), options: &CastOptions) -> Over {
-        match self.clip(ray, within) {
+        match self.clip(ray, within, &self.region(&options.clip)) {
             None => Over::default(),
             Some(line) => self.cast_line(&line, options, &mut Pieces::new()),
         }
+    }
+
+    /// What is left of the volume, with a margin for the rounding of segments.
+    pub(super) fn region(&self, clip: &Clip) -> Region {
+        clip.region(&self.bounds).grown(self.margin)
     }
 
     /// The picture from a camera. Premultiplied linear.
@@ -170,6 +186,7 @@ impl Raycaster {
         let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
         let basis = camera.basis();
         let width = picture.width as usize;
+        let region = self.region(&options.clip);
         let reach = options.skips_empty_space.then(|| Reach::new(self, &basis));
         // In blocks of pixels: their rays share lists in the cache, whichever way they run.
         picture.pixels.par_chunks_mut(width * BLOCK_SIDE).enumerate().for_each(|(j, rows)| {
@@ -183,7 +200,7 @@ impl Raycaster {
                             continue;
                         }
                         let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-                        if let Some(mut line) = self.clip(&ray, (0.0, f32::INFINITY))
+                        if let Some(mut line) = self.clip(&ray, (0.0, f32::INFINITY), &region)
                             && line.narrow(depths.map(|depth| depth * s_per_depth))
                         {
                             *pixel = self.cast_line(&line, options, &mut pieces).rgba();
@@ -233,23 +250,29 @@ impl Raycaster {
         }
     }
 
-    /// Clips in homogeneous coordinates.
+    /// Clips in homogeneous coordinates, and to what is left of the volume.
     #[inline]
-    fn clip(&self, ray: &Ray, within: (f32, f32)) -> Option<Line> {
-        let (s0, s1) = self.bounds.clip(ray)?;
+    fn clip(&self, ray: &Ray, within: (f32, f32), region: &Region) -> Option<Line> {
+        let (s0, s1) = region.clip(ray)?;
         let pixel_from_world = |v: Vec3| {
             let [x, y, w] = self.pixel_rows;
             Vec3::new(v.dot(x), v.dot(y), v.dot(w))
         };
-        let o = pixel_from_world(ray.origin - self.basis.eye);
-        let d = pixel_from_world(ray.dir);
-        let planes = frustum_planes(o, d, self.size.map(|n| n as f32), self.near, 0.0);
+        let from_eye = ray.origin - self.basis.eye;
+        let forward = self.basis.forward;
+        let line = PixelLine {
+            o: pixel_from_world(from_eye) + self.pixel_offset,
+            d: pixel_from_world(ray.dir),
+            depth: [from_eye.dot(forward), ray.dir.dot(forward)],
+        };
+        let planes = frustum_planes(&line, self.size.map(|n| n as f32), self.near, 0.0);
         let (s0, s1) = clip_by_planes(planes, (s0.max(within.0), s1.min(within.1)));
         if s1 <= s0 {
             return None;
         }
-        let (h0, h1) = (o + d * s0, o + d * s1);
-        let (w0, w1) = (h0.z.max(self.near), h1.z.max(self.near));
+        let (h0, h1) = (line.at(s0), line.at(s1));
+        let perspective = self.basis.perspective;
+        let (w0, w1) = (h0.z.max(self.near * perspective), h1.z.max(self.near * perspective));
         let p0 = [h0.x / w0, h0.y / w0];
         let p1 = [h1.x / w1, h1.y / w1];
         Some(Line {
@@ -258,7 +281,8 @@ impl Raycaster {
             s_w0: (s1 - s0) * w0,
             w1,
             w0_minus_w1: w0 - w1,
-            w0_w1: w0 * w1,
+            depth_over_w: w0 * w1 * perspective + line.depth_at(s0) * (1.0 - perspective),
+            depth_slope: line.depth[1] * (s1 - s0) * (1.0 - perspective),
             s0,
             reach: [0.0, 1.0],
         })
@@ -279,7 +303,7 @@ impl Raycaster {
         let strides = [1, self.size[0]];
         let (stride_along, stride_across) = (strides[along], strides[across]);
         let columns = Columns::new(line.p0[along], line.d[along]);
-        let is_forward = line.w0_minus_w1 <= 0.0;
+        let is_forward = line.w0_minus_w1 - line.depth_slope <= 0.0;
         // Two lists in each column, or one in each part of it.
         let sides = 2 * LANES / N;
         let mut sum = Sum::default();
@@ -419,7 +443,10 @@ impl Raycaster {
     #[inline(always)]
     pub(super) fn at(&self, line: &Line, t: f32) -> (f32, f32) {
         let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
-        ((line.w0_w1 * r - self.near) * self.units_per_depth, line.s_w0 * t * r)
+        (
+            ((line.depth_over_w * r + line.depth_slope * t) - self.near) * self.units_per_depth,
+            line.s_w0 * t * r,
+        )
     }
 
     /// The first segment of a list that ends behind a depth. Looked for in all of a list's backs, which is faster than
@@ -457,6 +484,9 @@ const ROW_32: usize = 32;
 const LANES: usize = TILE as usize;
 /// Side of the blocks of pixels that are cast one after the other.
 const BLOCK_SIDE: usize = 16;
+/// Depth units that a segment may reach out of what was marched: half of one by rounding, and as many as the thinnest
+/// segment has where a ray only touches.
+pub const MARGIN_UNITS: f32 = 6.0;
 /// A list with less weight than this is left out: a quarter of one step of 1/255.
 const MIN_NEARNESS: f32 = 1e-3;
 /// A row must win by so many pixels: where the eye has not moved and no line moves, rounding must not choose.
@@ -487,7 +517,7 @@ mod tests {
         let scene = Scene::new(Arc::new(Builtin::Cloud.volume(32)), &transfer, MarchSettings::default());
         let bounds = scene.volume.bounds();
         let camera = |azimuth: f32| {
-            let intrinsics = Intrinsics { width: 60, height: 50, fov_y: 0.8 };
+            let intrinsics = Intrinsics::perspective(60, 50, 0.8);
             Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 4.0), intrinsics, &bounds)
         };
         let header = FrameHeader {

@@ -154,7 +154,7 @@ mod tests {
 
     fn datagram(id: u32, newest_complete: Option<FrameId>) -> Vec<u8> {
         let pose = Pose::orbit(Vec3::ZERO, 0.1 * id as f32, 0.0, 3.0);
-        let intrinsics = Intrinsics { width: 8, height: 8, fov_y: 0.5 };
+        let intrinsics = Intrinsics::perspective(8, 8, 0.5);
         PoseRequest { id: PoseId(id), stamp_micros: 0, pose, intrinsics, newest_complete }.encode().to_vec()
     }
 

@@ -12,11 +12,11 @@
 //! | 16 | u64 | the client's clock when the pose was set, µs; the server only echoes it |
 //! | 24 | 3 × f32 | eye, world units |
 //! | 36 | 4 × f32 | world_from_view, quaternion x y z w |
-//! | 52 | f32 | vertical field of view, radians |
+//! | 52 | f32 | vertical field of view, radians; negative: minus the height of an orthographic picture, world units |
 
 use glam::{Quat, Vec3};
 
-use crate::camera::{Intrinsics, MAX_SIDE, Pose};
+use crate::camera::{Intrinsics, MAX_SIDE, Pose, Projection};
 use crate::ids::{FrameId, PoseId};
 
 /// A client's wish for a frame: the newest one wins.
@@ -28,7 +28,7 @@ pub struct PoseRequest {
     pub stamp_micros: u64,
     /// Where the frame shall be seen from.
     pub pose: Pose,
-    /// Size and field of view of the frame.
+    /// Size and projection of the frame.
     pub intrinsics: Intrinsics,
     /// The newest frame whose base is complete at the client.
     pub newest_complete: Option<FrameId>,
@@ -63,7 +63,7 @@ impl PoseRequest {
         put(12, &self.newest_complete.unwrap_or(FrameId(0)).0.to_le_bytes());
         put(16, &self.stamp_micros.to_le_bytes());
         let numbers = self.pose.eye.to_array().into_iter().chain(self.pose.world_from_view.to_array());
-        for (i, x) in numbers.chain([self.intrinsics.fov_y]).enumerate() {
+        for (i, x) in numbers.chain([self.intrinsics.projection.to_number()]).enumerate() {
             put(24 + 4 * i, &x.to_le_bytes());
         }
         out
@@ -92,7 +92,11 @@ impl PoseRequest {
                 eye: Vec3::from_array(std::array::from_fn(|i| f32_at(24 + 4 * i))),
                 world_from_view: Quat::from_array(std::array::from_fn(|i| f32_at(36 + 4 * i))),
             },
-            intrinsics: Intrinsics { width: u16_at(2).into(), height: u16_at(4).into(), fov_y: f32_at(52) },
+            intrinsics: Intrinsics {
+                width: u16_at(2).into(),
+                height: u16_at(4).into(),
+                projection: Projection::from_number(f32_at(52)),
+            },
             newest_complete: Some(FrameId(u32_at(12))).filter(|f| f.0 != 0),
         };
         request.validate()?;
@@ -112,8 +116,8 @@ impl PoseRequest {
             Err(PoseError::Value("pose"))
         } else if !side.contains(&i.width) || !side.contains(&i.height) {
             Err(PoseError::Value("size"))
-        } else if !(i.fov_y > 1e-3 && i.fov_y < 3.1) {
-            Err(PoseError::Value("field of view"))
+        } else if !i.projection.is_valid() {
+            Err(PoseError::Value("projection"))
         } else {
             Ok(())
         }
@@ -136,7 +140,7 @@ mod tests {
             id: PoseId(77),
             stamp_micros: 0x0123_4567_89ab_cdef,
             pose: Pose::orbit(Vec3::new(1.0, -2.0, 3.0), 0.3, -0.7, 5.0),
-            intrinsics: Intrinsics { width: 640, height: 480, fov_y: 0.6 },
+            intrinsics: Intrinsics::perspective(640, 480, 0.6),
             newest_complete: Some(FrameId(12)),
         }
     }
@@ -144,8 +148,10 @@ mod tests {
     #[test]
     fn decoding_inverts_encoding() {
         for newest_complete in [None, Some(FrameId(1)), Some(FrameId(u32::MAX))] {
-            let r = PoseRequest { newest_complete, ..request() };
-            assert_eq!(PoseRequest::decode(&r.encode()), Ok(r));
+            for intrinsics in [request().intrinsics, Intrinsics::orthographic(640, 480, 0.25)] {
+                let r = PoseRequest { newest_complete, intrinsics, ..request() };
+                assert_eq!(PoseRequest::decode(&r.encode()), Ok(r));
+            }
         }
     }
 
@@ -164,7 +170,15 @@ mod tests {
             Err(PoseError::Value("pose"))
         );
         assert_eq!(with(&|r| r.intrinsics.width = 0), Err(PoseError::Value("size")));
-        assert_eq!(with(&|r| r.intrinsics.fov_y = nan), Err(PoseError::Value("field of view")));
+        for projection in [
+            Projection::Perspective { fov_y: nan },
+            Projection::Perspective { fov_y: 0.0 },
+            Projection::Orthographic { height: f32::INFINITY },
+            Projection::Orthographic { height: 1e-20 },
+        ] {
+            let wrong = with(&|r| r.intrinsics.projection = projection);
+            assert_eq!(wrong, Err(PoseError::Value("projection")));
+        }
         assert_eq!(with(&|r| r.id = PoseId(0)), Err(PoseError::Field("id")));
         let mut too_wide = request().encode();
         too_wide[3] = 0xff;

@@ -167,7 +167,7 @@ impl SavedCamera {
             center: center.to_array(),
             rotation: rotation.to_array(),
             eye_from_center: eye_from_center.to_array(),
-            fov_degrees: degrees_of(intrinsics.fov_y),
+            fov_degrees: degrees_of(intrinsics.fov_y()),
             size: [intrinsics.width, intrinsics.height],
         }
     }
@@ -191,7 +191,7 @@ impl SavedCamera {
     /// Size and field of view.
     pub fn intrinsics(&self) -> Intrinsics {
         let [width, height] = self.size;
-        Intrinsics { width, height, fov_y: self.fov_y() }
+        Intrinsics::perspective(width, height, self.fov_y())
     }
 
     /// Vertical field of view, radians.
@@ -240,6 +240,9 @@ pub struct SavedView {
     /// The picture for two eyes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stereo: Option<StereoPicture>,
+    /// Whether rays are parallel: the picture then shows what the camera turns about as large as with the field of view.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orthographic: Option<bool>,
     /// The angle between the eyes, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye_angle_degrees: Option<f32>,

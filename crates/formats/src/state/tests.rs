@@ -1,4 +1,6 @@
+use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::kernels::layering::{Layering, Representative};
+use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 
 use super::*;
@@ -6,6 +8,14 @@ use super::*;
 /// Numbers that no short decimal is near to.
 fn odd(i: u32) -> f32 {
     f32::from_bits(0x3e00_0000 + i.wrapping_mul(0x9e37_79b9) % 0x0180_0000)
+}
+
+/// Nothing, a box, a plane, both.
+fn clip(seed: u32) -> Clip {
+    let min = Vec3::new(-odd(seed), -odd(seed + 1), -1.0);
+    let bounds = Aabb { min, max: min + Vec3::splat(1.0 / 3.0) };
+    let plane = Plane::new(Vec3::new(odd(seed + 2), 1.0, -odd(seed)), odd(seed + 3));
+    Clip { bounds: (seed & 1 == 1).then_some(bounds), plane: plane.filter(|_| seed & 2 == 2) }
 }
 
 fn state(seed: u32) -> SavedState {
@@ -21,7 +31,7 @@ fn state(seed: u32) -> SavedState {
     };
     let layering = Layering::ALL[seed as usize % Layering::ALL.len()];
     let rotation = Quat::from_rotation_y(odd(seed)) * Quat::from_rotation_x(odd(seed + 1));
-    let intrinsics = Intrinsics { width: 1100, height: 761, fov_y: (20.0 + odd(seed) * 90.0).to_radians() };
+    let intrinsics = Intrinsics::perspective(1100, 761, (20.0 + odd(seed) * 90.0).to_radians());
     let eye = Vec3::new(odd(seed + 2), -odd(seed + 3), 1e5 * odd(seed + 4));
     SavedState {
         volume: Some(SavedVolume {
@@ -40,11 +50,12 @@ fn state(seed: u32) -> SavedState {
             background: Some(Srgb([1, 2, 254])),
             theme: Some(Theme::Light),
             stereo: Some(StereoPicture::RedCyan),
+            orthographic: Some(seed % 2 == 1),
             eye_angle_degrees: Some(odd(seed)),
             method: Some("layers".into()),
             ..SavedView::default()
         },
-        look: Some(Look { shaded: seed % 2 == 0, k: 9, layering, ..Look::new(transfer) }),
+        look: Some(Look { shaded: seed % 2 == 0, k: 9, layering, clip: clip(seed), ..Look::new(transfer) }),
     }
 }
 
@@ -62,7 +73,7 @@ fn what_is_written_is_read_to_the_bit_in_a_file_and_in_a_link() {
         let (camera, again) = (state.camera.unwrap(), read.state.camera.unwrap());
         assert_eq!(camera.pose(), again.pose());
         // The angle goes through degrees.
-        assert_eq!(camera.intrinsics().fov_y.to_bits(), (20.0 + odd(seed) * 90.0).to_radians().to_bits());
+        assert_eq!(camera.intrinsics().fov_y().to_bits(), (20.0 + odd(seed) * 90.0).to_radians().to_bits());
         let link = state_to_link(&state);
         assert!(
             link.len() < 1200 && state_from_link(&link).unwrap().state == state,

@@ -78,7 +78,7 @@ struct CommonArgs {
 impl CommonArgs {
     fn intrinsics(&self) -> Intrinsics {
         let [width, height] = self.size;
-        Intrinsics { width, height, fov_y: self.fov.to_radians() }
+        Intrinsics::perspective(width, height, self.fov.to_radians())
     }
 
     fn select(&self) -> Result<Vec<scenes::SceneSource>> {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals;
+use isinglass_bench::rivals::{self, Method};
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_formats::SavedState;
@@ -52,6 +52,9 @@ pub(crate) struct DemoArgs {
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
     fov: f32,
+    /// Parallel rays; in a window, to begin with (key 5)
+    #[arg(long)]
+    orthographic: bool,
     /// Where the camera begins
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
@@ -113,9 +116,11 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         spacing: args.part.spacing,
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),
+        clip: args.look.clip.clip(),
         layering: args.layering.layering,
         k: args.layering.k,
         method: args.method.method,
+        is_orthographic: args.orthographic,
         orbit: args.orbit,
         path: args.path.read()?,
         foresight: args.foresight.foresight(),
@@ -132,7 +137,10 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
     if let Some([width, height]) = args.size {
         (options.intrinsics.width, options.intrinsics.height) = (width, height);
     }
-    options.intrinsics.fov_y = args.fov.to_radians();
+    options.intrinsics = options.intrinsics.with_fov_y(args.fov.to_radians());
+    if args.orthographic && args.method.method != Method::Layers {
+        bail!("--method {}: goes between perspective views only, expected layers", args.method.method);
+    }
     let out = args.out.unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
     if out.exists() && !out.is_dir() {
         bail!("{}: found a file, expected a folder for the report", out.display());
@@ -179,6 +187,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             link: Some(server_link),
             initial_orbit: initial_orbit(&args.orbit),
             fov_y: args.fov.to_radians(),
+            is_orthographic: args.orthographic,
             novel_views: rivals::for_viewer(),
             novel_view: args.method.method.name(),
             foresight: args.foresight.foresight(),

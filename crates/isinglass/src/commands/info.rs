@@ -48,7 +48,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
     let header = frame.header;
     let camera = header.camera;
     let size = [camera.intrinsics.width, camera.intrinsics.height];
-    let fov_deg = camera.intrinsics.fov_y.to_degrees();
+    let fov_deg = camera.intrinsics.fov_y().to_degrees();
     let num_lists = camera.intrinsics.num_pixels();
     let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
     let (segments, eye) = (frame.num_segments(), camera.pose.eye.to_array());

@@ -8,10 +8,13 @@ use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::rivals::{Method, Views};
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
+use isinglass_core::camera::Camera;
 use isinglass_formats::iglf;
 use serde_json::json;
 
-use crate::args::{BackendArgs, MethodArgs, parse_background, parse_fov, parse_output, parse_size};
+use crate::args::{
+    BackendArgs, MethodArgs, orthographic, parse_background, parse_fov, parse_output, parse_size,
+};
 use crate::lens_args::LensArgs;
 use crate::report::print_json;
 
@@ -33,6 +36,9 @@ pub(crate) struct ReprojectArgs {
     /// Vertical field of view, degrees [default: the frame's]
     #[arg(long, value_name = "DEG", value_parser = parse_fov)]
     fov: Option<f32>,
+    /// Parallel rays, whatever the frame's are: see `render`
+    #[arg(long, conflicts_with = "fov")]
+    orthographic: bool,
     /// Colour behind the volume
     #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
     background: [u8; 3],
@@ -56,12 +62,14 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         (intrinsics.width, intrinsics.height) = (width, height);
     }
     if let Some(fov) = args.fov {
-        intrinsics.fov_y = fov.to_radians();
+        intrinsics = intrinsics.with_fov_y(fov.to_radians());
     }
     let camera = match &args.orbit {
         Some(orbit) => orbit_of_frame(orbit, intrinsics, &header),
-        None => isinglass_core::camera::Camera { intrinsics, ..header.camera },
+        None => Camera { intrinsics, ..header.camera },
     };
+    let camera =
+        if args.orthographic { orthographic(&camera, &sphere_box_from_header(&header)) } else { camera };
     let plan = args.lens.plan(&camera, &sphere_box_from_header(&header))?;
     let method = args.method.method;
     if method != Method::Layers && !plan.is_plain() {
@@ -69,6 +77,10 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
             "--method {}: makes plain views only, expected layers with a lens, shutter or two eyes",
             method
         );
+    }
+    let is_parallel = |camera: &Camera| camera.intrinsics.projection.is_orthographic();
+    if method != Method::Layers && (is_parallel(&camera) || is_parallel(&header.camera)) {
+        bail!("--method {method}: goes between perspective views only, expected layers with parallel rays");
     }
     let backend = args.backend.open()?;
     let start = Instant::now();

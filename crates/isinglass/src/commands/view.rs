@@ -30,6 +30,9 @@ pub(crate) struct ViewerArgs {
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
     fov: f32,
+    /// Begin with parallel rays (key 5)
+    #[arg(long)]
+    orthographic: bool,
     /// Where the camera begins
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
@@ -74,6 +77,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         link: Some(args.link),
         initial_orbit: initial_orbit(&args.orbit),
         fov_y: args.fov.to_radians(),
+        is_orthographic: args.orthographic,
         novel_views: rivals::for_viewer(),
         novel_view: args.method.method.name(),
         foresight: args.foresight.foresight(),

@@ -15,7 +15,7 @@ use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLengt
 use isinglass_core::wire::{ServerStats, VolumeDescription};
 use isinglass_net::{Client, ClientOptions, Greeting, Identity, Link, Server, ServerOptions, Session};
 
-pub(crate) const INTRINSICS: Intrinsics = Intrinsics { width: 64, height: 64, fov_y: 0.6 };
+pub(crate) const INTRINSICS: Intrinsics = Intrinsics::perspective(64, 64, 0.6);
 
 pub(crate) fn look() -> Look {
     let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };

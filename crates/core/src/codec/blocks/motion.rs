@@ -3,15 +3,18 @@
 //! Double precision, sums, products, quotients and square roots alone: the same bits on every machine. The tangent of
 //! the field of view is summed here, since libraries differ in the last bit of theirs.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Projection};
 use crate::layer::DEPTH_UNITS;
 
 /// From a camera to that of a reference.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
-    /// Homogeneous reference pixel of (x, y, 1)·depth, and what is added.
-    linear: [[f64; 3]; 3],
-    offset: [f64; 3],
+    /// Homogeneous reference pixel and reference depth of (x, y, 1), times the depth if rays meet in an eye; for each unit
+    /// of depth, if they are parallel; and what is added.
+    linear: [[f64; 3]; 4],
+    along: [f64; 4],
+    offset: [f64; 4],
+    is_parallel: bool,
     near: f64,
     depth_per_unit: f64,
     reference_near: f64,
@@ -34,12 +37,14 @@ pub(super) struct Shift {
 impl Motion {
     pub(super) fn new(camera: &Camera, reference: &Camera) -> Self {
         let (from, to) = (Frustum::new(camera), Frustum::new(reference));
-        // Direction of view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h).
+        // Direction of view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h). Of parallel rays, all but
+        // forward is the place of their origin instead.
+        let [spread, along] = if from.is_parallel { [0.0, 1.0] } else { [1.0, 0.0] };
         let direction: [[f64; 3]; 3] = std::array::from_fn(|axis| {
             [
                 2.0 * from.right[axis] / from.width,
                 -2.0 * from.up[axis] / from.height,
-                from.forward[axis] - from.right[axis] + from.up[axis],
+                from.forward[axis] * spread - from.right[axis] + from.up[axis],
             ]
         });
         let rows = to.pixel_rows();
@@ -47,8 +52,10 @@ impl Motion {
         let column = |j: usize| direction.map(|row| row[j]);
         let range = |c: &Camera| (f64::from(c.far) - f64::from(c.near)) / f64::from(DEPTH_UNITS);
         Self {
-            linear: rows.map(|row| [0, 1, 2].map(|j| dot(&row, &column(j)))),
-            offset: rows.map(|row| dot(&row, &between)),
+            linear: rows.map(|(row, _)| [0, 1, 2].map(|j| dot(&row, &column(j)))),
+            along: rows.map(|(row, _)| dot(&row, &from.forward) * along),
+            offset: rows.map(|(row, added)| dot(&row, &between) + added),
+            is_parallel: from.is_parallel,
             near: camera.near.into(),
             depth_per_unit: range(camera),
             reference_near: reference.near.into(),
@@ -61,12 +68,14 @@ impl Motion {
     pub(super) fn at(&self, x: f32, y: f32, z: f32) -> Option<Shift> {
         let [x, y, z] = [x, y, z].map(f64::from);
         let depth = self.near + z * self.depth_per_unit;
-        let at: [f64; 3] = std::array::from_fn(|i| {
-            (self.linear[i][0] * x + self.linear[i][1] * y + self.linear[i][2]) * depth + self.offset[i]
+        let scale = if self.is_parallel { 1.0 } else { depth };
+        let at: [f64; 4] = std::array::from_fn(|i| {
+            let across = (self.linear[i][0] * x + self.linear[i][1] * y + self.linear[i][2]) * scale;
+            across + self.along[i] * depth + self.offset[i]
         });
-        let units = (at[2] - self.reference_near) * self.reference_units_per_depth;
+        let units = (at[3] - self.reference_near) * self.reference_units_per_depth;
         let shift = [at[0] / at[2] - x, at[1] / at[2] - y, units - z];
-        let is_sound = at[2] > 0.0 && shift.iter().all(|s| s.abs() < MAX_SHIFT);
+        let is_sound = at[3] > 0.0 && shift.iter().all(|s| s.abs() < MAX_SHIFT);
         is_sound.then(|| Shift { x: shift[0] as f32, y: shift[1] as f32, z: shift[2] as f32 })
     }
 }
@@ -79,13 +88,17 @@ struct Frustum {
     up: [f64; 3],
     width: f64,
     height: f64,
+    is_parallel: bool,
 }
 
 impl Frustum {
     fn new(camera: &Camera) -> Self {
         let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
-        let tan_y = tan(f64::from(camera.intrinsics.fov_y) * 0.5);
-        let tan_x = tan_y * width / height;
+        let (half_height, is_parallel) = match camera.intrinsics.projection {
+            Projection::Perspective { fov_y } => (tan(f64::from(fov_y) * 0.5), false),
+            Projection::Orthographic { height } => (f64::from(height) * 0.5, true),
+        };
+        let half_width = half_height * width / height;
         let [x, y, z, w] = camera.pose.world_from_view.to_array().map(f64::from);
         let rotate = |v: [f64; 3], length: f64| {
             let t = cross(&[x, y, z], &v).map(|t| 2.0 * t);
@@ -95,19 +108,22 @@ impl Frustum {
         Self {
             eye: camera.pose.eye.to_array().map(f64::from),
             forward: rotate([0.0, 0.0, -1.0], 1.0),
-            right: rotate([1.0, 0.0, 0.0], tan_x),
-            up: rotate([0.0, 1.0, 0.0], tan_y),
+            right: rotate([1.0, 0.0, 0.0], half_width),
+            up: rotate([0.0, 1.0, 0.0], half_height),
             width,
             height,
+            is_parallel,
         }
     }
 
-    /// The rows that give the homogeneous pixel of a vector from the eye.
-    fn pixel_rows(&self) -> [[f64; 3]; 3] {
+    /// The rows that give the homogeneous pixel of a vector from the eye, and its view depth; and what each adds.
+    fn pixel_rows(&self) -> [([f64; 3], f64); 4] {
         let (x_length, y_length) = (dot(&self.right, &self.right), dot(&self.up, &self.up));
-        let x = [0, 1, 2].map(|i| (self.forward[i] + self.right[i] / x_length) * 0.5 * self.width);
-        let y = [0, 1, 2].map(|i| (self.forward[i] - self.up[i] / y_length) * 0.5 * self.height);
-        [x, y, self.forward]
+        // The weight is the view depth or, where rays are parallel, 1.
+        let (weight, added) = if self.is_parallel { ([0.0; 3], 1.0) } else { (self.forward, 0.0) };
+        let x = [0, 1, 2].map(|i| (weight[i] + self.right[i] / x_length) * 0.5 * self.width);
+        let y = [0, 1, 2].map(|i| (weight[i] - self.up[i] / y_length) * 0.5 * self.height);
+        [(x, 0.5 * self.width * added), (y, 0.5 * self.height * added), (weight, added), (self.forward, 0.0)]
     }
 }
 
@@ -144,7 +160,7 @@ mod tests {
 
     fn camera(azimuth: f32) -> Camera {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
-        let intrinsics = Intrinsics { width: 320, height: 200, fov_y: 0.7 };
+        let intrinsics = Intrinsics::perspective(320, 200, 0.7);
         Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 5.0), intrinsics, &bounds)
     }
 
@@ -157,7 +173,7 @@ mod tests {
         for (x, y, z) in [(12.5, 80.0, 20_000.0), (160.0, 100.0, 40_000.0), (300.0, 10.0, 33_000.0)] {
             let (ray, per_depth) = from.ray(x, y);
             let depth = from.near + z * (from.far - from.near) / DEPTH_UNITS;
-            let h = basis.pixel_from_world(ray.at(depth * per_depth) - basis.eye);
+            let h = basis.pixel_from_point(ray.at(depth * per_depth));
             let shift = motion.at(x, y, z).unwrap();
             // Single precision over coordinates of some hundred pixels and ten thousands of units.
             assert!((h.x / h.z - x - shift.x).abs() < 1e-2 && (h.y / h.z - y - shift.y).abs() < 1e-2);

@@ -46,8 +46,8 @@ impl Rule {
 pub fn units_per_pixel(camera: &crate::camera::Camera) -> f32 {
     let units_per_world = crate::layer::DEPTH_UNITS / (camera.far - camera.near);
     let middle = 0.5 * (camera.far + camera.near);
-    let (_, tan_half_y) = camera.intrinsics.tan_half();
-    2.0 * middle * tan_half_y / camera.intrinsics.height as f32 * units_per_world
+    let (_, half_height) = camera.intrinsics.half_size_at(middle);
+    2.0 * half_height / camera.intrinsics.height as f32 * units_per_world
 }
 
 /// Scratch memory to find layers with; one for each thread.

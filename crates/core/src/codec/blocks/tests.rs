@@ -16,7 +16,7 @@ use crate::volume::procedural::Builtin;
 
 /// Frame `frame` of `width`×`height` lists, `degrees` along an orbit.
 fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> LayeredFrame {
-    let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let header = FrameHeader {
         frame: FrameId(frame),
         pose: PoseId(8),

@@ -126,7 +126,7 @@ mod tests {
 
     fn header(scene: &Scene, azimuth: f32, (width, height): (u32, u32), k: u8) -> FrameHeader {
         let bounds = scene.volume.bounds();
-        let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+        let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
         FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k }

@@ -85,7 +85,7 @@ fn trace(
     sheets: &[u32],
 ) -> Probe {
     let bounds = scene.volume.bounds();
-    let intrinsics = Intrinsics { width, height, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let turn = if sheets.is_empty() { (0.5, 0.3) } else { (0.0, 0.0) };
     let pose = Pose::orbit(bounds.center(), turn.0, turn.1, bounds.radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &bounds);
@@ -429,7 +429,7 @@ fn names_are_read_as_they_are_written() {
 fn a_frame_that_is_given_up_is_left_at_the_next_row() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     let scene = scene(Builtin::Shells.volume(24), 0.5, MarchSettings::default());
-    let intrinsics = Intrinsics { width: 64, height: 48, fov_y: 0.6 };
+    let intrinsics = Intrinsics::perspective(64, 48, 0.6);
     let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.2, scene.volume.bounds().radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &scene.volume.bounds());
     let (frame, pose) = (crate::ids::FrameId(1), crate::ids::PoseId(1));

@@ -295,7 +295,7 @@ fn generate_list<T: Texels>(
             sink.finish(representative)
         }
         Layering::Slabs => {
-            let mut cuts = slabs::cuts(k, basis, near, &scene.volume.bounds(), s_per_depth);
+            let mut cuts = slabs::cuts(k, basis, near, &scene.region().bounds, s_per_depth);
             marcher.march(ray, lattice, &mut cuts);
             cuts.finish()
         }

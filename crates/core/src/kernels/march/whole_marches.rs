@@ -86,7 +86,7 @@ fn compare<T: Texels>(scene: &Scene, texels: T) {
     let (mut num_steps, mut num_noticed, mut num_rays) = (0, 0, 0);
     // From outside and from within.
     for distance in [2.2, 0.3] {
-        let intrinsics = Intrinsics { width: 17, height: 13, fov_y: 0.8 };
+        let intrinsics = Intrinsics::perspective(17, 13, 0.8);
         let pose = Pose::orbit(bounds.center(), 0.5, 0.3, distance * bounds.radius());
         let camera = Camera::new(pose, intrinsics, &bounds);
         for i in 0..intrinsics.num_pixels() as u32 {

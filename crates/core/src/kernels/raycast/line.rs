@@ -1,8 +1,7 @@
 //! A ray in the pixel space of the frame, and its walk from column to column of lists.
 
-use glam::Vec3;
-
 use super::{LANES, Raycaster};
+use crate::camera::PixelLine;
 use crate::kernels::empty_space::TILE;
 use crate::layer::DEPTH_UNITS;
 
@@ -17,7 +16,9 @@ pub(in crate::kernels) struct Line {
     pub(in crate::kernels) s_w0: f32,
     pub(in crate::kernels) w1: f32,
     pub(in crate::kernels) w0_minus_w1: f32,
-    pub(super) w0_w1: f32,
+    /// Depth is this times the reciprocal of the weight, and as much times t as the next says.
+    pub(super) depth_over_w: f32,
+    pub(super) depth_slope: f32,
     /// Nothing is met before and behind.
     pub(super) reach: [f32; 2],
 }
@@ -35,19 +36,18 @@ impl Line {
     }
 }
 
-/// The planes of a frustum on the ray o + d·s of homogeneous pixel coordinates, each as the numbers (a, b) of its inside,
-/// a + b·s ≥ 0: near, and the borders of a picture of `size`, `inset` pixels inside of them.
+/// The planes of a frustum on a ray, each as the numbers (a, b) of its inside, a + b·s ≥ 0: near, and the borders of a
+/// picture of `size`, `inset` pixels inside of them.
 #[inline(always)]
 pub(in crate::kernels) fn frustum_planes(
-    o: Vec3,
-    d: Vec3,
+    &PixelLine { o, d, depth }: &PixelLine,
     [width, height]: [f32; 2],
     near: f32,
     inset: f32,
 ) -> [(f32, f32); 5] {
     let (right, bottom) = (width - inset, height - inset);
     [
-        (o.z - near, d.z),
+        (depth[0] - near, depth[1]),
         (o.x - inset * o.z, d.x - inset * d.z),
         (right * o.z - o.x, right * d.z - d.x),
         (o.y - inset * o.z, d.y - inset * d.z),

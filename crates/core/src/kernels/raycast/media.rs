@@ -74,9 +74,7 @@ pub(super) fn unpack(
         let start_of_row = frame.offsets[y * width] as usize;
         for (x, occupied) in occupied.iter_mut().enumerate() {
             // World length of one depth unit along the centre of this list.
-            let nx = (2.0 * x as f32 + 1.0) / basis.width - 1.0;
-            let ny = 1.0 - (2.0 * y as f32 + 1.0) / basis.height;
-            let center = basis.forward + basis.right * nx + basis.up * ny;
+            let center = basis.direction(x as f32 + 0.5, y as f32 + 0.5);
             let length_per_unit = depth_per_unit * center.length();
             for (i, index) in frame.list(y * width + x).enumerate() {
                 let segment = frame.segment(index);

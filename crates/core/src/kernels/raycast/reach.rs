@@ -1,7 +1,7 @@
 //! Where the rays of a picture can meet anything: the cells that are not empty, drawn into coarse blocks of the picture
 //! as intervals of its view depth. A ray starts and ends its walk there, and one without any is not cast.
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 use super::Raycaster;
 use crate::camera::Basis;
@@ -31,16 +31,16 @@ fn grown([a, b]: [f32; 2], by: [f32; 2]) -> [f32; 2] {
 impl Cover {
     const NONE: Self = Self { x: NOTHING, y: NOTHING, depth: NOTHING };
 
-    /// A corner, by its homogeneous pixel coordinates.
-    fn of(corner: Vec3) -> Self {
-        let Vec3 { x, y, z } = corner;
+    /// A corner, by its homogeneous pixel coordinates and view depth.
+    fn of(corner: Vec4) -> Self {
+        let [x, y, z, depth] = corner.to_array();
         // Nearer to the plane of the eye, rounding would choose the side.
         if z > FARTHEST_PIXEL.recip() * (x.abs() + y.abs()) {
-            Self { x: [x / z; 2], y: [y / z; 2], depth: [z; 2] }
+            Self { x: [x / z; 2], y: [y / z; 2], depth: [depth; 2] }
         } else {
             // Beside or behind the eye: what it is a corner of may be seen anywhere.
             let anywhere = [f32::NEG_INFINITY, f32::INFINITY];
-            Self { x: anywhere, y: anywhere, depth: [z; 2] }
+            Self { x: anywhere, y: anywhere, depth: [depth; 2] }
         }
     }
 
@@ -55,19 +55,18 @@ impl Reach {
         let [blocks_x, blocks_y] = [view.width, view.height].map(|n| (n as usize).div_ceil(SIDE));
         let mut reach = Self { blocks_x, intervals: vec![NOTHING; blocks_x * blocks_y] };
         let grid = &caster.empty_space;
-        let origin = view.pixel_from_world(caster.basis.eye - view.eye);
+        let point = |p: Vec3| view.pixel_from_point(p).extend(view.depth_of(p));
+        let direction = |d: Vec3| view.pixel_from_direction(d).extend(d.dot(view.forward));
         for (tile, &occupied) in grid.occupied.iter().enumerate().filter(|(_, occupied)| **occupied != 0) {
             let tile = [tile as u32 % grid.tiles[0], tile as u32 / grid.tiles[0]];
             // Rays between the centres of two lists read both.
             let first = tile.map(|tile| (tile * TILE) as f32 - MARGIN);
             let past = first.map(|first| first + TILE as f32 + 2.0 * MARGIN);
             let edges = [first, [past[0], first[1]], [first[0], past[1]], past]
-                .map(|[x, y]| view.pixel_from_world(caster.basis.direction(x, y)));
+                .map(|[x, y]| (point(caster.basis.origin(x, y)), direction(caster.basis.direction(x, y))));
             let border = |cell: u32| {
                 let depth = caster.near + (cell * CELL_UNITS) as f32 / caster.units_per_depth;
-                edges
-                    .into_iter()
-                    .fold(Cover::NONE, |cover, edge| cover.and(&Cover::of(origin + edge * depth)))
+                edges.into_iter().fold(Cover::NONE, |cover, (o, d)| cover.and(&Cover::of(o + d * depth)))
             };
             let mut front = None;
             for cell in 0..DEPTH_CELLS {

@@ -9,7 +9,7 @@ use crate::space::Aabb;
 /// A frame of one block with these lists.
 fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
     let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::ONE };
-    let intrinsics = Intrinsics { width: BLOCK as u32, height: BLOCK as u32, fov_y: 0.7 };
+    let intrinsics = Intrinsics::perspective(BLOCK as u32, BLOCK as u32, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0);
     let camera = Camera::new(pose, intrinsics, &bounds);
     let header =

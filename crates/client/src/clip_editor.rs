@@ -1,0 +1,527 @@
+//! The clip box and plane under the user's hand: handles in the picture, and what dragging them does.
+//!
+//! A box has a handle in the middle of each face, which moves along the face's normal under the pointer. A plane has one
+//! in its middle, which moves it along its normal, and one at the tip of the normal, which tilts it about its middle.
+//! Faces that look away are drawn faintly and can be dragged as well; where two handles lie on each other the nearer face
+//! is meant.
+
+use egui::{Color32, Event, PointerButton, Pos2, Rect};
+use glam::{Quat, Vec3};
+use isinglass_core::camera::Camera;
+use isinglass_core::clip::{Clip, Plane};
+use isinglass_core::space::{Aabb, Ray};
+
+use crate::view_aids::{AXIS_COLORS, Pen, edges, faces_eye, pixel_at, projected};
+
+/// Whether handles are shown, and what the pointer does with them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ClipEditor {
+    /// Whether the clip is drawn with its handles.
+    pub(crate) is_shown: bool,
+    /// The last box and plane, to come back when they are switched on again.
+    last: Clip,
+    hovered: Option<Handle>,
+    drag: Option<Drag>,
+}
+
+/// The picture that handles lie in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    /// Its place.
+    pub(crate) rect: Rect,
+    /// Its camera.
+    pub(crate) camera: Camera,
+    /// The volume's box.
+    pub(crate) bounds: Aabb,
+}
+
+/// What can be dragged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Handle {
+    /// A face of the box: its axis, and whether it is the one of greater coordinates.
+    Face(usize, bool),
+    /// The plane, along its normal.
+    Slide,
+    /// The plane's normal.
+    Tilt,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Drag {
+    handle: Handle,
+    /// Where the button was pressed, and what the clip was then.
+    from: Pos2,
+    start: Clip,
+}
+
+impl ClipEditor {
+    /// Shows or hides the handles. Without anything to drag there is a box around all of the volume then.
+    pub(crate) fn toggle(&mut self, clip: &mut Clip, bounds: &Aabb) {
+        self.is_shown = !self.is_shown;
+        if self.is_shown && *clip == Clip::default() {
+            clip.bounds = Some(*bounds);
+        }
+        (self.hovered, self.drag) = (None, None);
+    }
+
+    /// Switches the box off, or on as it was.
+    pub(crate) fn toggle_box(&mut self, clip: &mut Clip, bounds: &Aabb) {
+        let last = self.last.bounds.unwrap_or(*bounds);
+        match clip.bounds.take() {
+            Some(bounds) => self.last.bounds = Some(bounds),
+            None => (clip.bounds, self.is_shown) = (Some(last), true),
+        }
+    }
+
+    /// Switches the plane off, or on as it was: at first across what `forward` looks along, through the middle.
+    pub(crate) fn toggle_plane(&mut self, clip: &mut Clip, bounds: &Aabb, forward: Vec3) {
+        match clip.plane.take() {
+            Some(plane) => self.last.plane = Some(plane),
+            None => {
+                clip.plane = self.last.plane.or_else(|| Plane::new(forward, forward.dot(bounds.center())));
+                self.is_shown = true;
+            }
+        }
+    }
+
+    /// Whether the pointer is on a handle or drags one.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.hovered.is_some() || self.drag.is_some()
+    }
+
+    /// Takes what is meant for a handle out of a refresh's events; the clip, if it changes. `is_free`: no panel lies at a
+    /// point.
+    pub(crate) fn take_events(
+        &mut self,
+        events: &mut Vec<Event>,
+        view: &View,
+        clip: &Clip,
+        is_free: impl Fn(Pos2) -> bool,
+    ) -> Option<Clip> {
+        if !self.is_shown {
+            return None;
+        }
+        let mut changed = None;
+        events.retain(|event| match event {
+            Event::PointerMoved(to) => {
+                match &self.drag {
+                    Some(drag) => changed = Some(drag.moved(view, *to)),
+                    None => self.hovered = handle_at(view, clip, *to).filter(|_| is_free(*to)),
+                }
+                true
+            }
+            Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, .. } => {
+                self.hovered = handle_at(view, clip, *pos).filter(|_| is_free(*pos));
+                self.drag = self.hovered.map(|handle| Drag { handle, from: *pos, start: *clip });
+                self.drag.is_none()
+            }
+            Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => {
+                let Some(drag) = self.drag.take() else { return true };
+                changed = Some(drag.moved(view, *pos));
+                self.hovered = None;
+                false
+            }
+            // The release of the button may never be told.
+            Event::WindowFocused(false) => {
+                (self.drag, self.hovered) = (None, None);
+                true
+            }
+            _ => true,
+        });
+        changed.filter(|changed| changed != clip)
+    }
+
+    /// Draws box, plane and handles.
+    pub(crate) fn paint(&self, pen: &Pen<'_>, view: &View, clip: &Clip) {
+        if !self.is_shown {
+            return;
+        }
+        if let Some(bounds) = box_of(view, clip) {
+            pen.draw_box(view.rect, &view.camera, &bounds, BOX_COLOR);
+        }
+        if let Some(plane) = clip.plane {
+            self.paint_plane(pen, view, clip, &plane);
+        }
+        let busy = self.drag.map(|d| d.handle).or(self.hovered);
+        // The nearer ones over the others.
+        let mut handles: Vec<_> = handles(view, clip).collect();
+        handles.sort_by_key(|(handle, _)| is_front(view, clip, *handle));
+        for (handle, point) in handles {
+            let Some([at, _]) = projected(&view.camera.basis(), view.rect, point, point) else { continue };
+            let color = match handle {
+                Handle::Face(axis, _) => AXIS_COLORS[axis],
+                Handle::Slide | Handle::Tilt => PLANE_COLOR,
+            };
+            let strength = if is_front(view, clip, handle) || busy == Some(handle) { 1.0 } else { 0.45 };
+            if busy == Some(handle) {
+                pen.disc(at, HANDLE_RADIUS + 3.0, Color32::WHITE);
+            }
+            pen.disc(at, HANDLE_RADIUS, color.gamma_multiply(strength));
+        }
+    }
+
+    /// Where the plane cuts the box, and its normal.
+    fn paint_plane(&self, pen: &Pen<'_>, view: &View, clip: &Clip, plane: &Plane) {
+        let basis = view.camera.basis();
+        let outline = outline(&box_of(view, clip).unwrap_or(view.bounds), plane);
+        for (i, a) in outline.iter().enumerate() {
+            let b = outline[(i + 1) % outline.len()];
+            if let Some(ends) = projected(&basis, view.rect, *a, b) {
+                pen.line(ends, 1.5, PLANE_COLOR);
+            }
+        }
+        let middle = middle_of(view, clip, plane);
+        if let Some(ends) = projected(&basis, view.rect, middle, tip_of(view, middle, plane)) {
+            pen.line(ends, 1.5, PLANE_COLOR);
+        }
+    }
+}
+
+impl Drag {
+    /// The clip with the pointer at `to`.
+    fn moved(&self, view: &View, to: Pos2) -> Clip {
+        let mut clip = self.start;
+        match self.handle {
+            Handle::Face(axis, is_high) => {
+                if let Some(bounds) = box_of(view, &self.start) {
+                    let shift = shift_along(
+                        view,
+                        face_middle(&bounds, axis, is_high),
+                        Vec3::AXES[axis],
+                        self.from,
+                        to,
+                    );
+                    clip.bounds = Some(with_face(&bounds, &view.bounds, axis, is_high, shift));
+                }
+            }
+            Handle::Slide => {
+                if let Some(plane) = self.start.plane {
+                    let middle = middle_of(view, &self.start, &plane);
+                    let [least, most] = offsets(&view.bounds, plane.normal);
+                    let shift = shift_along(view, middle, plane.normal, self.from, to);
+                    let offset = (plane.offset + shift).clamp(least, most);
+                    clip.plane = Some(Plane { offset, ..plane });
+                }
+            }
+            Handle::Tilt => {
+                if let Some(plane) = self.start.plane {
+                    let middle = middle_of(view, &self.start, &plane);
+                    let is_near = is_front(view, &self.start, Handle::Tilt);
+                    let [a, b] = [self.from, to].map(|at| direction_at(view, middle, at, is_near));
+                    let normal = (Quat::from_rotation_arc(a, b) * plane.normal).normalize();
+                    clip.plane = Some(Plane { normal, offset: normal.dot(middle) });
+                }
+            }
+        }
+        // A pointer far outside makes numbers that are none.
+        if clip.validate().is_ok() { clip } else { self.start }
+    }
+}
+
+/// The offsets of planes with a normal that touch a box: the least and the greatest.
+pub(crate) fn offsets(bounds: &Aabb, normal: Vec3) -> [f32; 2] {
+    let middle = normal.dot(bounds.center());
+    let reach = normal.abs().dot((bounds.max - bounds.min) * 0.5);
+    [middle - reach, middle + reach]
+}
+
+/// A box with a face shifted along its axis: within the volume, and not up to the opposite face.
+pub(crate) fn with_face(bounds: &Aabb, volume: &Aabb, axis: usize, is_high: bool, shift: f32) -> Aabb {
+    let mut moved = *bounds;
+    let gap = (volume.max[axis] - volume.min[axis]) * LEAST_SIDE;
+    if is_high {
+        let least = (bounds.min[axis] + gap).min(volume.max[axis]);
+        moved.max[axis] = (bounds.max[axis] + shift).clamp(least, volume.max[axis]);
+    } else {
+        let most = (bounds.max[axis] - gap).max(volume.min[axis]);
+        moved.min[axis] = (bounds.min[axis] + shift).clamp(volume.min[axis], most);
+    }
+    moved
+}
+
+/// The clip box as far as it lies in the volume.
+fn box_of(view: &View, clip: &Clip) -> Option<Aabb> {
+    clip.bounds?;
+    let bounds = clip.region(&view.bounds).bounds;
+    // Beside the volume there is nothing to drag; all of the volume is.
+    Some(if bounds.min.cmplt(bounds.max).all() { bounds } else { view.bounds })
+}
+
+fn face_middle(bounds: &Aabb, axis: usize, is_high: bool) -> Vec3 {
+    let mut middle = bounds.center();
+    middle[axis] = if is_high { bounds.max[axis] } else { bounds.min[axis] };
+    middle
+}
+
+/// The point of the plane that is nearest to the middle of what is shown.
+fn middle_of(view: &View, clip: &Clip, plane: &Plane) -> Vec3 {
+    let center = box_of(view, clip).unwrap_or(view.bounds).center();
+    center - plane.normal * plane.distance(center)
+}
+
+fn tip_of(view: &View, middle: Vec3, plane: &Plane) -> Vec3 {
+    middle + plane.normal * (TIP_IN_RADII * view.bounds.radius())
+}
+
+/// Every handle and where it is, world space.
+fn handles(view: &View, clip: &Clip) -> impl Iterator<Item = (Handle, Vec3)> {
+    let faces = box_of(view, clip).into_iter().flat_map(|bounds| {
+        (0..3).flat_map(move |axis| {
+            [false, true].map(|high| (Handle::Face(axis, high), face_middle(&bounds, axis, high)))
+        })
+    });
+    let of_plane = clip.plane.into_iter().flat_map(|plane| {
+        let middle = middle_of(view, clip, &plane);
+        [(Handle::Slide, middle), (Handle::Tilt, tip_of(view, middle, &plane))]
+    });
+    faces.chain(of_plane).collect::<Vec<_>>().into_iter()
+}
+
+/// Whether a face shows its outer side, or the plane's normal points at the eye.
+fn is_front(view: &View, clip: &Clip, handle: Handle) -> bool {
+    match (handle, clip.plane) {
+        (Handle::Face(axis, is_high), _) => {
+            box_of(view, clip).is_some_and(|bounds| faces_eye(&view.camera, &bounds, axis, is_high))
+        }
+        (Handle::Slide, _) => true,
+        (Handle::Tilt, Some(plane)) => plane.normal.dot(view.camera.pose.forward()) <= 0.0,
+        (Handle::Tilt, None) => false,
+    }
+}
+
+/// The handle at a point of the screen.
+fn handle_at(view: &View, clip: &Clip, at: Pos2) -> Option<Handle> {
+    if !view.rect.contains(at) {
+        return None;
+    }
+    let basis = view.camera.basis();
+    let near = handles(view, clip).filter_map(|(handle, point)| {
+        let [on_screen, _] = projected(&basis, view.rect, point, point)?;
+        let distance = on_screen.distance(at);
+        // What is in front wins where both are as near.
+        let behind = if is_front(view, clip, handle) { 0.0 } else { BEHIND };
+        (distance <= REACH).then_some((handle, distance + behind))
+    });
+    near.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(handle, _)| handle)
+}
+
+fn ray_at(view: &View, at: Pos2) -> Ray {
+    let [x, y] = pixel_at(view.rect, &view.camera, at);
+    view.camera.ray(x, y).0
+}
+
+/// How far a point on the line from `origin` along the unit vector `axis` moves that follows the pointer.
+fn shift_along(view: &View, origin: Vec3, axis: Vec3, from: Pos2, to: Pos2) -> f32 {
+    let forward = view.camera.pose.forward();
+    let depth = (origin - view.camera.pose.eye).dot(forward);
+    let (ray_from, ray_to) = (ray_at(view, from), ray_at(view, to));
+    let along = |ray: &Ray| {
+        // The point of the line that is nearest to the ray.
+        let (between, cosine) = (origin - ray.origin, axis.dot(ray.dir));
+        (cosine * ray.dir.dot(between) - axis.dot(between)) / (1.0 - cosine * cosine)
+    };
+    let is_steep = |ray: &Ray| 1.0 - axis.dot(ray.dir).powi(2) < LEAST_SINE_SQUARED;
+    if is_steep(&ray_from) || is_steep(&ray_to) {
+        // Along the view nothing moves on the screen: down is towards the eye.
+        let world_per_point = 2.0 * view.camera.intrinsics.half_size_at(depth).1 / view.rect.height();
+        return (to.y - from.y) * world_per_point * -axis.dot(forward).signum();
+    }
+    along(&ray_to) - along(&ray_from)
+}
+
+/// The direction from `middle` to the point of a sphere around it under the pointer, on the near or the far side; beside
+/// the sphere, to the nearest point.
+fn direction_at(view: &View, middle: Vec3, at: Pos2, is_near: bool) -> Vec3 {
+    let ray = ray_at(view, at);
+    let radius = TIP_IN_RADII * view.bounds.radius();
+    let nearest = (middle - ray.origin).dot(ray.dir);
+    let aside = ray.at(nearest) - middle;
+    let half = (radius * radius - aside.length_squared()).max(0.0).sqrt();
+    (aside + ray.dir * if is_near { -half } else { half }).normalize_or(Vec3::Z)
+}
+
+/// The corners of what a plane cuts out of a box, in their order around.
+fn outline(bounds: &Aabb, plane: &Plane) -> Vec<Vec3> {
+    let corners = bounds.corners();
+    let mut points: Vec<Vec3> = edges()
+        .filter_map(|(a, b)| {
+            let (of_a, of_b) = (plane.distance(corners[a]), plane.distance(corners[b]));
+            let is_cut = (of_a < 0.0) != (of_b < 0.0);
+            is_cut.then(|| corners[a].lerp(corners[b], of_a / (of_a - of_b)))
+        })
+        .collect();
+    let center = points.iter().sum::<Vec3>() / points.len().max(1) as f32;
+    let right = plane.normal.any_orthonormal_vector();
+    let up = plane.normal.cross(right);
+    let angle = |p: &Vec3| (*p - center).dot(up).atan2((*p - center).dot(right));
+    points.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    points
+}
+
+/// Least side of a dragged box, in units of the volume's: a voxel or two.
+pub(crate) const LEAST_SIDE: f32 = 0.005;
+/// Length of the normal that tilts the plane, in radii of the volume.
+const TIP_IN_RADII: f32 = 0.45;
+/// Points on the screen: of a handle, and from where it is taken.
+const HANDLE_RADIUS: f32 = 6.0;
+const REACH: f32 = 12.0;
+/// By so many points a handle behind must be nearer to be meant.
+const BEHIND: f32 = 6.0;
+/// Below this angle of about nine degrees to the view a movement along an axis is not seen.
+const LEAST_SINE_SQUARED: f32 = 0.025;
+const BOX_COLOR: Color32 = Color32::from_rgb(120, 200, 255);
+const PLANE_COLOR: Color32 = Color32::from_rgb(255, 190, 70);
+
+#[cfg(test)]
+mod tests {
+    use egui::{Modifiers, pos2, vec2};
+    use isinglass_core::camera::{Intrinsics, Pose};
+
+    use super::*;
+
+    const BOUNDS: Aabb = Aabb { min: Vec3::new(-2.0, -1.0, -1.5), max: Vec3::new(2.0, 1.0, 1.5) };
+
+    fn views() -> [View; 2] {
+        let rect = Rect::from_min_size(pos2(30.0, 10.0), vec2(400.0, 300.0));
+        let intrinsics = Intrinsics::perspective(800, 600, 0.7);
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.6, 0.4, 9.0), intrinsics, &BOUNDS);
+        [camera, camera.to_orthographic(9.0, &BOUNDS)].map(|camera| View { rect, camera, bounds: BOUNDS })
+    }
+
+    fn on_screen(view: &View, p: Vec3) -> Pos2 {
+        projected(&view.camera.basis(), view.rect, p, p).unwrap()[0]
+    }
+
+    fn boxed() -> Clip {
+        Clip { bounds: Some(Aabb { min: BOUNDS.min * 0.5, max: BOUNDS.max * 0.5 }), plane: None }
+    }
+
+    fn press(pos: Pos2, pressed: bool) -> Event {
+        Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE }
+    }
+
+    fn dragged(view: &View, clip: &Clip, from: Pos2, to: Pos2) -> Option<Clip> {
+        let mut editor = ClipEditor { is_shown: true, ..ClipEditor::default() };
+        let mut events = vec![press(from, true), Event::PointerMoved(to), press(to, false)];
+        let changed = editor.take_events(&mut events, view, clip, |_| true);
+        assert!(changed.is_none() || events.len() == 1, "the rest is the camera's");
+        changed
+    }
+
+    #[test]
+    fn every_face_follows_the_pointer_along_its_normal() {
+        for view in views() {
+            let mut num_back = 0;
+            for (axis, is_high) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+                let clip = boxed();
+                let bounds = clip.bounds.unwrap();
+                let from = face_middle(&bounds, axis, is_high);
+                let mut to = from;
+                to[axis] += if is_high { 0.3 } else { -0.2 };
+                let moved = dragged(&view, &clip, on_screen(&view, from), on_screen(&view, to)).unwrap();
+                let moved = moved.bounds.unwrap();
+                let mut expected = bounds;
+                if is_high {
+                    expected.max = expected.max.max(to);
+                } else {
+                    expected.min = expected.min.min(to);
+                }
+                let off = (moved.min - expected.min).length() + (moved.max - expected.max).length();
+                // Single precision over a projection and back.
+                assert!(off < 1e-3, "{axis} {is_high}: {moved:?} {expected:?}");
+                num_back += usize::from(!is_front(&view, &clip, Handle::Face(axis, is_high)));
+            }
+            assert_eq!(num_back, 3, "faces that look away are reached, too");
+        }
+    }
+
+    #[test]
+    fn a_face_stays_in_the_volume_and_before_the_opposite_one() {
+        for (shift, expected) in [(100.0, 2.0), (-100.0, -0.98)] {
+            assert_eq!(with_face(&boxed().bounds.unwrap(), &BOUNDS, 0, true, shift).max.x, expected);
+        }
+        for view in views() {
+            let clip = boxed();
+            let from = on_screen(&view, face_middle(&clip.bounds.unwrap(), 0, true));
+            for to in [pos2(-9e9, 100.0), pos2(9e9, -9e9), pos2(f32::NAN, 0.0), pos2(200.0, 9e3)] {
+                let moved = dragged(&view, &clip, from, to).unwrap_or(clip);
+                let bounds = moved.bounds.unwrap();
+                assert!(moved.validate().is_ok() && bounds.min.cmpge(BOUNDS.min).all());
+                assert!(bounds.max.cmple(BOUNDS.max).all(), "{bounds:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn along_the_view_down_is_towards_the_eye() {
+        let view = views()[1];
+        let camera = Camera { pose: Pose::orbit(Vec3::ZERO, 0.0, 0.0, 6.0), ..view.camera };
+        let view = View { camera, ..view };
+        let clip = boxed();
+        let at = on_screen(&view, face_middle(&clip.bounds.unwrap(), 2, true));
+        let moved = dragged(&view, &clip, at, at + vec2(0.0, 20.0)).unwrap().bounds.unwrap();
+        assert!(moved.max.z > 0.8 && moved.min == clip.bounds.unwrap().min, "the front face: {moved:?}");
+    }
+
+    #[test]
+    fn a_plane_slides_along_its_normal_and_tilts_about_its_middle() {
+        for view in views() {
+            let plane = Plane::new(Vec3::new(0.3, 1.0, 0.2), 0.2).unwrap();
+            let clip = Clip { bounds: None, plane: Some(plane) };
+            let middle = middle_of(&view, &clip, &plane);
+            assert!(plane.distance(middle).abs() < 1e-6);
+            let to = on_screen(&view, middle + plane.normal * 0.3);
+            let moved = dragged(&view, &clip, on_screen(&view, middle), to).unwrap().plane.unwrap();
+            assert!(moved.normal == plane.normal && (moved.offset - plane.offset - 0.3).abs() < 1e-3);
+            let tilted = Plane::new(Vec3::new(0.5, 0.9, 0.3), 0.0).unwrap().normal;
+            let [from, to] = [plane.normal, tilted]
+                .map(|normal| on_screen(&view, tip_of(&view, middle, &Plane { normal, ..plane })));
+            let moved = dragged(&view, &clip, from, to).unwrap().plane.unwrap();
+            assert!((moved.normal - tilted).length() < 1e-3, "{moved:?} {tilted}");
+            assert!(moved.distance(middle).abs() < 1e-5, "its middle stays");
+        }
+    }
+
+    #[test]
+    fn beside_the_handles_and_under_panels_events_are_the_camera_s() {
+        let view = views()[0];
+        let clip = boxed();
+        assert_eq!(dragged(&view, &clip, pos2(40.0, 20.0), pos2(90.0, 90.0)), None);
+        let at = on_screen(&view, face_middle(&clip.bounds.unwrap(), 0, true));
+        let mut hidden = ClipEditor::default();
+        let mut shown = ClipEditor { is_shown: true, ..ClipEditor::default() };
+        let events = vec![press(at, true), Event::PointerMoved(at + vec2(9.0, 9.0))];
+        for (editor, is_free) in [(&mut hidden, true), (&mut shown, false)] {
+            let mut taken = events.clone();
+            assert_eq!(editor.take_events(&mut taken, &view, &clip, |_| is_free), None);
+            assert!(taken == events && !editor.is_busy());
+        }
+    }
+
+    #[test]
+    fn what_is_switched_off_comes_back() {
+        let mut editor = ClipEditor::default();
+        let mut clip = Clip::default();
+        editor.toggle(&mut clip, &BOUNDS);
+        assert_eq!((clip.bounds, editor.is_shown), (Some(BOUNDS), true));
+        clip = boxed();
+        editor.toggle_box(&mut clip, &BOUNDS);
+        assert_eq!(clip, Clip::default());
+        editor.toggle_box(&mut clip, &BOUNDS);
+        assert_eq!(clip, boxed());
+        editor.toggle_plane(&mut clip, &BOUNDS, Vec3::X);
+        assert_eq!(clip.plane, Some(Plane { normal: Vec3::X, offset: 0.0 }));
+        editor.toggle(&mut clip, &BOUNDS);
+        assert!(!editor.is_shown && clip.bounds.is_some(), "hidden, and still cut");
+    }
+
+    #[test]
+    fn an_outline_goes_around_once() {
+        let whole = outline(&BOUNDS, &Plane { normal: Vec3::Y, offset: 0.25 });
+        assert_eq!(whole.len(), 4);
+        let around: f32 = (0..4).map(|i| whole[i].distance(whole[(i + 1) % 4])).sum();
+        assert!((around - 14.0).abs() < 1e-5 && whole.iter().all(|p| p.y == 0.25));
+        assert_eq!(outline(&BOUNDS, &Plane::new(Vec3::ONE, 0.0).unwrap()).len(), 6);
+        assert!(outline(&BOUNDS, &Plane { normal: Vec3::X, offset: 9.0 }).is_empty());
+    }
+}

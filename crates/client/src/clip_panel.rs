@@ -1,0 +1,70 @@
+//! The part of the look panel that clips: numbers for the box and the plane.
+
+use egui::{Slider, Ui};
+use glam::Vec3;
+use isinglass_core::clip::{Clip, Plane};
+use isinglass_core::space::Aabb;
+
+use crate::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
+use crate::look_panel::row;
+
+/// Shows and changes the clip of a volume in `bounds`; `forward` is the viewing direction.
+pub(crate) fn show(ui: &mut Ui, clip: &mut Clip, editor: &mut ClipEditor, bounds: &Aabb, forward: Vec3) {
+    ui.horizontal(|ui| {
+        let mut has_box = clip.bounds.is_some();
+        if ui.checkbox(&mut has_box, "clip box").changed() {
+            editor.toggle_box(clip, bounds);
+        }
+        let mut has_plane = clip.plane.is_some();
+        if ui.checkbox(&mut has_plane, "clip plane").changed() {
+            editor.toggle_plane(clip, bounds, forward);
+        }
+        ui.checkbox(&mut editor.is_shown, "handles (c)");
+    });
+    egui::Grid::new("clip").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+        if let Some(inner) = &mut clip.bounds {
+            box_rows(ui, inner, bounds);
+        }
+        if let Some(plane) = &mut clip.plane {
+            let [least, most] = offsets(bounds, plane.normal);
+            row(ui, "plane at", "along its normal, from the middle of the volume", |ui| {
+                ui.add(Slider::new(&mut plane.offset, least..=most))
+            });
+        }
+    });
+    ui.horizontal(|ui| {
+        if let Some(plane) = &mut clip.plane {
+            if ui.button("flip").on_hover_text("show the other side of the plane").clicked() {
+                *plane = plane.flipped();
+            }
+            let hint = "turn the plane across the view, through where it is";
+            if ui.button("face the view").on_hover_text(hint).clicked() {
+                let middle = bounds.center() - plane.normal * plane.distance(bounds.center());
+                *plane = Plane::new(forward, forward.dot(middle)).unwrap_or(*plane);
+            }
+        }
+        let is_clipped = clip.bounds.is_some_and(|b| b != *bounds) || clip.plane.is_some();
+        if ui.add_enabled(is_clipped, egui::Button::new("show all")).clicked() {
+            *clip = Clip { bounds: clip.bounds.map(|_| *bounds), plane: None };
+        }
+    });
+}
+
+/// Six ends, each on its side of the other.
+fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb) {
+    for (axis, names) in [["x from", "x to"], ["y from", "y to"], ["z from", "z to"]].into_iter().enumerate()
+    {
+        let (least, most) = (bounds.min[axis], bounds.max[axis]);
+        let gap = (most - least) * LEAST_SIDE;
+        row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
+            let slider = ui.add(Slider::new(&mut inner.min[axis], least..=most));
+            inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
+            slider
+        });
+        row(ui, names[1], "in the unit of the spacing, from the middle of the volume", |ui| {
+            let slider = ui.add(Slider::new(&mut inner.max[axis], least..=most));
+            inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
+            slider
+        });
+    }
+}
