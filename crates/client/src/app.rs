@@ -14,8 +14,8 @@ use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
 use isinglass_net::{Clock, ReceivedFrame, State};
 
-use crate::bindings::{Action, take_actions};
-use crate::camera_controls::{CameraControls, ControlInput};
+use crate::bindings::{Action, Focus, Step};
+use crate::camera_controls::{CameraControls, ControlInput, ZOOM_PER_NOTCH};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
 use crate::look_panel::{self, Settings};
@@ -142,14 +142,19 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_mut()
     }
 
-    /// Does what the keys say; whether the first view was asked for.
-    fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> bool {
-        let types = ctx.text_edit_focused();
-        let actions = ctx.input_mut(|i| take_actions(&mut i.events, types));
-        let mut resets = false;
+    /// Does what the keys say; what they are to the camera.
+    fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
+        let focus = match ctx.memory(|m| m.focused()) {
+            _ if ctx.text_edit_focused() => Focus::Text,
+            Some(id) if id != panels::picture_id() => Focus::Widget,
+            _ => Focus::Picture,
+        };
+        let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
+        let mut input = ControlInput::default();
         for action in actions {
             match action {
-                Action::FirstView => resets = true,
+                Action::FirstView => input.reset = true,
+                Action::Step(step) => add_step(&mut input, step, picture),
                 Action::StandardView(side, opposite) => {
                     let (from, up) = self.orientation().standard_view(side, opposite);
                     if let Some((_, controls)) = self.controls(picture) {
@@ -187,7 +192,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
             }
         }
-        resets
+        input
     }
 
     fn toggle_clip(&mut self, now: Duration) {
@@ -266,6 +271,9 @@ impl<S: FrameSource> ViewerApp<S> {
         self.aids.paint(ui.painter(), &scene);
         let view = clip_editor::View { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
+        if self.aids.shows_axes {
+            panels::image(ui, ViewAids::axes_rect(rect), "axes", &ViewAids::axes_in_words(&scene));
+        }
     }
 
     fn marks_center(&self, now: Duration) -> bool {
@@ -311,6 +319,7 @@ impl<S: FrameSource> ViewerApp<S> {
             clip_editor: &mut self.clip_editor,
             bounds,
             forward,
+            bindings: &self.options.bindings,
         };
         let files = &mut self.state_files;
         let wish =
@@ -410,14 +419,15 @@ impl<S: FrameSource> ViewerApp<S> {
         self.window = Some(window);
         let picture = self.stereo().eye_intrinsics(window);
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
-        let resets = self.keys(&ctx, now, &picture);
+        let by_keys = self.keys(&ctx, now, &picture);
         let mut events = ctx.input(|i| i.events.clone());
         self.drag_clip(&ctx, now, &mut events);
         let free = |at| is_free(&ctx, at);
-        let mut input = self.pointer.control_input(&events, rect, ctx.pixels_per_point(), free);
+        let mut input =
+            self.pointer.control_input(&self.options.bindings, &events, rect, ctx.pixels_per_point(), free);
         // Zooming is about a point of the eye's own picture.
         input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
-        input.reset = resets;
+        input.add(&by_keys);
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
             auto_orbit / 180.0 * picture.width.min(picture.height) as f32 * elapsed.as_secs_f32();
@@ -454,6 +464,7 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((r, frame)) => {
                 self.choose_center(&ctx, now, rect, r);
                 self.paint(ui, rect, r, frame.clone());
+                panels::picture(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 self.paint_aids(ui, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
                     panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame));
@@ -467,11 +478,14 @@ impl<S: FrameSource> ViewerApp<S> {
                     panels::banner(&ctx, &text, self.parts_bar.height());
                 }
             }
-            None => panels::first_page(ui, &self.options.server_name, &state, seconds),
+            None => {
+                let help = self.options.bindings.hint(Action::Help);
+                panels::first_page(ui, &self.options.server_name, &state, seconds, &help);
+            }
         }
         self.show_look_panel(&ctx, now);
         self.show_parts(&ctx, now);
-        panels::help(&ctx, &mut self.shows_help);
+        panels::help(&ctx, &self.options.bindings, &mut self.shows_help);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());
 
@@ -599,6 +613,18 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
+/// A step of the camera by a key, as a drag over a small part of the picture.
+fn add_step(input: &mut ControlInput, step: Step, picture: &Intrinsics) {
+    let side = picture.width.min(picture.height) as f32;
+    let pixels = |parts: i8| f32::from(parts) * side * KEY_STEP;
+    match step {
+        Step::Turn(x, y) => input.orbit = [input.orbit[0] + pixels(x), input.orbit[1] + pixels(y)],
+        Step::Pan(x, y) => input.pan = [input.pan[0] + pixels(x), input.pan[1] + pixels(y)],
+        Step::Roll(parts) => input.roll += f32::from(parts) * KEY_STEP * std::f32::consts::PI,
+        Step::Zoom(parts) => input.zoom += f32::from(parts) * ZOOM_PER_NOTCH,
+    }
+}
+
 /// Whether no panel lies at a point of the picture.
 fn is_free(ctx: &egui::Context, at: egui::Pos2) -> bool {
     ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
@@ -615,6 +641,8 @@ fn picture_intrinsics(rect: egui::Rect, pixels_per_point: f32, fov_y: f32) -> In
     Intrinsics::perspective(pixels(rect.width()), pixels(rect.height()), fov_y)
 }
 
+/// A step by a key, in parts of the picture's shorter side: five degrees of a turn.
+const KEY_STEP: f32 = 5.0 / 180.0;
 /// Refreshes of the numbers while nothing moves.
 const OVERLAY_PERIOD: Duration = Duration::from_millis(100);
 /// The same when the picture is the server's own.

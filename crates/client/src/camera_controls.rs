@@ -29,6 +29,16 @@ pub struct ControlInput {
 }
 
 impl ControlInput {
+    /// The same, and what keys did. Zooming is about what the pointer says.
+    pub fn add(&mut self, keys: &Self) {
+        let sum = |a: [f32; 2], b: [f32; 2]| [a[0] + b[0], a[1] + b[1]];
+        self.orbit = sum(self.orbit, keys.orbit);
+        self.pan = sum(self.pan, keys.pan);
+        self.roll += keys.roll;
+        self.zoom += keys.zoom;
+        self.reset |= keys.reset;
+    }
+
     /// Whether it would leave the camera as it is.
     pub fn is_idle(&self) -> bool {
         self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.roll == 0.0 && self.zoom == 0.0 && !self.reset

@@ -41,7 +41,7 @@ mod viewing;
 mod waits;
 mod window;
 
-pub use bindings::{Action, BINDINGS, Binding, Opposite, Side};
+pub use bindings::{Action, BindingError, Bindings, Gesture, Opposite, REVERSE_WHEEL, Side, Step};
 pub use camera_controls::InitialOrbit;
 pub use camera_path::{CameraPath, CameraPathError};
 pub use display::display_available;

@@ -7,6 +7,7 @@ use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
 
+use crate::bindings::{Action, Bindings};
 use crate::clip_editor::ClipEditor;
 use crate::clip_panel;
 use crate::panels::pane;
@@ -38,6 +39,16 @@ pub(crate) struct Settings<'a> {
     pub(crate) bounds: Aabb,
     /// The viewing direction.
     pub(crate) forward: Vec3,
+    /// For hints.
+    pub(crate) bindings: &'a Bindings,
+}
+
+impl Settings<'_> {
+    /// A text with the key that does the same, if there is one.
+    fn with_key(&self, text: &str, action: Action) -> String {
+        let key = self.bindings.hint(action);
+        if key.is_empty() { text.to_owned() } else { format!("{text} ({key})") }
+    }
 }
 
 /// Shows the panel, open or folded, and changes what was set; the answer is what to do with states.
@@ -58,7 +69,8 @@ pub(crate) fn show(
     area.show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             let title = egui::Button::new(RichText::new("Look").strong().size(13.0)).frame(false);
-            let hint = if *is_open { "l or click: fold" } else { "transfer function, shading, view (l)" };
+            let hint = if *is_open { "click: fold" } else { "transfer function, shading, view" };
+            let hint = settings.with_key(hint, Action::LookPanel);
             if ui.add(title).on_hover_text(hint).clicked() {
                 *is_open = !*is_open;
             }
@@ -163,16 +175,19 @@ pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut
 }
 
 fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
+    let projection = settings.with_key("projection", Action::Projection);
     ui.horizontal(|ui| {
-        ui.label("projection (5)");
+        ui.label(projection);
         for (name, is_orthographic) in [("perspective", false), ("orthographic", true)] {
             ui.selectable_value(&mut settings.is_orthographic, is_orthographic, name);
         }
     });
+    let axes = settings.with_key("axes and scale", Action::Axes);
+    let volume_box = settings.with_key("box", Action::Box);
     let aids = &mut settings.aids;
     ui.horizontal(|ui| {
-        ui.checkbox(&mut aids.shows_axes, "axes and scale (a)");
-        ui.checkbox(&mut aids.shows_box, "box (b)");
+        ui.checkbox(&mut aids.shows_axes, axes);
+        ui.checkbox(&mut aids.shows_box, volume_box);
     });
     ui.horizontal(|ui| {
         ui.label("background");

@@ -4,7 +4,7 @@ use egui::{Align2, Color32, Frame, Margin, RichText, Stroke, Ui, vec2};
 use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
 
-use crate::bindings::BINDINGS;
+use crate::bindings::Bindings;
 use crate::overlay::{OverlayModel, sentence};
 use crate::viewing::Standing;
 
@@ -115,7 +115,7 @@ pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool) {
 }
 
 /// The keys and buttons, in the middle.
-pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
+pub(crate) fn help(ctx: &egui::Context, bindings: &Bindings, open: &mut bool) {
     egui::Window::new(RichText::new("Keys and mouse").size(14.0))
         .open(open)
         .anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0))
@@ -127,9 +127,9 @@ pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
             scroll.show(ui, |ui| {
                 ui.spacing_mut().interact_size.y = 0.0;
                 egui::Grid::new("bindings").num_columns(2).spacing([24.0, 4.0]).show(ui, |ui| {
-                    for binding in BINDINGS {
-                        ui.label(RichText::new(binding.keys).color(bright(ctx)).strong());
-                        ui.label(RichText::new(binding.text).color(quiet(ctx)));
+                    for (keys, text) in bindings.lines() {
+                        ui.label(RichText::new(keys).color(bright(ctx)).strong());
+                        ui.label(RichText::new(text).color(quiet(ctx)));
                         ui.end_row();
                     }
                 });
@@ -138,7 +138,7 @@ pub(crate) fn help(ctx: &egui::Context, open: &mut bool) {
 }
 
 /// The page before the first picture.
-pub(crate) fn first_page(ui: &mut Ui, server: &str, state: &State, seconds: f64) {
+pub(crate) fn first_page(ui: &mut Ui, server: &str, state: &State, seconds: f64, help: &str) {
     let rect = ui.max_rect();
     let painter = ui.painter();
     painter.rect_filled(rect, 0.0, PAGE);
@@ -174,7 +174,34 @@ pub(crate) fn first_page(ui: &mut Ui, server: &str, state: &State, seconds: f64)
     if let Some(problem) = problem {
         text(38.0, &sentence(problem), 13.0, Color32::from_rgb(235, 195, 120));
     }
-    text(96.0, "h shows the keys", 12.0, Color32::from_gray(120));
+    if !help.is_empty() {
+        text(96.0, &format!("{help} shows the keys"), 12.0, Color32::from_gray(150));
+    }
+}
+
+/// The picture, to which the keyboard goes by Tab: a name for it, and a frame as long as it is there.
+pub(crate) fn picture(ui: &Ui, rect: egui::Rect, name: &str) {
+    let response = ui.interact(rect, picture_id(), egui::Sense::focusable_noninteractive());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
+    if response.has_focus() {
+        // Arrows are the camera's, and do not go on to another control.
+        let filter =
+            egui::EventFilter { horizontal_arrows: true, vertical_arrows: true, ..Default::default() };
+        ui.memory_mut(|m| m.set_focus_lock_filter(response.id, filter));
+        let stroke = Stroke::new(2.0, ui.visuals().selection.stroke.color);
+        ui.painter().rect_stroke(rect, 0.0, stroke, egui::StrokeKind::Inside);
+    }
+}
+
+/// Something painted that is there to be looked at: a name for those who do not.
+pub(crate) fn image(ui: &Ui, rect: egui::Rect, id: &str, name: &str) {
+    let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
+}
+
+/// Of the picture, as a control.
+pub(crate) fn picture_id() -> egui::Id {
+    egui::Id::unique("picture")
 }
 
 /// Name and size of a volume in one line.

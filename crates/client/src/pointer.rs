@@ -5,6 +5,7 @@
 
 use egui::{Event, MouseWheelUnit, PointerButton, Pos2, Rect};
 
+use crate::bindings::{Bindings, Gesture};
 use crate::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
 
 /// The pointer from refresh to refresh.
@@ -18,21 +19,14 @@ pub(crate) struct Pointer {
 #[derive(Debug)]
 struct Drag {
     button: PointerButton,
-    action: Action,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Action {
-    Orbit,
-    Roll,
-    Pan,
-    Zoom,
+    gesture: Gesture,
 }
 
 impl Pointer {
     /// What the events of a refresh mean for a picture in `rect`. `is_free`: no panel lies at a point.
     pub(crate) fn control_input(
         &mut self,
+        bindings: &Bindings,
         events: &[Event],
         rect: Rect,
         pixels_per_point: f32,
@@ -47,15 +41,8 @@ impl Pointer {
                     if !pressed && self.drag.as_ref().is_some_and(|d| d.button == *button) {
                         self.drag = None;
                     } else if *pressed && self.drag.is_none() && rect.contains(*pos) && is_free(*pos) {
-                        let action = match button {
-                            PointerButton::Primary if modifiers.command => Action::Roll,
-                            PointerButton::Primary if modifiers.shift => Action::Pan,
-                            PointerButton::Primary => Action::Orbit,
-                            PointerButton::Middle => Action::Pan,
-                            PointerButton::Secondary => Action::Zoom,
-                            PointerButton::Extra1 | PointerButton::Extra2 => continue,
-                        };
-                        self.drag = Some(Drag { button: *button, action });
+                        let Some(gesture) = bindings.gesture(*button, *modifiers) else { continue };
+                        self.drag = Some(Drag { button: *button, gesture });
                     }
                 }
                 // The release of the button may never be told.
@@ -64,7 +51,8 @@ impl Pointer {
                     let Some(at) = self.position.filter(|p| rect.contains(*p) && is_free(*p)) else {
                         continue;
                     };
-                    input.zoom += zoom_of(event);
+                    let is_reversed = bindings.reverses_wheel && matches!(event, Event::MouseWheel { .. });
+                    input.zoom += if is_reversed { -zoom_of(event) } else { zoom_of(event) };
                     input.zoom_at = ((at - rect.center()) * pixels_per_point).into();
                 }
                 _ => {}
@@ -77,11 +65,11 @@ impl Pointer {
         let from = self.position.unwrap_or(to);
         let moved = (to - from) * pixels_per_point;
         self.position = Some(to);
-        match self.drag.as_ref().map(|d| d.action) {
-            Some(Action::Orbit) => input.orbit = [input.orbit[0] + moved.x, input.orbit[1] + moved.y],
-            Some(Action::Roll) => input.roll += angle_around(rect.center(), from, to),
-            Some(Action::Pan) => input.pan = [input.pan[0] + moved.x, input.pan[1] + moved.y],
-            Some(Action::Zoom) => {
+        match self.drag.as_ref().map(|d| d.gesture) {
+            Some(Gesture::Orbit) => input.orbit = [input.orbit[0] + moved.x, input.orbit[1] + moved.y],
+            Some(Gesture::Roll) => input.roll += angle_around(rect.center(), from, to),
+            Some(Gesture::Pan) => input.pan = [input.pan[0] + moved.x, input.pan[1] + moved.y],
+            Some(Gesture::Zoom) => {
                 input.zoom -= moved.y / (rect.height() * pixels_per_point).max(1.0) * ZOOM_PER_HEIGHT;
             }
             None => {}
@@ -158,7 +146,7 @@ mod tests {
             button(110.0, 70.0, with, false, modifiers),
             Event::PointerMoved(pos2(190.0, 90.0)),
         ];
-        Pointer::default().control_input(&events, rect(), 2.0, is_free)
+        Pointer::default().control_input(&Bindings::default(), &events, rect(), 2.0, is_free)
     }
 
     #[test]
@@ -186,7 +174,8 @@ mod tests {
     #[test]
     fn a_drag_goes_on_over_refreshes_and_beyond_the_picture_until_its_own_release() {
         let mut pointer = Pointer::default();
-        let mut step = |events: &[Event]| pointer.control_input(events, rect(), 1.0, is_free);
+        let mut step =
+            |events: &[Event]| pointer.control_input(&Bindings::default(), events, rect(), 1.0, is_free);
         let none = Modifiers::NONE;
         assert!(step(&[button(100.0, 50.0, PointerButton::Primary, true, none)]).is_idle());
         assert_eq!(step(&[Event::PointerMoved(pos2(10.0, 10.0))]).orbit, [-90.0, -40.0]);
@@ -206,16 +195,22 @@ mod tests {
             wheel(1.0),
             Event::PointerMoved(pos2(100.0, 80.0)),
         ];
-        assert!(pointer.control_input(&events, rect(), 1.0, is_free).is_idle());
+        assert!(pointer.control_input(&Bindings::default(), &events, rect(), 1.0, is_free).is_idle());
     }
 
     #[test]
     fn the_wheel_zooms_at_the_pointer() {
         let events = [Event::PointerMoved(pos2(150.0, 30.0)), wheel(2.0), Event::Zoom(2.0)];
-        let input = Pointer::default().control_input(&events, rect(), 2.0, is_free);
+        let input = Pointer::default().control_input(&Bindings::default(), &events, rect(), 2.0, is_free);
         assert!((input.zoom - 2.0 * ZOOM_PER_NOTCH - 2f32.ln()).abs() < 1e-6);
         assert_eq!(input.zoom_at, [100.0, -40.0]);
+        let mut reversed = Bindings::default();
+        reversed.set(crate::bindings::REVERSE_WHEEL, &["true".into()]).unwrap();
+        let input = Pointer::default().control_input(&reversed, &events, rect(), 2.0, is_free);
+        assert!((input.zoom + 2.0 * ZOOM_PER_NOTCH - 2f32.ln()).abs() < 1e-6, "but pinching stays");
         let mut never_seen = Pointer::default();
-        assert!(never_seen.control_input(&[wheel(1.0)], rect(), 1.0, is_free).is_idle());
+        assert!(
+            never_seen.control_input(&Bindings::default(), &[wheel(1.0)], rect(), 1.0, is_free).is_idle()
+        );
     }
 }

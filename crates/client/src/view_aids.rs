@@ -49,6 +49,29 @@ impl ViewAids {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
     }
 
+    /// What the axes show, in words: which end of each points where.
+    pub(crate) fn axes_in_words(scene: &Scene<'_>) -> String {
+        let view_from_world = scene.camera.pose.world_from_view.inverse();
+        let toward = |direction: Vec3| {
+            let along = |axis: usize| (view_from_world * Vec3::AXES[axis]).dot(direction);
+            let nearest = (0..3).max_by(|&a, &b| along(a).abs().total_cmp(&along(b).abs())).unwrap_or(0);
+            let (positive, negative) = scene.orientation.letters[nearest];
+            match (along(nearest) >= 0.0, negative) {
+                (true, _) => positive.to_string(),
+                (false, Some(negative)) => negative.to_string(),
+                (false, None) => format!("-{positive}"),
+            }
+        };
+        let (right, up, near) = (toward(Vec3::X), toward(Vec3::Y), toward(Vec3::Z));
+        format!("axes: {right} to the right, {up} up, {near} towards you")
+    }
+
+    /// The part of the picture that the axes take.
+    pub(crate) fn axes_rect(rect: Rect) -> Rect {
+        let center = rect.left_bottom() + vec2(AXES_MARGIN, -AXES_MARGIN);
+        Rect::from_center_size(center, Vec2::splat(2.0 * (AXIS_LENGTH + LETTER_GAP)))
+    }
+
     /// What draws over this background.
     pub(crate) fn pen<'a>(&self, painter: &'a Painter) -> Pen<'a> {
         let [r, g, b] = self.background.map(f32::from);

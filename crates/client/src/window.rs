@@ -8,6 +8,7 @@ use isinglass_formats::{SavedState, Selection};
 use isinglass_net::{Clock, Link};
 
 use crate::app::ViewerApp;
+use crate::bindings::Bindings;
 use crate::camera_controls::InitialOrbit;
 use crate::camera_path::CameraPath;
 use crate::display::display_available;
@@ -55,6 +56,8 @@ pub struct WindowOptions {
     pub volume_source: Option<(String, Selection)>,
     /// The server's link, for links to what is seen.
     pub link: Option<Link>,
+    /// What keys and mouse do.
+    pub bindings: Bindings,
     /// Is given the way of the camera.
     pub recorder: Option<Arc<Mutex<CameraPath>>>,
     /// Watches every refresh, for tests and pictures of the window.
@@ -80,6 +83,7 @@ impl Default for WindowOptions {
             state_sets_size: false,
             volume_source: None,
             link: None,
+            bindings: Bindings::default(),
             recorder: None,
             script: None,
         }

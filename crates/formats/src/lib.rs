@@ -27,6 +27,7 @@ mod plan;
 mod presets;
 mod raw;
 mod select;
+mod settings;
 mod sniff;
 mod source;
 mod state;
@@ -52,6 +53,7 @@ pub use outline::{Level, Outline};
 pub use presets::{default_preset, preset, preset_names};
 pub use raw::RawShape;
 pub use select::{Region, Selection};
+pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline};
 pub use state::{
     MAX_LINK_BYTES, MAX_STATE_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb,

@@ -7,18 +7,22 @@
 mod args;
 mod clip_args;
 mod commands;
+mod config;
 mod given;
 mod lens_args;
 mod library;
 mod memory;
 mod report;
 mod state_args;
+mod window_args;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser};
 
 use commands::Command;
+use config::Settings;
 use given::Given;
 
 /// Remote volume rendering that follows the hand at any latency.
@@ -30,27 +34,43 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let (cli, given) = match parse() {
-        Ok(parsed) => parsed,
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    let command = command();
+    let settings = match Settings::read(&command, &arguments) {
+        Ok(settings) => settings,
+        Err(e) => return report::failure(&e),
+    };
+    let mut command = settings.apply(command);
+    let parsed = command.try_get_matches_from_mut(arguments).and_then(|matches| {
+        if settings.is_printed {
+            return Ok((matches, None));
+        }
+        let cli = Cli::from_arg_matches(&matches).map_err(|e| e.format(&mut command))?;
+        Ok((matches, Some(cli)))
+    });
+    let done = match parsed {
+        Ok((matches, None)) => config::print(&matches, &settings),
+        Ok((matches, Some(cli))) => {
+            report::start_log(cli.command.log_level());
+            cli.command.run(Given::of(&matches, settings.bindings))
+        }
         Err(e) => return report::usage(&e),
     };
-    report::start_log(cli.command.log_level());
-    match cli.command.run(given) {
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => report::failure(&e),
     }
 }
 
-fn parse() -> Result<(Cli, Given), clap::Error> {
-    let mut command = Cli::command();
-    for name in commands::WITH_STATE {
-        // A state may say where its volume is.
-        command = command.mut_subcommand(name, |c| {
-            c.mut_arg("volume", |volume| volume.required(false).required_unless_present("state"))
-        });
-    }
-    let mut matches = command.clone().try_get_matches()?;
-    let given = Given::of(&matches);
-    let cli = Cli::from_arg_matches_mut(&mut matches).map_err(|e| e.format(&mut command))?;
-    Ok((cli, given))
+/// The command line without what settings say.
+fn command() -> clap::Command {
+    let has = |command: &clap::Command, id: &str| command.get_arguments().any(|a| a.get_id() == id);
+    let command = config::with_flags(Cli::command());
+    commands::WITH_STATE.iter().fold(command, |command, name| {
+        // A state may say where its volume is, and who asks for settings opens none.
+        command.mut_subcommand(name, |c| {
+            let others: Vec<_> = ["state", config::PRINT].into_iter().filter(|id| has(&c, id)).collect();
+            c.mut_arg("volume", |volume| volume.required(false).required_unless_present_any(others))
+        })
+    })
 }

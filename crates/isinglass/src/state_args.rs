@@ -7,6 +7,7 @@ use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::OpenedScene;
 use isinglass_bench::view::Orbit;
+use isinglass_client::Bindings;
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
@@ -21,6 +22,7 @@ use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, o
 use crate::given::Given;
 use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
+use crate::window_args::WindowArgs;
 
 /// Where a state is.
 #[derive(Args, Clone, Debug)]
@@ -196,9 +198,19 @@ impl Seen {
         (self.state != SavedState::default()).then(|| state_to_link(&state))
     }
 
+    /// What keys and mouse do in a window.
+    pub(crate) fn bindings(&self) -> Bindings {
+        self.given.bindings.clone()
+    }
+
     /// For a window: its size, in pixels of the state's picture unless one was given, and whether it is the state's; and the
-    /// state without what flags say.
-    pub(crate) fn window(&self, size: [u32; 2], fov_degrees: f32) -> (([u32; 2], bool), Option<SavedState>) {
+    /// state with what flags say.
+    pub(crate) fn window(
+        &self,
+        size: [u32; 2],
+        fov_degrees: f32,
+        window: &WindowArgs,
+    ) -> (([u32; 2], bool), SavedState) {
         let mut state = self.state.clone();
         let of_state = state.camera.map(|camera| camera.size).filter(|_| !self.given.has("size"));
         let has = |field| self.given.has(field);
@@ -208,7 +220,7 @@ impl Seen {
         state.camera = state.camera.filter(|_| !has("orbit"));
         state.view.method = state.view.method.filter(|_| !has("method"));
         state.view.orthographic = state.view.orthographic.filter(|_| !has("orthographic"));
-        let is_empty = state == SavedState::default();
-        ((of_state.unwrap_or(size), of_state.is_some()), (!is_empty).then_some(state))
+        state.view = window.view(state.view, |field| self.given.has(field));
+        ((of_state.unwrap_or(size), of_state.is_some()), state)
     }
 }

@@ -184,7 +184,7 @@ async fn a_server_that_is_not_there_is_named_in_bounded_time() {
     let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = silent.local_addr().unwrap().port();
     let fingerprint = Identity::generate().unwrap().fingerprint();
-    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint };
+    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint, state: None };
     let client = connect(&link);
     let error = client.wait_connected(Duration::from_secs(60)).unwrap_err();
     assert_eq!(error, ConnectError::NoAnswer { host: "127.0.0.1".into(), port });
@@ -266,7 +266,7 @@ async fn a_server_that_speaks_garbage_is_given_up() {
         }
     });
     let fingerprint = format!("sha256:{hex}").parse().unwrap();
-    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint };
+    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint, state: None };
     let client = connect(&link);
     let error = client.wait_connected(Duration::from_secs(20)).unwrap_err();
     assert!(matches!(&error, ConnectError::Protocol(line) if line.contains("4294967295")), "{error}");

@@ -295,8 +295,8 @@ fn keys_switch_what_they_say() {
     press(&mut w, Modifiers::NONE, Key::O);
     assert!(!shown(&w, "server frame"));
     press(&mut w, Modifiers::NONE, Key::H);
-    for binding in crate::bindings::BINDINGS {
-        assert!(w.query_all_by_label(binding.text).next().is_some(), "{} is in the help", binding.keys);
+    for (keys, text) in crate::bindings::Bindings::default().lines() {
+        assert!(w.query_all_by_label(text).next().is_some(), "{keys} is in the help");
     }
     press(&mut w, Modifiers::NONE, Key::Escape);
     assert!(!shown(&w, "turn about what is visible"));
@@ -376,5 +376,6 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
     }
 }
 
+mod access;
 mod clip;
 mod states;

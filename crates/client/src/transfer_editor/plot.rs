@@ -70,8 +70,9 @@ impl TransferEditor {
         self.pointer(ui, scale, plot, &response, strip, &bar_response);
         self.wheel(ui, scale, plot, outer.union(bar));
         self.keyboard(ui, plot, &response);
+        self.strip_keyboard(ui, scale, plot, &bar_response);
         self.draw_plot(ui, scale, plot, outer, response.has_focus());
-        self.draw_strip(ui, strip, bar);
+        self.draw_strip(ui, strip, bar, bar_response.has_focus());
         self.draw_axis(ui, plot);
         self.describe(ui, plot, &response, &bar_response);
         self.hover_text(ui, scale, plot, outer);
@@ -248,8 +249,51 @@ impl TransferEditor {
         {
             self.remove_point(index);
         }
+        if pressed(Modifiers::NONE, Key::Insert) || pressed(Modifiers::NONE, Key::Enter) {
+            self.add_point(plot);
+        }
         if self.selected.is_some() && pressed(Modifiers::NONE, Key::Escape) {
             self.selected = None;
+        }
+    }
+
+    /// A point on the curve, half-way between the chosen one and the next; in the middle of the view if none is chosen.
+    fn add_point(&mut self, plot: Axes) {
+        let last = self.curve.transfer.points.len() - 1;
+        let value = match self.selected {
+            Some(i) if i < last => 0.5 * (self.curve.value(i) + self.curve.value(i + 1)),
+            Some(i) => 0.5 * (self.curve.value(i) + plot.view.1.max(self.curve.value(i))),
+            None => 0.5 * (plot.view.0 + plot.view.1),
+        };
+        match self.curve.with_point(value, self.curve.at(value).1) {
+            Some((curve, index)) => {
+                self.change(curve);
+                self.selected = Some(index);
+            }
+            None => self.message = Some("no more points: there are 256".into()),
+        }
+    }
+
+    /// Left and right are the level, up and down the window: as the strip is dragged.
+    fn strip_keyboard(&mut self, ui: &Ui, scale: &ValueScale, plot: Axes, response: &Response) {
+        if !response.has_focus() {
+            return;
+        }
+        let filter = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..Default::default() };
+        ui.memory_mut(|m| m.set_focus_lock_filter(response.id, filter));
+        let (level, window) = self.curve.level_and_window();
+        let step_in_values = (plot.view.1 - plot.view.0) * KEY_STEP;
+        for (key, across, narrower) in [
+            (Key::ArrowLeft, -1.0, 0.0),
+            (Key::ArrowRight, 1.0, 0.0),
+            (Key::ArrowUp, 0.0, -1.0f32),
+            (Key::ArrowDown, 0.0, 1.0),
+        ] {
+            if ui.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
+                let window = window * (narrower * WINDOW_KEY_STEP).exp();
+                let least = scale.span() * LEAST_WINDOW;
+                self.change(self.curve.with_level_and_window(level + across * step_in_values, window, least));
+            }
         }
     }
 
@@ -348,11 +392,11 @@ impl TransferEditor {
                 painter.circle_stroke(*at, radius + 2.0, Stroke::new(1.5, ink.selection));
             }
         }
-        let frame = if has_focus { ink.selection } else { ink.line };
-        painter.rect_stroke(outer, 3.0, Stroke::new(1.0, frame), StrokeKind::Inside);
+        let frame = if has_focus { Stroke::new(1.5, ink.selection) } else { Stroke::new(1.0, ink.line) };
+        painter.rect_stroke(outer, 3.0, frame, StrokeKind::Inside);
     }
 
-    fn draw_strip(&self, ui: &Ui, strip: Axes, outer: Rect) {
+    fn draw_strip(&self, ui: &Ui, strip: Axes, outer: Rect, has_focus: bool) {
         let ink = Ink::of(ui);
         let painter = ui.painter().with_clip_rect(outer.intersect(ui.clip_rect()));
         let mut colors = Mesh::default();
@@ -372,6 +416,9 @@ impl TransferEditor {
                 Rect::from_center_size(pos2(x, strip.rect.center().y + 1.0), vec2(5.0, STRIP_HEIGHT - 2.0));
             painter.rect(handle, 2.0, ink.curve, Stroke::new(1.0, ink.ground), StrokeKind::Outside);
         }
+        if has_focus {
+            painter.rect_stroke(outer, 2.0, Stroke::new(1.5, ink.selection), StrokeKind::Inside);
+        }
     }
 
     /// Three values under the strip.
@@ -390,7 +437,19 @@ impl TransferEditor {
     /// Names for screen readers and tests: the plot, the strip, and each point.
     fn describe(&self, ui: &Ui, plot: Axes, response: &Response, strip: &Response) {
         response.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, "opacity over values"));
-        strip.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, "window and level"));
+        let (level, window) = self.curve.level_and_window();
+        let text = format!("level {}, window {}", format_value(level), format_value(window));
+        strip.widget_info(|| WidgetInfo {
+            current_text_value: Some(text.clone()),
+            ..WidgetInfo::labeled(Role::Canvas, true, "window and level")
+        });
+        for (end, name) in [(self.curve.domain.0, "low end"), (self.curve.domain.1, "high end")] {
+            let at = pos2(plot.x(end), strip.rect.center().y);
+            let rect = Rect::from_center_size(at, vec2(5.0, STRIP_HEIGHT));
+            let handle = ui.interact(rect, strip.id.with(name), Sense::hover());
+            let label = format!("{name} at {}", format_value(end));
+            handle.widget_info(|| WidgetInfo::labeled(Role::Label, true, &label));
+        }
         let count = self.curve.transfer.points.len();
         for index in 0..count {
             let at = plot.point(&self.curve, index);
@@ -482,3 +541,5 @@ const OPACITY_LINES: [f32; 3] = [0.01, 0.1, 0.5];
 pub(super) const LEAST_WINDOW: f32 = 1e-4;
 /// A press of an arrow key, of the width of the view.
 const KEY_STEP: f32 = 0.005;
+/// What a press of an arrow key makes of a window, as an exponent.
+const WINDOW_KEY_STEP: f32 = 0.02;

@@ -41,6 +41,8 @@ use crate::error::{FormatError, io_error, quoted, shown};
 use crate::select::Selection;
 use crate::source::open_file;
 
+pub(crate) use text::{line_at, one_line};
+
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
 
 /// What is seen of a volume, and how. A part that is missing is left as it is.

@@ -55,7 +55,13 @@ fn state(seed: u32) -> SavedState {
             method: Some("layers".into()),
             ..SavedView::default()
         },
-        look: Some(Look { shaded: seed % 2 == 0, k: 9, layering, clip: clip(seed), ..Look::new(transfer) }),
+        look: Some(Look {
+            shaded: seed.is_multiple_of(2),
+            k: 9,
+            layering,
+            clip: clip(seed),
+            ..Look::new(transfer)
+        }),
     }
 }
 

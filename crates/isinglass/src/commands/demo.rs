@@ -22,6 +22,7 @@ use crate::given::Given;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 use crate::state_args::StateArgs;
+use crate::window_args::WindowArgs;
 
 #[derive(Args, Clone)]
 pub(crate) struct DemoArgs {
@@ -49,6 +50,9 @@ pub(crate) struct DemoArgs {
     /// Columns and rows of the picture [default: 256x256, or a window of 1100x760]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
+    /// The window's, where --size is not given
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1100x760", hide = true)]
+    window_size: [u32; 2],
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
     fov: f32,
@@ -66,6 +70,8 @@ pub(crate) struct DemoArgs {
     rate: f32,
     #[command(flatten)]
     path: PathArgs,
+    #[command(flatten)]
+    window: WindowArgs,
     #[command(flatten)]
     foresight: ForesightArgs,
     #[command(flatten)]
@@ -156,10 +162,10 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
     let volume_source = Some((volume.source()?.to_owned(), volume.part.selection()));
     let (opened, look) = seen.open_to_serve(&volume, &args.look, &args.layering, &args.memory)?;
-    let defaults = WindowOptions::default();
-    let ((size, state_sets_size), state) = seen.window(args.size.unwrap_or(defaults.size), args.fov);
+    let size = args.size.unwrap_or(args.window_size);
+    let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window);
     // The server has the look already, with what flags say.
-    let state = state.map(|state| SavedState { look: None, ..state });
+    let state = Some(SavedState { look: None, ..state });
     let options = ServeOptions {
         volume: opened.volume,
         look,
@@ -184,6 +190,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             state,
             state_sets_size,
             volume_source,
+            bindings: seen.bindings(),
             link: Some(server_link),
             initial_orbit: initial_orbit(&args.orbit),
             fov_y: args.fov.to_radians(),
@@ -191,7 +198,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             novel_views: rivals::for_viewer(),
             novel_view: args.method.method.name(),
             foresight: args.foresight.foresight(),
-            ..defaults
+            ..WindowOptions::default()
         },
     });
     runtime.block_on(server.close());

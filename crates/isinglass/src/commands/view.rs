@@ -16,6 +16,7 @@ use super::demo::initial_orbit;
 use crate::args::{ForesightArgs, MethodArgs, parse_fov, parse_output, parse_size};
 use crate::given::Given;
 use crate::state_args::StateArgs;
+use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
@@ -39,6 +40,8 @@ pub(crate) struct ViewerArgs {
     #[command(flatten)]
     method: MethodArgs,
     #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
     foresight: ForesightArgs,
     /// Write the camera's path to FILE when the window is closed, for `demo --headless --path`
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
@@ -49,7 +52,7 @@ pub(crate) struct ViewerArgs {
 /// later is shown in the window.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let seen = args.state.read_or(args.link.state.as_deref(), given)?;
-    let ((size, state_sets_size), state) = seen.window(args.size, args.fov);
+    let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
     // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
     if !display_available() {
         bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
@@ -72,7 +75,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let window = WindowOptions {
         server_name,
         size,
-        state,
+        state: Some(state),
+        bindings: seen.bindings(),
         state_sets_size,
         link: Some(args.link),
         initial_orbit: initial_orbit(&args.orbit),

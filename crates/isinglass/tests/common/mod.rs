@@ -36,6 +36,8 @@ impl Bench {
         let mut command = Command::new(env!("CARGO_BIN_EXE_isinglass"));
         command.args(line.split_whitespace()).current_dir(self.folder.path());
         command.env_remove("RUST_LOG").env_remove("DISPLAY").env_remove("ISINGLASS_DATA");
+        // No settings of this machine.
+        command.env("ISINGLASS_SYSTEM_CONFIG", self.path("etc")).env("XDG_CONFIG_HOME", self.path("home"));
         command
     }
 

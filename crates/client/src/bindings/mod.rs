@@ -1,0 +1,425 @@
+//! What keys and mouse do: the one table that the window acts by, the help shows and settings may change.
+//!
+//! A line of the table has names for what can be bound, each with its chords: `Ctrl+z` for a key, `shift+left drag` for a
+//! button. Whoever adds something to do adds a line here; everything else follows.
+
+mod chord;
+#[cfg(test)]
+mod tests;
+
+use std::fmt::Write;
+
+use egui::{Event, Key, Modifiers, PointerButton};
+
+use chord::Chord;
+
+/// What a key does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Back to the first view.
+    FirstView,
+    /// A standard view, from the front, the right or the top, or from the opposite side.
+    StandardView(Side, Opposite),
+    /// Moves the camera by a step.
+    Step(Step),
+    /// Numbers on or off.
+    Numbers,
+    /// The look panel open or folded.
+    LookPanel,
+    /// The volume's box on or off.
+    Box,
+    /// Handles of the clip box, and a clip box if there is none, on or off.
+    Clip,
+    /// Perspective or parallel rays.
+    Projection,
+    /// Axes and scale bar on or off.
+    Axes,
+    /// The next kind of stereo.
+    Stereo,
+    /// One edit of the transfer function back.
+    Undo,
+    /// One edit of the transfer function forward.
+    Redo,
+    /// So many times on in the server's file, or back.
+    StepTime(i32),
+    /// The state of the view as a file.
+    SaveState,
+    /// The field for the file of a state.
+    OpenState,
+    /// A link to what is seen, in the clipboard.
+    CopyLink,
+    /// The help on or off.
+    Help,
+    /// The help off.
+    CloseHelp,
+    /// The end.
+    Quit,
+}
+
+impl Action {
+    /// Whether a key that is held down does it again and again.
+    fn repeats(self) -> bool {
+        matches!(self, Self::Undo | Self::Redo | Self::Step(_))
+    }
+}
+
+/// Where a standard view looks from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// A patient's anterior side, or +z.
+    Front,
+    /// What is on the right hand in the view from the front: a patient's left side, or +x.
+    Right,
+    /// A patient's head, or +y.
+    Top,
+}
+
+/// Whether a standard view is taken from the other side.
+pub type Opposite = bool;
+
+/// A movement of the camera by keys: as a drag to that side would.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Around the centre: to the right and down, in steps.
+    Turn(i8, i8),
+    /// In the picture's plane: to the right and down.
+    Pan(i8, i8),
+    /// In the picture's plane, clockwise.
+    Roll(i8),
+    /// Nearer.
+    Zoom(i8),
+}
+
+/// What a drag over the picture does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gesture {
+    /// Turns about the centre.
+    Orbit,
+    /// Moves in the picture's plane.
+    Pan,
+    /// Turns in the picture's plane.
+    Roll,
+    /// Brings nearer, up and down.
+    Zoom,
+}
+
+/// Something that can be bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Deed {
+    Act(Action),
+    Drag(Gesture),
+}
+
+/// A line of the table.
+struct Line {
+    /// What it is, as people read it.
+    text: &'static str,
+    /// Names, what they do, and their chords unless settings say otherwise.
+    entries: &'static [(&'static str, Deed, &'static [&'static str])],
+    /// Keys or movements that cannot be changed.
+    fixed: &'static str,
+}
+
+/// Why a setting binds nothing.
+#[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum BindingError {
+    /// There is nothing of that name to bind.
+    #[error("unknown action {0:?}, expected one of {1}")]
+    Action(String, String),
+    /// A chord cannot be read.
+    #[error("found {0:?}, expected {1}")]
+    Chord(String, &'static str),
+    /// One chord does two things.
+    #[error("{0} is bound to {1} and to {2}; bind one of them to something else, or to [] for nothing")]
+    Conflict(String, &'static str, &'static str),
+    /// Wheels turn one way or the other.
+    #[error("found {0:?}, expected true or false")]
+    Switch(String),
+}
+
+/// What keys and mouse do in one window.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Bindings {
+    /// The chords of every entry of the table, in its order.
+    chords: Vec<Vec<Chord>>,
+    /// Whether the wheel zooms the other way.
+    pub(crate) reverses_wheel: bool,
+}
+
+impl Default for Bindings {
+    fn default() -> Self {
+        let parsed = |texts: &[&str]| texts.iter().map(|t| t.parse().expect("a test parses all")).collect();
+        Self { chords: entries().map(|(_, _, texts)| parsed(texts)).collect(), reverses_wheel: false }
+    }
+}
+
+impl Bindings {
+    /// Binds the action `name` to `chords` and to nothing else.
+    ///
+    /// # Errors
+    /// If there is no such action, or a chord cannot be read, or is none of the action's kind.
+    pub fn set(&mut self, name: &str, chords: &[String]) -> Result<(), BindingError> {
+        if name == REVERSE_WHEEL {
+            self.reverses_wheel = match chords {
+                [text] if text == "true" => true,
+                [text] if text == "false" => false,
+                other => return Err(BindingError::Switch(other.join(", "))),
+            };
+            return Ok(());
+        }
+        let Some(index) = entries().position(|(known, _, _)| known == name) else {
+            let known: Vec<_> = Self::names().collect();
+            return Err(BindingError::Action(name.chars().take(60).collect(), known.join(", ")));
+        };
+        let (_, deed, _) = entries().nth(index).expect("it was found");
+        let mut parsed = Vec::new();
+        for text in chords {
+            let chord: Chord = text.parse()?;
+            let expected = match deed {
+                Deed::Act(_) if !matches!(chord, Chord::Key(..)) => chord::EXPECTED_KEY,
+                Deed::Drag(_) if !matches!(chord, Chord::Drag(..)) => chord::EXPECTED_DRAG,
+                _ => {
+                    parsed.push(chord);
+                    continue;
+                }
+            };
+            return Err(BindingError::Chord(text.chars().take(60).collect(), expected));
+        }
+        self.chords[index] = parsed;
+        Ok(())
+    }
+
+    /// Whether every chord does one thing.
+    ///
+    /// # Errors
+    /// The first chord that does two.
+    pub fn check(&self) -> Result<(), BindingError> {
+        let all = || {
+            entries().zip(&self.chords).flat_map(|((name, ..), chords)| chords.iter().map(move |c| (name, c)))
+        };
+        for (i, (name, chord)) in all().enumerate() {
+            if let Some((other, _)) = all().take(i).find(|(_, c)| *c == chord) {
+                return Err(BindingError::Conflict(chord.to_string(), other, name));
+            }
+        }
+        Ok(())
+    }
+
+    /// The names that can be bound.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        entries().map(|(name, ..)| name).chain([REVERSE_WHEEL])
+    }
+
+    /// What a name is bound to, as it is read.
+    pub fn chords(&self, name: &str) -> Vec<String> {
+        if name == REVERSE_WHEEL {
+            return vec![self.reverses_wheel.to_string()];
+        }
+        let index = entries().position(|(known, ..)| known == name);
+        index.map_or_else(Vec::new, |i| self.chords[i].iter().map(Chord::to_string).collect())
+    }
+
+    /// Every line of the help: keys or movements, and what they do.
+    pub(crate) fn lines(&self) -> Vec<(String, &'static str)> {
+        let mut index = 0;
+        let mut lines = Vec::with_capacity(TABLE.len());
+        for line in TABLE {
+            let mut keys = String::from(line.fixed);
+            for _ in line.entries {
+                for chord in &self.chords[index] {
+                    let comma = if keys.is_empty() { "" } else { ", " };
+                    let _ = write!(keys, "{comma}{chord}");
+                }
+                index += 1;
+            }
+            if !keys.is_empty() {
+                lines.push((keys, line.text));
+            }
+        }
+        lines
+    }
+
+    /// The first chord of an action, for hints; empty if there is none.
+    pub(crate) fn hint(&self, action: Action) -> String {
+        let mut bound = entries().zip(&self.chords).filter(|((_, deed, _), _)| *deed == Deed::Act(action));
+        bound.next().and_then(|(_, chords)| chords.first()).map(Chord::to_string).unwrap_or_default()
+    }
+
+    /// What a drag does that begins with this button: of several, what names the most of the modifiers that are held.
+    pub(crate) fn gesture(&self, button: PointerButton, held: Modifiers) -> Option<Gesture> {
+        let bound = entries().zip(&self.chords).filter_map(|((_, deed, _), chords)| match deed {
+            Deed::Drag(gesture) => Some((gesture, chords)),
+            Deed::Act(_) => None,
+        });
+        let fitting = bound.flat_map(|(gesture, chords)| chords.iter().map(move |chord| (gesture, chord)));
+        let named = fitting.filter_map(|(gesture, chord)| match chord {
+            Chord::Drag(modifiers, b) if *b == button && held.contains(*modifiers) => {
+                Some((chord::num_held(*modifiers), gesture))
+            }
+            _ => None,
+        });
+        named.max_by_key(|(count, _)| *count).map(|(_, gesture)| gesture)
+    }
+
+    /// Takes the keys of the table out of a refresh's events, and says what they do.
+    pub(crate) fn take_actions(&self, events: &mut Vec<Event>, focus: Focus) -> Vec<Action> {
+        let mut actions = Vec::new();
+        events.retain(|event| {
+            let Event::Key { key, physical_key, pressed: true, repeat, modifiers } = event else {
+                return true;
+            };
+            let Some(action) = self.action_of(*key, *physical_key, *modifiers) else { return true };
+            let is_left = match focus {
+                // Keys are letters, and undo is the text's.
+                Focus::Text => !matches!(action, Action::Quit | Action::CloseHelp),
+                // A widget has its own use for arrows.
+                Focus::Widget => matches!(action, Action::Step(_)),
+                Focus::Picture => false,
+            };
+            // A key that is held down asks once for what switches.
+            if !is_left && (!repeat || action.repeats()) {
+                actions.push(action);
+            }
+            // Whoever else listens for it may close, too: a list, a chosen point.
+            is_left || action == Action::CloseHelp
+        });
+        actions
+    }
+
+    /// Digits are found by their place on the keyboard: with shift, or in some countries without, they are other signs.
+    fn action_of(&self, key: Key, physical_key: Option<Key>, modifiers: Modifiers) -> Option<Action> {
+        let key = physical_key.filter(|k| chord::is_digit(*k)).unwrap_or(key);
+        let fits = |c: &Chord| matches!(c, Chord::Key(m, k) if *k == key && modifiers.matches_exact(*m));
+        entries().zip(&self.chords).find_map(|((_, deed, _), chords)| match deed {
+            Deed::Act(action) if chords.iter().any(fits) => Some(action),
+            _ => None,
+        })
+    }
+}
+
+/// Where the keyboard goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Focus {
+    /// To the picture, or nowhere.
+    Picture,
+    /// To a control.
+    Widget,
+    /// To a field that a person types in.
+    Text,
+}
+
+fn entries() -> impl Iterator<Item = (&'static str, Deed, &'static [&'static str])> {
+    TABLE.iter().flat_map(|line| line.entries.iter().copied())
+}
+
+const fn keys(text: &'static str, entries: &'static [(&'static str, Deed, &'static [&'static str])]) -> Line {
+    Line { text, entries, fixed: "" }
+}
+
+/// What cannot be changed.
+const fn fixed(keys: &'static str, text: &'static str) -> Line {
+    Line { text, entries: &[], fixed: keys }
+}
+
+const fn view(side: Side, opposite: Opposite) -> Deed {
+    Deed::Act(Action::StandardView(side, opposite))
+}
+
+const fn step(step: Step) -> Deed {
+    Deed::Act(Action::Step(step))
+}
+
+/// The name of a setting that is no chord.
+pub const REVERSE_WHEEL: &str = "reverse-wheel";
+
+/// Every line.
+const TABLE: &[Line] = &[
+    keys("orbit", &[("orbit", Deed::Drag(Gesture::Orbit), &["left drag"])]),
+    keys("pan", &[("pan", Deed::Drag(Gesture::Pan), &["middle drag", "shift+left drag"])]),
+    keys("roll", &[("roll", Deed::Drag(Gesture::Roll), &["ctrl+left drag"])]),
+    fixed("wheel, pinch", "zoom at the pointer"),
+    keys("zoom", &[("zoom", Deed::Drag(Gesture::Zoom), &["right drag"])]),
+    fixed("double click", "turn about what is visible there"),
+    keys("first view", &[("first-view", Deed::Act(Action::FirstView), &["r"])]),
+    keys(
+        "from the front, the back, the right, the left, the top, below",
+        &[
+            ("front", view(Side::Front, false), &["1"]),
+            ("back", view(Side::Front, true), &["shift+1"]),
+            ("right", view(Side::Right, false), &["3"]),
+            ("left", view(Side::Right, true), &["shift+3"]),
+            ("top", view(Side::Top, false), &["7"]),
+            ("bottom", view(Side::Top, true), &["shift+7"]),
+        ],
+    ),
+    keys(
+        "turn the volume by a step",
+        &[
+            ("turn-left", step(Step::Turn(-1, 0)), &["left"]),
+            ("turn-right", step(Step::Turn(1, 0)), &["right"]),
+            ("turn-up", step(Step::Turn(0, -1)), &["up"]),
+            ("turn-down", step(Step::Turn(0, 1)), &["down"]),
+        ],
+    ),
+    keys(
+        "move the volume by a step",
+        &[
+            ("pan-left", step(Step::Pan(-1, 0)), &["shift+left"]),
+            ("pan-right", step(Step::Pan(1, 0)), &["shift+right"]),
+            ("pan-up", step(Step::Pan(0, -1)), &["shift+up"]),
+            ("pan-down", step(Step::Pan(0, 1)), &["shift+down"]),
+        ],
+    ),
+    keys(
+        "roll and zoom by a step",
+        &[
+            ("roll-left", step(Step::Roll(-1)), &["ctrl+left"]),
+            ("roll-right", step(Step::Roll(1)), &["ctrl+right"]),
+            ("zoom-in", step(Step::Zoom(1)), &["+", "=", "ctrl+up"]),
+            ("zoom-out", step(Step::Zoom(-1)), &["-", "ctrl+down"]),
+        ],
+    ),
+    keys("perspective or orthographic", &[("projection", Deed::Act(Action::Projection), &["5"])]),
+    keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    keys("look panel open or folded", &[("look", Deed::Act(Action::LookPanel), &["l"])]),
+    keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
+    keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
+    keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
+    keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
+    keys(
+        "undo and redo edits of the transfer function",
+        &[
+            ("undo", Deed::Act(Action::Undo), &["ctrl+z"]),
+            ("redo", Deed::Act(Action::Redo), &["ctrl+shift+z"]),
+        ],
+    ),
+    keys(
+        "the time before, the next time",
+        &[
+            ("previous-time", Deed::Act(Action::StepTime(-1)), &["["]),
+            ("next-time", Deed::Act(Action::StepTime(1)), &["]"]),
+        ],
+    ),
+    keys(
+        "save the state of the view as a file; open one",
+        &[
+            ("save-state", Deed::Act(Action::SaveState), &["ctrl+s"]),
+            ("open-state", Deed::Act(Action::OpenState), &["ctrl+o"]),
+        ],
+    ),
+    keys(
+        "copy a link to what is seen; Ctrl+v shows what such a link says",
+        &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
+    ),
+    fixed("in the curve: click, drag", "add a point, move one"),
+    fixed("in the curve: middle click, Del", "remove a point"),
+    fixed("in the curve: Insert, Enter", "add a point behind the chosen one"),
+    fixed("in the curve: left, right; up, down", "choose a point; change its opacity"),
+    fixed("in the curve: Shift+left, Shift+right", "move a point along the values"),
+    fixed("in the curve: right or ctrl+left drag", "level and window"),
+    fixed("in the strip: arrows", "level; window"),
+    fixed("Tab, Shift+Tab", "the next control, the one before"),
+    keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),
+    keys("close help", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
+    keys("close the window", &[("quit", Deed::Act(Action::Quit), &["ctrl+q"])]),
+];

@@ -1,0 +1,100 @@
+//! Every setting there is, and the flag that it is.
+
+use clap::{Arg, Command};
+use isinglass_client::Bindings;
+
+/// A setting: `key` under `[section]`.
+#[derive(Debug)]
+pub(super) struct Known {
+    /// The table of the file, and the first part of the variable.
+    pub(super) section: &'static str,
+    /// The name in it.
+    pub(super) key: &'static str,
+    /// The name of the flag's field.
+    pub(super) arg: &'static str,
+    /// The commands that have the flag. The first one's file, `server.toml` or `viewer.toml`, may hold the setting.
+    pub(super) commands: &'static [&'static str],
+}
+
+impl Known {
+    /// The flag of a command that has it.
+    pub(super) fn argument<'a>(&self, command: &'a Command) -> &'a Arg {
+        let id = self.arg_in(command.get_name());
+        command.get_arguments().find(|a| a.get_id() == id).expect("the table names flags")
+    }
+
+    /// The flag's field. A demonstration without a window has a size of its own.
+    pub(super) fn arg_in(&self, command: &str) -> &'static str {
+        if command == "demo" && self.arg == "size" { "window_size" } else { self.arg }
+    }
+
+    /// The file that it stands in.
+    pub(super) fn file(&self) -> &'static str {
+        if self.commands[0] == "serve" { SERVER } else { VIEWER }
+    }
+}
+
+const fn server(section: &'static str, key: &'static str, arg: &'static str) -> Known {
+    Known { section, key, arg, commands: &["serve", "demo"] }
+}
+
+const fn serve(section: &'static str, key: &'static str, arg: &'static str) -> Known {
+    Known { section, key, arg, commands: &["serve"] }
+}
+
+const fn viewer(section: &'static str, key: &'static str, arg: &'static str) -> Known {
+    Known { section, key, arg, commands: &["view", "demo"] }
+}
+
+/// All of them, in the order in which they are printed. Bindings, whose names are the viewer's, come behind.
+pub(super) const SETTINGS: &[Known] = &[
+    serve("network", "listen", "listen"),
+    serve("network", "host", "host"),
+    serve("network", "viewers", "viewers"),
+    serve("network", "rate", "rate"),
+    server("coding", "codec", "codec"),
+    server("coding", "quality", "quality"),
+    server("render", "backend", "backend"),
+    server("render", "max_memory", "max_memory"),
+    server("look", "tf", "tf"),
+    server("look", "shading", "shading"),
+    server("look", "layering", "layering"),
+    server("look", "k", "k"),
+    viewer("window", "size", "size"),
+    viewer("window", "fov", "fov"),
+    viewer("window", "orbit", "orbit"),
+    viewer("window", "overlay", "overlay"),
+    viewer("window", "axes", "axes"),
+    viewer("window", "box", "volume_box"),
+    viewer("window", "background", "background"),
+    viewer("window", "theme", "theme"),
+    viewer("picture", "method", "method"),
+    viewer("picture", "stereo", "stereo"),
+    viewer("picture", "eye_angle", "eye_angle"),
+    viewer("foresight", "predict", "predict"),
+    viewer("foresight", "guard_band", "guard_band"),
+    viewer("foresight", "kept_frames", "kept_frames"),
+];
+
+/// What a section may hold, or which sections there are.
+pub(super) fn expected(section: &str) -> String {
+    if section == BINDINGS {
+        return Bindings::names().collect::<Vec<_>>().join(", ");
+    }
+    let keys: Vec<_> = SETTINGS.iter().filter(|k| k.section == section).map(|k| k.key).collect();
+    if keys.is_empty() {
+        let mut sections: Vec<_> = SETTINGS.iter().map(|k| k.section).chain([BINDINGS]).collect();
+        sections.dedup();
+        return format!("one of the sections {}", sections.join(", "));
+    }
+    format!("one of {section}.{{{}}}", keys.join(", "))
+}
+
+/// The commands with settings.
+pub(super) const COMMANDS: [&str; 3] = ["serve", "view", "demo"];
+/// What `serve` reads.
+pub(super) const SERVER: &str = "server.toml";
+/// What `view` reads; `demo` reads both.
+pub(super) const VIEWER: &str = "viewer.toml";
+/// The section of the viewer whose keys are the names of what can be bound.
+pub(super) const BINDINGS: &str = "bindings";

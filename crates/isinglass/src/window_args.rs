@@ -1,0 +1,92 @@
+//! How a window shows its picture at first.
+
+use clap::{Args, ValueEnum};
+use isinglass_client::DEFAULT_EYE_ANGLE_DEGREES;
+use isinglass_formats::{SavedView, Srgb, StereoPicture, Theme};
+
+use crate::args::{Switch, parse_background};
+
+/// What the viewer's panel sets too.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Window")]
+pub(crate) struct WindowArgs {
+    /// Numbers at the top left
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    overlay: Switch,
+    /// Axes and scale bar
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    axes: Switch,
+    /// The volume's box
+    #[arg(long = "box", value_enum, default_value_t = Switch::Off)]
+    volume_box: Switch,
+    /// Colour behind the volume
+    #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
+    background: [u8; 3],
+    /// Of the panels
+    #[arg(long, value_enum, default_value_t = ThemeChoice::Dark)]
+    theme: ThemeChoice,
+    /// The picture for two eyes
+    #[arg(long, value_enum, default_value_t = StereoChoice::Off)]
+    stereo: StereoChoice,
+    /// Angle between the eyes, degrees
+    #[arg(long, value_name = "DEG", value_parser = parse_eye_angle, default_value_t = DEFAULT_EYE_ANGLE_DEGREES)]
+    eye_angle: f32,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ThemeChoice {
+    Dark,
+    Light,
+    System,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum StereoChoice {
+    Off,
+    SideBySide,
+    RedCyan,
+}
+
+impl WindowArgs {
+    /// In the terms of a saved state, of which `saved` holds but for the flags that `has` been given.
+    pub(crate) fn view(&self, saved: SavedView, has: impl Fn(&str) -> bool) -> SavedView {
+        let is_on = |switch| switch == Switch::On;
+        fn or<T>(saved: Option<T>, is_given: bool, flag: T) -> Option<T> {
+            Some(saved.filter(|_| !is_given).unwrap_or(flag))
+        }
+        SavedView {
+            shows_box: or(saved.shows_box, has("volume_box"), is_on(self.volume_box)),
+            shows_axes: or(saved.shows_axes, has("axes"), is_on(self.axes)),
+            shows_numbers: or(saved.shows_numbers, has("overlay"), is_on(self.overlay)),
+            background: or(saved.background, has("background"), Srgb(self.background)),
+            theme: or(
+                saved.theme,
+                has("theme"),
+                match self.theme {
+                    ThemeChoice::Dark => Theme::Dark,
+                    ThemeChoice::Light => Theme::Light,
+                    ThemeChoice::System => Theme::System,
+                },
+            ),
+            stereo: or(
+                saved.stereo,
+                has("stereo"),
+                match self.stereo {
+                    StereoChoice::Off => StereoPicture::Off,
+                    StereoChoice::SideBySide => StereoPicture::SideBySide,
+                    StereoChoice::RedCyan => StereoPicture::RedCyan,
+                },
+            ),
+            eye_angle_degrees: or(saved.eye_angle_degrees, has("eye_angle"), self.eye_angle),
+            ..saved
+        }
+    }
+}
+
+fn parse_eye_angle(text: &str) -> Result<f32, String> {
+    let degrees = text.parse::<f32>().ok().filter(|d| (0.0..=MAX_EYE_ANGLE_DEGREES).contains(d));
+    degrees.ok_or_else(|| format!("expected 0 to {MAX_EYE_ANGLE_DEGREES} degrees"))
+}
+
+/// As the panel has it.
+const MAX_EYE_ANGLE_DEGREES: f32 = 8.0;
