@@ -19,7 +19,7 @@ use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
-use isinglass_server::{RunningServer, ServeOptions, march_settings, start};
+use isinglass_server::{RunningServer, ServeOptions, start};
 
 const SIZE: Intrinsics = Intrinsics::perspective(96, 80, 0.6);
 
@@ -77,7 +77,7 @@ fn what_the_viewer_sees_is_what_the_volume_looks_like() {
         let link = runtime.block_on(server.mint_link(None)).unwrap();
         let client = Client::connect(&link, ClientOptions::default()).unwrap();
         let look = look(builtin);
-        let scene = Scene::new(Arc::new(builtin.volume(48)), &look.transfer, march_settings(&look));
+        let scene = Scene::new(Arc::new(builtin.volume(48)), &look.transfer, look.march_settings());
         let bounds = scene.volume.bounds();
         for azimuth in [0.0f32, 0.6] {
             let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * SIZE.fit_distance());

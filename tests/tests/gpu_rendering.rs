@@ -8,6 +8,7 @@ use isinglass_core::kernels::march::{self, MarchSettings, Shading};
 use isinglass_core::kernels::raycast;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
+use isinglass_core::volume::Lighting;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_gpu::{GpuError, GpuRenderer};
 use isinglass_tests::twins::{Difference, camera, gpu, header, scene, scenes, transfer};
@@ -88,6 +89,19 @@ fn the_look_can_change_without_another_upload() {
     renderer.set_scene(softer.clone()).unwrap();
     let found = renderer.render(&camera).unwrap();
     Difference::of(&found, &march::render(&softer, &camera)).assert_tolerable("another transfer function");
+    // Shade comes with the brightness, shaded by gradients or not.
+    let lighting = Lighting { ambient_occlusion: 0.9, shadows: 0.8, ..Lighting::default() };
+    for is_shaded in [true, false] {
+        let shady = scene.with_look(&transfer(true), MarchSettings::of(is_shaded, lighting));
+        renderer.set_scene(shady.clone()).unwrap();
+        let found = renderer.render(&camera).unwrap();
+        Difference::of(&found, &march::render(&shady, &camera)).assert_tolerable("shade");
+        let bare = scene.with_look(&transfer(true), MarchSettings::of(is_shaded, Lighting::default()));
+        Difference::of(&found, &march::render(&bare, &camera)).assert_noticed("no shade");
+        // Some rows are those of the whole picture, to the bit.
+        let rows = renderer.render_rows(&camera, 17..31).unwrap();
+        assert!(rows.pixels[..] == found.pixels[17 * 64..31 * 64]);
+    }
     // And another volume, of another size and type.
     let (_, other) = scenes().swap_remove(4);
     renderer.set_scene(other.clone()).unwrap();

@@ -12,11 +12,12 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::march::{MarchSettings, Shading};
+use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_core::volume::Lighting;
 use isinglass_gpu::Backend;
 use serde::Serialize;
 
@@ -175,7 +176,7 @@ pub fn table(report: &QualityReport) -> String {
 
 /// Marching with or without shading.
 pub fn march_settings(shaded: bool) -> MarchSettings {
-    MarchSettings { shading: shaded.then(Shading::default), ..MarchSettings::default() }
+    MarchSettings::of(shaded, Lighting::default())
 }
 
 /// The header of a frame that answers nobody.

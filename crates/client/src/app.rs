@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use egui::PointerButton;
-use isinglass_core::camera::Intrinsics;
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::clip::Clip;
 use isinglass_core::look::Look;
 use isinglass_core::prediction::STILL;
@@ -18,6 +18,7 @@ use crate::bindings::{Action, Focus, Step};
 use crate::camera_controls::{CameraControls, ControlInput, ZOOM_PER_NOTCH};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
+use crate::light_panel;
 use crate::look_panel::{self, Settings};
 use crate::meters::RefreshMeter;
 use crate::novel_view::{NovelViews, Shown};
@@ -28,7 +29,9 @@ use crate::parts_bar::{PartsBar, PartsWish};
 use crate::pick::visible_point;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
+use crate::probe::{self, ValueProbe};
 use crate::quality_control::QualityControl;
+use crate::shots::{Shots, Subject};
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
@@ -70,6 +73,9 @@ pub(crate) struct ViewerApp<S> {
     shows_help: bool,
     is_look_open: bool,
     pointer: Pointer,
+    probe: ValueProbe,
+    shots: Shots,
+    wants_picture: bool,
     title: String,
     notice: Option<(String, Duration)>,
     reported_at: Duration,
@@ -117,6 +123,9 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_help: false,
             is_look_open: false,
             pointer: Pointer::default(),
+            probe: ValueProbe::default(),
+            shots: Shots::default(),
+            wants_picture: false,
             title: String::new(),
             notice: None,
             reported_at: Duration::ZERO,
@@ -168,6 +177,9 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
                 Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
+                Action::Probe => self.probe.toggle(),
+                Action::Picture => self.wants_picture = true,
+                Action::PictureDialog => self.shots.toggle_dialog(),
                 Action::Undo | Action::Redo => {
                     let Some(scale) = self.value_scale() else { continue };
                     match action {
@@ -302,12 +314,79 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
+    /// What a picture to keep shows: what is seen, whatever the projection.
+    fn subject(&self, camera: &Camera) -> Option<Subject> {
+        let (_, controls) = self.controls.as_ref()?;
+        Some(Subject {
+            name: self.viewing.source().description()?.volume.name.clone(),
+            pose: camera.pose,
+            intrinsics: camera.intrinsics,
+            background: self.aids.background,
+            center: controls.center(),
+            up: self.orientation().up(),
+        })
+    }
+
+    /// Goes on with pictures to keep, and shows their dialog and progress.
+    fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
+        let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
+        if std::mem::take(&mut self.wants_picture)
+            && let Some(subject) = subject.clone()
+        {
+            self.shots.take(subject);
+        }
+        // A look that waits goes first: the picture is to be made with it.
+        let is_ready = self.viewing.look_due().is_none();
+        let source = self.viewing.source_mut();
+        let done = self.shots.poll(source, is_ready, ctx);
+        if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {
+            self.notice = Some((notice, now));
+            ctx.request_repaint();
+        }
+    }
+
+    /// Asks for the value under the pointer, and shows what is known of it.
+    fn show_probe(&mut self, ctx: &egui::Context, now: Duration, rect: egui::Rect, refresh: &Refresh) {
+        if !self.probe.is_on() || !self.stereo().is_mono() {
+            return;
+        }
+        let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
+        let point = at.zip(refresh.frame.as_ref()).and_then(|(at, frame)| {
+            let pixel = pixel_at(rect, &refresh.camera, at);
+            let region = refresh.clip.region(&refresh.bounds);
+            visible_point(&frame.frame, &region, &refresh.camera, pixel)
+        });
+        if let Some(due) = self.probe.point_at(now, point) {
+            self.viewing.source_mut().probe(due);
+        }
+        if let Some(due) = self.probe.due() {
+            ctx.request_repaint_after(due.saturating_sub(now));
+        }
+        let source = self.viewing.source();
+        if let (Some(at), Some(point), Some(description)) = (at, point, source.description()) {
+            probe::show(ctx, at, &probe::lines(point, source.probed().as_ref(), &description.volume));
+        }
+    }
+
+    fn world_from_view(&self) -> glam::Quat {
+        self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
+    }
+
+    /// A drag over the picture moves the light.
+    fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
+        let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
+        let lighting =
+            light_panel::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
+        self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
+    }
+
     fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
         self.editor.follow(&look.transfer, &scale);
         let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
             return;
         };
+        let world_from_view = self.world_from_view();
         let mut settings = Settings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
@@ -320,6 +399,7 @@ impl<S: FrameSource> ViewerApp<S> {
             bounds,
             forward,
             bindings: &self.options.bindings,
+            world_from_view,
         };
         let files = &mut self.state_files;
         let wish =
@@ -428,6 +508,7 @@ impl<S: FrameSource> ViewerApp<S> {
         // Zooming is about a point of the eye's own picture.
         input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
         input.add(&by_keys);
+        self.turn_light(now, &picture);
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
             auto_orbit / 180.0 * picture.width.min(picture.height) as f32 * elapsed.as_secs_f32();
@@ -466,6 +547,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint(ui, rect, r, frame.clone());
                 panels::picture(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 self.paint_aids(ui, now, rect, r);
+                self.show_probe(&ctx, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
                     panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame));
                 }
@@ -485,6 +567,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         self.show_look_panel(&ctx, now);
         self.show_parts(&ctx, now);
+        self.show_shots(&ctx, now, refresh.as_ref());
         panels::help(&ctx, &self.options.bindings, &mut self.shows_help);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
 use isinglass_core::camera::{Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion};
+use isinglass_core::ids::{FrameId, LookVersion, ShotId};
 use isinglass_core::look::Look;
-use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, Welcome};
-use isinglass_net::{Client, LinkStats, ReceivedFrame, State};
+use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, Probed, Welcome};
+use isinglass_net::{Client, LinkStats, ReceivedFrame, ReceivedShot, State};
 
 /// Brings layered frames. No call waits for anything: the viewer polls it at every refresh.
 pub trait FrameSource {
@@ -57,6 +58,32 @@ pub trait FrameSource {
 
     /// Asks for another part, for all viewers of the server; none: the one that is being read is not wanted any more.
     fn open_part(&mut self, _part: Option<Part>) {}
+
+    /// Whether frames of the look that the server renders with show a draft of it.
+    fn is_draft(&self) -> bool {
+        false
+    }
+
+    /// Asks for the value at a point of world space; the newest question wins.
+    fn probe(&mut self, _point: Vec3) {}
+
+    /// The newest answer.
+    fn probed(&self) -> Option<Probed> {
+        None
+    }
+
+    /// Asks for a picture to keep, rendered in full; it takes the place of one that has not come.
+    fn shoot(&mut self, _pose: Pose, _intrinsics: Intrinsics, _background: [u8; 3]) -> ShotId {
+        ShotId(0)
+    }
+
+    /// That picture is no longer wanted.
+    fn cancel_shot(&mut self) {}
+
+    /// What has become of it; taken when it is asked for.
+    fn take_shot(&mut self) -> Option<Arc<ReceivedShot>> {
+        None
+    }
 }
 
 impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
@@ -114,6 +141,30 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
 
     fn open_part(&mut self, part: Option<Part>) {
         (**self).open_part(part);
+    }
+
+    fn is_draft(&self) -> bool {
+        (**self).is_draft()
+    }
+
+    fn probe(&mut self, point: Vec3) {
+        (**self).probe(point);
+    }
+
+    fn probed(&self) -> Option<Probed> {
+        (**self).probed()
+    }
+
+    fn shoot(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        (**self).shoot(pose, intrinsics, background)
+    }
+
+    fn cancel_shot(&mut self) {
+        (**self).cancel_shot();
+    }
+
+    fn take_shot(&mut self) -> Option<Arc<ReceivedShot>> {
+        (**self).take_shot()
     }
 }
 
@@ -174,5 +225,29 @@ impl FrameSource for Client {
 
     fn open_part(&mut self, part: Option<Part>) {
         Client::open_part(self, part);
+    }
+
+    fn is_draft(&self) -> bool {
+        Client::is_draft(self)
+    }
+
+    fn probe(&mut self, point: Vec3) {
+        Client::probe(self, point.to_array());
+    }
+
+    fn probed(&self) -> Option<Probed> {
+        Client::probed(self)
+    }
+
+    fn shoot(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        Client::shoot(self, pose, intrinsics, background)
+    }
+
+    fn cancel_shot(&mut self) {
+        Client::cancel_shot(self);
+    }
+
+    fn take_shot(&mut self) -> Option<Arc<ReceivedShot>> {
+        Client::take_shot(self)
     }
 }

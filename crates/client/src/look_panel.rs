@@ -10,6 +10,7 @@ use isinglass_core::space::Aabb;
 use crate::bindings::{Action, Bindings};
 use crate::clip_editor::ClipEditor;
 use crate::clip_panel;
+use crate::light_panel;
 use crate::panels::pane;
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
@@ -41,6 +42,8 @@ pub(crate) struct Settings<'a> {
     pub(crate) forward: Vec3,
     /// For hints.
     pub(crate) bindings: &'a Bindings,
+    /// How the camera of the picture is turned.
+    pub(crate) world_from_view: glam::Quat,
 }
 
 impl Settings<'_> {
@@ -83,6 +86,9 @@ pub(crate) fn show(
             scroll.show(ui, |ui| {
                 ui.set_width(PANEL_WIDTH);
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
+                section(ui, "Light", false, |ui| {
+                    light_panel::show(ui, &mut settings.look.lighting, settings.world_from_view);
+                });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
                     let Settings { look, clip_editor, bounds, forward, .. } = &mut *settings;

@@ -45,6 +45,11 @@ impl Orientation {
         Some(Self { letters, front, up, up_from_top: front })
     }
 
+    /// Towards the top of the volume.
+    pub(crate) fn up(&self) -> Vec3 {
+        self.up
+    }
+
     /// From where a standard view looks at the centre, and what is up in it.
     pub(crate) fn standard_view(&self, side: Side, opposite: Opposite) -> (Vec3, Vec3) {
         let (from, up) = match side {

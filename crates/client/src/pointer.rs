@@ -13,6 +13,8 @@ use crate::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
 pub(crate) struct Pointer {
     position: Option<Pos2>,
     drag: Option<Drag>,
+    /// What the light was dragged by, pixels.
+    light: [f32; 2],
 }
 
 /// A button held down that was pressed over the picture.
@@ -61,6 +63,12 @@ impl Pointer {
         input
     }
 
+    /// What the light was dragged by since this was asked for, pixels; none if it was not.
+    pub(crate) fn take_light_drag(&mut self) -> Option<[f32; 2]> {
+        let drag = std::mem::take(&mut self.light);
+        (drag != [0.0; 2]).then_some(drag)
+    }
+
     fn move_to(&mut self, to: Pos2, rect: Rect, pixels_per_point: f32, input: &mut ControlInput) {
         let from = self.position.unwrap_or(to);
         let moved = (to - from) * pixels_per_point;
@@ -72,6 +80,7 @@ impl Pointer {
             Some(Gesture::Zoom) => {
                 input.zoom -= moved.y / (rect.height() * pixels_per_point).max(1.0) * ZOOM_PER_HEIGHT;
             }
+            Some(Gesture::Light) => self.light = [self.light[0] + moved.x, self.light[1] + moved.y],
             None => {}
         }
     }
@@ -185,6 +194,19 @@ mod tests {
         assert_eq!(step(&[Event::PointerMoved(pos2(-30.0, 11.0))]).orbit, [0.0, 1.0]);
         assert!(step(&[button(-30.0, 11.0, PointerButton::Primary, false, none)]).is_idle());
         assert!(step(&[Event::PointerMoved(pos2(100.0, 50.0))]).is_idle());
+    }
+
+    #[test]
+    fn the_light_is_dragged_and_the_camera_stays() {
+        let mut pointer = Pointer::default();
+        let events = [
+            button(100.0, 50.0, PointerButton::Secondary, true, Modifiers::COMMAND),
+            Event::PointerMoved(pos2(110.0, 45.0)),
+        ];
+        let bindings = Bindings::default();
+        assert!(pointer.control_input(&bindings, &events, rect(), 2.0, is_free).is_idle());
+        assert_eq!(pointer.take_light_drag(), Some([20.0, -10.0]));
+        assert_eq!(pointer.take_light_drag(), None);
     }
 
     #[test]

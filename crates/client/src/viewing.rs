@@ -446,6 +446,7 @@ impl<S: FrameSource> Viewing<S> {
         // A server may send a frame in blocks again exactly, or leave it at that.
         let complete_since = frame.times.complete_decoded.map(Duration::from_micros);
         let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
+        let is_last = is_last && !self.source.is_draft();
         is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
     }
 

@@ -36,6 +36,14 @@ id!(
     LookVersion(u32)
 );
 id!(
+    /// One question for the value at a point, numbered by the client.
+    ProbeId(u32)
+);
+id!(
+    /// One picture to keep, numbered by the client.
+    ShotId(u32)
+);
+id!(
     /// Position of a chunk within its frame: 0 is sent first.
     ChunkIndex(u16)
 );

@@ -4,8 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::clip::{Clip, ClipError};
 use crate::kernels::layering::Layering;
+use crate::kernels::march::MarchSettings;
 use crate::layer::MAX_K;
 use crate::transfer::{TransferError, TransferFunction};
+use crate::volume::{Lighting, LightingError};
 
 /// The choices that a frame is made with. Each change has a [`LookVersion`](crate::ids::LookVersion).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,6 +16,8 @@ pub struct Look {
     pub transfer: TransferFunction,
     /// Whether gradients shade the colour.
     pub shaded: bool,
+    /// Where the light is, and the shade of matter.
+    pub lighting: Lighting,
     /// What becomes of the samples of a march.
     pub layering: Layering,
     /// Longest list, 1 to [`MAX_K`].
@@ -39,12 +43,16 @@ pub enum LookError {
     /// The clip is not one.
     #[error(transparent)]
     Clip(#[from] ClipError),
+    /// The light is not one.
+    #[error(transparent)]
+    Lighting(#[from] LightingError),
 }
 
 impl Look {
     /// A transfer function with everything else as it is unless somebody chooses.
     pub fn new(transfer: TransferFunction) -> Self {
-        Self { transfer, shaded: true, layering: Layering::default(), k: DEFAULT_K, clip: Clip::default() }
+        let (layering, lighting) = (Layering::default(), Lighting::default());
+        Self { transfer, shaded: true, lighting, layering, k: DEFAULT_K, clip: Clip::default() }
     }
 
     /// Checks what the type cannot say.
@@ -60,7 +68,18 @@ impl Look {
             return Err(LookError::K(self.k));
         }
         self.clip.validate()?;
+        self.lighting.validate()?;
         Ok(self.transfer.validate()?)
+    }
+
+    /// Whether a volume is marched alike under both: they differ in what becomes of the samples alone.
+    pub fn marches_like(&self, other: &Self) -> bool {
+        Self { layering: other.layering, k: other.k, ..self.clone() } == *other
+    }
+
+    /// How a volume is marched under this look.
+    pub fn march_settings(&self) -> MarchSettings {
+        MarchSettings { clip: self.clip, ..MarchSettings::of(self.shaded, self.lighting) }
     }
 }
 

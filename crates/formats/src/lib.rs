@@ -24,6 +24,7 @@ mod outline;
 mod parts;
 mod picker;
 mod plan;
+pub mod png;
 mod presets;
 mod raw;
 mod select;

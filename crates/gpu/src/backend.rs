@@ -1,5 +1,6 @@
 //! The kernels by one interface, wherever they run.
 
+use std::ops::Range;
 use std::str::FromStr;
 use std::sync::Arc;
 
@@ -185,6 +186,17 @@ impl Renderer {
             Self::Gpu(renderer) => renderer.render(camera),
             Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(scene) => Ok(march::render(scene, camera)),
+        }
+    }
+
+    /// Some rows of [`Self::render`], to the bit: a large picture is made piece by piece.
+    pub fn render_rows(&mut self, camera: &Camera, rows: Range<u32>) -> Result<Picture, GpuError> {
+        match self {
+            Self::Gpu(renderer) => renderer.render_rows(camera, rows),
+            Self::Cpu(_) if !camera.is_valid() || rows.end > camera.intrinsics.height => {
+                Err(GpuError::Camera)
+            }
+            Self::Cpu(scene) => Ok(march::render_rows(scene, camera, rows)),
         }
     }
 

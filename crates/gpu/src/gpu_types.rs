@@ -75,7 +75,7 @@ impl Scene {
     pub(crate) fn of(scene: &march::Scene) -> Self {
         let volume = &scene.volume;
         let Region { bounds, normal, offset } = scene.region();
-        let shading = scene.settings.shading.unwrap_or_default();
+        let lit = scene.illumination.lit();
         Self {
             bounds_min: bounds.min.into(),
             x_scale: scene.table.x_scale,
@@ -84,11 +84,11 @@ impl Scene {
             voxel_from_world: volume.spacing().recip().into(),
             step_length: scene.settings.step_in_voxels * volume.spacing().min_element(),
             half_dims: (volume.dims_f32() * 0.5).into(),
-            shaded: scene.lit.is_some().into(),
+            shaded: lit.is_some().into(),
             dims: volume.dims().map(|d| d as i32),
-            ambient: shading.ambient,
+            ambient: lit.map_or(1.0, |lit| lit.ambient),
             brick_dims: scene.occupancy.dims,
-            diffuse: shading.diffuse,
+            diffuse: lit.map_or(0.0, |lit| lit.diffuse),
             clip_normal: normal.into(),
             clip_offset: offset,
         }

@@ -1,6 +1,8 @@
 //! Full volume rendering and layered frames of one scene on the GPU. Kernels: `shaders/march.wgsl`,
 //! `shaders/render.wgsl`, `shaders/layering/`.
 
+use std::ops::Range;
+
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::lens::View;
@@ -51,6 +53,18 @@ impl GpuRenderer {
             return Err(GpuError::Camera);
         }
         self.render_view(&camera.into())
+    }
+
+    /// See [`isinglass_core::kernels::march::render_rows`].
+    pub fn render_rows(&mut self, camera: &Camera, rows: Range<u32>) -> Result<Picture, GpuError> {
+        if !camera.is_valid() {
+            return Err(GpuError::Camera);
+        }
+        let Self { gpu, on_gpu, picture, .. } = self;
+        gpu.attempt("rendering", || {
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, Extent::Opaque), "render");
+            picture.draw_rows(gpu, &pipeline, &on_gpu.bind_group, &camera.into(), rows)
+        })
     }
 
     /// The same for a view that may be off-axis.

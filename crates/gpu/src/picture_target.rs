@@ -1,5 +1,7 @@
 //! A picture made band by band: `render` and `raycast` write the same buffer.
 
+use std::ops::Range;
+
 use isinglass_core::kernels::lens::View;
 use isinglass_core::picture::Picture;
 
@@ -42,10 +44,23 @@ impl PictureTarget {
         group_0: &wgpu::BindGroup,
         view: &View,
     ) -> Result<Picture, GpuError> {
-        if !view.is_valid() {
+        self.draw_rows(gpu, pipeline, group_0, view, 0..view.basis.height as u32)
+    }
+
+    /// The same for some rows: the picture has those alone.
+    pub(crate) fn draw_rows(
+        &mut self,
+        gpu: &Gpu,
+        pipeline: &wgpu::ComputePipeline,
+        group_0: &wgpu::BindGroup,
+        view: &View,
+        rows: Range<u32>,
+    ) -> Result<Picture, GpuError> {
+        let is_inside = rows.start < rows.end && rows.end <= view.basis.height as u32;
+        if !view.is_valid() || !is_inside {
             return Err(GpuError::Camera);
         }
-        let (width, height) = (view.basis.width as u32, view.basis.height as u32);
+        let (width, height) = (view.basis.width as u32, rows.end - rows.start);
         let max_pixels = gpu.max_dispatch_pixels();
         let bytes = u64::from(rows_per_band(width, height, max_pixels)) * u64::from(width) * BYTES_PER_PIXEL;
         if self.pixels.size() < bytes {
@@ -56,6 +71,7 @@ impl PictureTarget {
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(*view)));
         let mut pixels = Vec::with_capacity(width as usize * height as usize);
         for band in bands(width, height, max_pixels) {
+            let band = Band { first_row: rows.start + band.first_row, ..band };
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             {

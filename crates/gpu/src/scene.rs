@@ -39,7 +39,7 @@ impl SceneOnGpu {
             let occupancy = gpu.storage("occupancy", occupancy_bytes);
             let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &lit]);
             let volume = Arc::clone(&scene.volume);
-            let lit = scene.lit.clone();
+            let lit = scene.illumination.lit().cloned();
             let on_gpu = Self { volume, lit, voxels, uniform, table, occupancy, kind, bind_group };
             on_gpu.write_look(gpu, scene);
             Ok(on_gpu)
@@ -53,7 +53,7 @@ impl SceneOnGpu {
             return Ok(());
         }
         gpu.attempt("changing the look", || {
-            let is_lit_alike = match (&self.lit, &scene.lit) {
+            let is_lit_alike = match (&self.lit, scene.illumination.lit()) {
                 (Some(old), Some(new)) => Arc::ptr_eq(old, new),
                 (old, new) => old.is_none() && new.is_none(),
             };
@@ -61,7 +61,7 @@ impl SceneOnGpu {
                 let lit = upload_lit(gpu, scene)?;
                 let buffers = [&self.uniform, &self.table, &self.occupancy];
                 self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &lit]);
-                self.lit = scene.lit.clone();
+                self.lit = scene.illumination.lit().cloned();
             }
             self.write_look(gpu, scene);
             Ok(())
@@ -114,7 +114,7 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture
 
 /// The shares of light of the voxels; of a scene without shading, a single texel that is never read.
 fn upload_lit(gpu: &Gpu, scene: &march::Scene) -> Result<wgpu::TextureView, GpuError> {
-    let (dims, shares): (_, &[u8]) = match &scene.lit {
+    let (dims, shares): (_, &[u8]) = match scene.illumination.lit() {
         Some(lit) => (scene.volume.dims(), &lit.shares),
         None => ([1; 3], &[0]),
     };

@@ -9,7 +9,6 @@ use clap::{Args, ValueEnum};
 use glam::Vec3;
 use isinglass_bench::paths;
 use isinglass_bench::progress::Progress;
-use isinglass_bench::quality::march_settings;
 use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_client::{CameraPath, DEFAULT_FOV_Y_DEGREES, Foresight};
@@ -21,7 +20,7 @@ use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     Dtype, Endian, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, open, outline,
 };
@@ -431,12 +430,12 @@ impl LinkArgs {
 }
 
 /// Opens a volume with its look; large files show their progress.
-pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs) -> Result<OpenedScene> {
+pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighting) -> Result<OpenedScene> {
+    let settings = MarchSettings { clip: look.clip.clip(), ..MarchSettings::of(look.is_shaded(), lighting) };
     let source = volume.source()?;
     let before = outline(source, &volume.options())?;
     let opened = show_progress(&before, |progress| {
         let options = OpenOptions { progress: Some(progress), ..volume.options() };
-        let settings = MarchSettings { clip: look.clip.clip(), ..march_settings(look.is_shaded()) };
         open_scene(source, look.tf.as_deref(), settings, &options)
     });
     Ok(opened?)

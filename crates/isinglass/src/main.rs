@@ -11,6 +11,7 @@ mod config;
 mod given;
 mod lens_args;
 mod library;
+mod light_args;
 mod memory;
 mod report;
 mod state_args;

@@ -48,6 +48,10 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
 
 /// Tells of a failure in one line.
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
+    // What only several arguments together show to be bad usage.
+    if let Some(error) = error.downcast_ref() {
+        return usage(error);
+    }
     let mut line = String::new();
     for cause in error.chain() {
         let separator = if line.is_empty() { "isinglass: " } else { ": " };

@@ -4,15 +4,16 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use glam::Quat;
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::OpenedScene;
 use isinglass_bench::view::Orbit;
 use isinglass_client::Bindings;
-use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     ReadState, SavedCamera, SavedState, SavedVolume, Srgb, read_state, state_from_link, state_to_link,
 };
@@ -91,14 +92,14 @@ impl Seen {
         &self,
         volume: &VolumeArgs,
         look: &LookArgs,
+        lighting: Lighting,
         layering: &LayeringArgs,
     ) -> Result<(OpenedScene, Look)> {
-        let mut opened = open_volume(&self.volume(volume)?, look)?;
+        let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
         self.note_difference(&opened.scene.volume);
-        let wanted = self.look(opened.transfer.clone(), look, layering);
+        let wanted = self.look(opened.transfer.clone(), look, lighting, layering);
         if self.state.look.is_some() {
-            opened.scene =
-                opened.scene.with_look(&wanted.transfer, isinglass_server::march_settings(&wanted));
+            opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
             opened.transfer = wanted.transfer.clone();
         }
         Ok((opened, wanted))
@@ -109,12 +110,13 @@ impl Seen {
         &self,
         volume: &VolumeArgs,
         look: &LookArgs,
+        lighting: Lighting,
         layering: &LayeringArgs,
         memory: &MemoryArgs,
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
         self.note_difference(&opened.volume);
-        let wanted = self.look(opened.transfer.clone(), look, layering);
+        let wanted = self.look(opened.transfer.clone(), look, lighting, layering);
         Ok((opened, wanted))
     }
 
@@ -124,8 +126,14 @@ impl Seen {
         }
     }
 
-    fn look(&self, transfer: TransferFunction, look: &LookArgs, layering: &LayeringArgs) -> Look {
-        let of_flags = look.look(transfer, layering);
+    fn look(
+        &self,
+        transfer: TransferFunction,
+        look: &LookArgs,
+        lighting: Lighting,
+        layering: &LayeringArgs,
+    ) -> Look {
+        let of_flags = Look { lighting, ..look.look(transfer, layering) };
         match self.state.look.clone() {
             Some(saved) => self.merged(saved, of_flags),
             None => of_flags,
@@ -135,7 +143,7 @@ impl Seen {
     /// The state's look with those fields of `flags` that were given.
     fn merged(&self, saved: Look, flags: Look) -> Look {
         // Whoever adds a field says here which flag sets it.
-        let Look { transfer, shaded, layering, k, clip } = flags;
+        let Look { transfer, shaded, lighting, layering, k, clip } = flags;
         let mut look = saved;
         let has = |field| self.given.has(field);
         if has("tf") {
@@ -143,6 +151,22 @@ impl Seen {
         }
         if has("shading") {
             look.shaded = shaded;
+        }
+        if has("ambient_occlusion") {
+            look.lighting.ambient_occlusion = lighting.ambient_occlusion;
+        }
+        if has("occlusion_radius") {
+            look.lighting.occlusion_radius = lighting.occlusion_radius;
+        }
+        if has("shadows") {
+            look.lighting.shadows = lighting.shadows;
+        }
+        if has("softness") {
+            look.lighting.softness_degrees = lighting.softness_degrees;
+        }
+        if has("light") {
+            let Lighting { azimuth_degrees, elevation_degrees, .. } = lighting;
+            look.lighting = Lighting { azimuth_degrees, elevation_degrees, ..look.lighting };
         }
         if has("layering") {
             look.layering = layering;
@@ -160,9 +184,10 @@ impl Seen {
     }
 
     /// The camera over a volume in `bounds`: the state's, with the size and field of view that were given, or else that of
-    /// `orbit`.
-    pub(crate) fn camera(&self, orbit: &Orbit, view: &ViewArgs, bounds: &Aabb) -> Camera {
+    /// `orbit`; turned by `degrees` around the vertical.
+    pub(crate) fn camera(&self, orbit: &Orbit, degrees: f32, view: &ViewArgs, bounds: &Aabb) -> Camera {
         let flags = view.intrinsics();
+        let orbit = orbit.turned(degrees);
         let is_parallel = view.orthographic || self.state.view.orthographic == Some(true);
         let around = |intrinsics| {
             let camera = orbit.camera(intrinsics, bounds);
@@ -176,7 +201,7 @@ impl Seen {
         if self.given.has("orbit") {
             return around(intrinsics);
         }
-        let camera = Camera::new(saved.pose(), intrinsics, bounds);
+        let camera = Camera::new(turned(saved.pose(), degrees, bounds), intrinsics, bounds);
         // As large as the viewer shows it: at the depth of what its camera turns about.
         let (_, eye_from_center) = saved.placement();
         if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
@@ -222,5 +247,17 @@ impl Seen {
         state.view.orthographic = state.view.orthographic.filter(|_| !has("orthographic"));
         state.view = window.view(state.view, |field| self.given.has(field));
         ((of_state.unwrap_or(size), of_state.is_some()), state)
+    }
+}
+
+/// A pose as it is after a turn around the vertical through the volume's middle.
+fn turned(pose: Pose, degrees: f32, bounds: &Aabb) -> Pose {
+    if degrees == 0.0 {
+        return pose;
+    }
+    let (turn, center) = (Quat::from_rotation_y(degrees.to_radians()), bounds.center());
+    Pose {
+        eye: center + turn * (pose.eye - center),
+        world_from_view: (turn * pose.world_from_view).normalize(),
     }
 }

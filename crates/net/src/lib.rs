@@ -13,7 +13,9 @@ pub mod link;
 pub mod server;
 mod transport;
 
-pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State};
+pub use client::{
+    Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, ReceivedShot, State,
+};
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};

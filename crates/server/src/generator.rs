@@ -5,20 +5,25 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
+use isinglass_core::picture::Picture;
+use isinglass_core::volume::Detail;
 use isinglass_gpu::{Backend, GpuError, Renderer};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{Semaphore, mpsc, oneshot};
 
+use crate::ServeError;
+use crate::lights::Lights;
 use crate::parts::SceneNumber;
-use crate::{ServeError, march_settings};
 
 /// Makes layered frames one after the other, in the order they are asked for. Clones share the thread, which ends
 /// with the last of them.
 #[derive(Clone)]
 pub(crate) struct Generator {
     jobs: mpsc::Sender<Job>,
+    pictures: Arc<Semaphore>,
 }
 
 /// A frame and what it cost.
@@ -27,6 +32,8 @@ pub(crate) struct Generated {
     pub(crate) frame: LayeredFrame,
     /// Marching and layering, µs.
     pub(crate) generate_micros: u64,
+    /// Whether matter's shade is a draft: a finer frame can be had when [`Lights::scene`] has worked it out.
+    pub(crate) is_draft: bool,
 }
 
 /// Whether a frame is still wanted. Clones are the same wish.
@@ -66,15 +73,29 @@ pub(crate) enum GenerateError {
 
 enum Job {
     Frame(Order),
-    Replace { renderer: Box<Renderer>, look: Look, number: SceneNumber, reply: oneshot::Sender<()> },
+    Rows(Box<RowsOrder>),
+    Replace { studio: Box<Studio>, reply: oneshot::Sender<()> },
 }
+
+type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
 
 struct Order {
     scene: SceneNumber,
     look: Look,
     header: FrameHeader,
     wish: Wish,
-    reply: oneshot::Sender<Result<Generated, GenerateError>>,
+    reply: Reply<Generated>,
+}
+
+/// A part of a picture, from a row on.
+struct RowsOrder {
+    scene: SceneNumber,
+    look: Look,
+    /// With all of its shade, if it has any.
+    lit: Option<Scene>,
+    camera: Camera,
+    first: u32,
+    reply: Reply<Picture>,
 }
 
 /// What the thread has.
@@ -82,6 +103,7 @@ struct Studio {
     renderer: Renderer,
     look: Look,
     scene: SceneNumber,
+    lights: Lights,
 }
 
 impl Generator {
@@ -89,9 +111,14 @@ impl Generator {
     ///
     /// # Errors
     /// If the scene does not fit the backend, or there is no thread to be had.
-    pub(crate) fn start(backend: &Backend, scene: Scene, look: Look) -> Result<Self, ServeError> {
+    pub(crate) fn start(
+        backend: &Backend,
+        scene: Scene,
+        look: Look,
+        lights: Lights,
+    ) -> Result<Self, ServeError> {
         let renderer = backend.renderer(scene)?;
-        let mut studio = Studio { renderer, look, scene: SceneNumber::default() };
+        let mut studio = Studio { renderer, look, scene: SceneNumber::default(), lights };
         // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
         let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
@@ -100,7 +127,7 @@ impl Generator {
             .name("generator".into())
             .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
-        Ok(Self { jobs })
+        Ok(Self { jobs, pictures: Arc::new(Semaphore::new(1)) })
     }
 
     /// The frame for `header` of a scene under a valid look, as long as the wish holds. `None` if the thread has ended.
@@ -120,56 +147,139 @@ impl Generator {
     }
 
     /// Frames that are begun from now on are of another scene, which has `look`. False if the thread has ended.
-    pub(crate) async fn replace(&self, renderer: Renderer, look: Look, number: SceneNumber) -> bool {
+    pub(crate) async fn replace(
+        &self,
+        renderer: Renderer,
+        look: Look,
+        number: SceneNumber,
+        lights: Lights,
+    ) -> bool {
         let (reply, answer) = oneshot::channel();
-        let job = Job::Replace { renderer: Box::new(renderer), look, number, reply };
-        self.jobs.send(job).await.is_ok() && answer.await.is_ok()
+        let studio = Box::new(Studio { renderer, look, scene: number, lights });
+        self.jobs.send(Job::Replace { studio, reply }).await.is_ok() && answer.await.is_ok()
+    }
+
+    /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade, piece by piece:
+    /// frames are made between. 8-bit sRGB over a linear background, three bytes a pixel. One picture at a time, whoever
+    /// asks, as they are large. `None` if the thread has ended; whoever drops this gives the picture up.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub(crate) async fn picture(
+        &self,
+        scene: SceneNumber,
+        look: &Look,
+        lights: &Lights,
+        camera: Camera,
+        background: [f32; 3],
+    ) -> Option<Result<Vec<u8>, GenerateError>> {
+        let _turn = self.pictures.acquire().await.ok()?;
+        let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
+        let (mut srgb, mut first) = (Vec::new(), 0);
+        while first < camera.intrinsics.height {
+            let (reply, answer) = oneshot::channel();
+            let (look, lit) = (look.clone(), lit.clone());
+            let order = Box::new(RowsOrder { scene, look, lit, camera, first, reply });
+            self.jobs.send(Job::Rows(order)).await.ok()?;
+            match answer.await.ok()? {
+                Ok(rows) => {
+                    first += rows.height;
+                    srgb.extend(rows.to_srgb8(background));
+                }
+                Err(e) => return Some(Err(e)),
+            }
+        }
+        Some(Ok(srgb))
     }
 }
 
 impl Studio {
     fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
         while let Some(job) = jobs.blocking_recv() {
+            // Nobody waits any more where the reply is closed: the viewer has left while its order was in the queue.
             match job {
-                Job::Frame(order) => self.answer(order),
-                Job::Replace { renderer, look, number, reply } => {
-                    *self = Self { renderer: *renderer, look, scene: number };
+                Job::Frame(order) if !order.reply.is_closed() => {
+                    let made = self.attempt(|studio| studio.generate(&order));
+                    let _ = order.reply.send(made);
+                }
+                Job::Rows(order) if !order.reply.is_closed() => {
+                    let made = self.attempt(|studio| studio.rows(&order));
+                    let _ = order.reply.send(made);
+                }
+                Job::Frame(_) | Job::Rows(_) => {}
+                Job::Replace { studio, reply } => {
+                    *self = *studio;
                     let _ = reply.send(());
                 }
             }
         }
     }
 
-    fn answer(&mut self, order: Order) {
-        // Nobody waits any more: the viewer has left while its frame was in the queue.
-        if order.reply.is_closed() {
-            return;
-        }
-        // A defect in one frame must not end the service of everyone.
-        let attempt = catch_unwind(AssertUnwindSafe(|| self.generate(&order)));
+    /// A defect in one frame must not end the service of everyone.
+    fn attempt<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, GenerateError>,
+    ) -> Result<T, GenerateError> {
+        let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
         let result = attempt.unwrap_or(Err(GenerateError::Panicked));
         if matches!(result, Err(GenerateError::Panicked | GenerateError::Gpu(GpuError::Lost { .. }))) {
             tracing::error!("rendering on the CPU from now on: the renderer is lost");
             self.renderer = Renderer::Cpu(Box::new(self.renderer.scene().clone()));
         }
-        let _ = order.reply.send(result);
+        result
     }
 
     fn generate(&mut self, order: &Order) -> Result<Generated, GenerateError> {
-        let Self { renderer, look, scene } = self;
-        if order.scene != *scene {
+        let started = Instant::now();
+        self.prepare(order.scene, &order.look, None)?;
+        let layering = order.look.layering;
+        let frame = self.renderer.generate_while(order.header, layering, &|| order.wish.holds())?;
+        let frame = frame.ok_or(GenerateError::GivenUp)?;
+        let is_draft = !self.is_final();
+        Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64, is_draft })
+    }
+
+    /// As many rows of a picture as take no longer than a frame.
+    fn rows(&mut self, order: &RowsOrder) -> Result<Picture, GenerateError> {
+        self.prepare(order.scene, &order.look, order.lit.as_ref())?;
+        let Intrinsics { width, height, .. } = order.camera.intrinsics;
+        let num_pixels = match self.renderer {
+            Renderer::Gpu(_) => GPU_PIXELS,
+            Renderer::Cpu(_) => CPU_PIXELS,
+        };
+        let end = order.first.saturating_add((num_pixels / width.max(1)).max(1)).min(height);
+        Ok(self.renderer.render_rows(&order.camera, order.first..end)?)
+    }
+
+    /// Sets a look: with all of its shade if that is known or given, else with a draft.
+    fn prepare(&mut self, scene: SceneNumber, look: &Look, lit: Option<&Scene>) -> Result<(), GenerateError> {
+        if scene != self.scene {
             return Err(GenerateError::OtherVolume);
         }
-        let started = Instant::now();
-        if order.look.transfer != look.transfer || order.look.shaded != look.shaded {
-            renderer.set_look(&order.look.transfer, march_settings(&order.look))?;
-            *look = order.look.clone();
+        let is_set = self.look.marches_like(look);
+        if is_set && self.is_final() {
+            return Ok(());
         }
-        let frame = renderer.generate_while(order.header, order.look.layering, &|| order.wish.holds())?;
-        let frame = frame.ok_or(GenerateError::GivenUp)?;
-        Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64 })
+        match lit.cloned().or_else(|| self.lights.known(look)) {
+            Some(lit) => self.renderer.set_scene(lit)?,
+            None if is_set => return Ok(()),
+            None => {
+                let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
+                self.renderer.set_look(&look.transfer, settings)?;
+            }
+        }
+        self.look = look.clone();
+        Ok(())
+    }
+
+    fn is_final(&self) -> bool {
+        self.renderer.scene().illumination.is_final()
     }
 }
 
 /// Every viewer waits for at most one frame; those beyond this wait to ask.
 const MAX_JOBS: usize = 16;
+/// Pixels of a picture that are made at a time, so that no viewer waits long for its frame: about a tenth of a second on two
+/// cores, and on a GPU much less.
+const CPU_PIXELS: u32 = 1 << 16;
+const GPU_PIXELS: u32 = 1 << 20;

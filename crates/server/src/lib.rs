@@ -6,13 +6,15 @@
 //! is made for a pose that has been answered; at rest the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod generator;
+mod lights;
 mod parts;
 mod serving;
+mod shots;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use isinglass_core::kernels::march::{MarchSettings, Scene, Shading};
+use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
@@ -93,14 +95,14 @@ enum Command {
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let ServeOptions { volume, look, backend, listen, plan, max_viewers, library } = options;
-    let scene = Scene::new(volume, &look.transfer, march_settings(&look));
+    let scene = Scene::new(volume, &look.transfer, look.march_settings());
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
     let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
     let identity = Identity::generate()?;
     let options = isinglass_net::ServerOptions { max_viewers };
     let server = Server::bind(listen, &identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
-    let generator = Generator::start(&backend, scene, look)?;
+    let generator = Generator::start(&backend, scene, look, present.lights.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
@@ -121,11 +123,6 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
 
 /// Orders of parts that wait: the newest counts, and each is taken at once.
 const MAX_ORDERS: usize = 16;
-
-/// How the volume is marched under a look.
-pub fn march_settings(look: &Look) -> MarchSettings {
-    MarchSettings { shading: look.shaded.then(Shading::default), clip: look.clip, ..MarchSettings::default() }
-}
 
 impl RunningServer {
     /// The address that is listened on, with its real port.

@@ -18,7 +18,7 @@ use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
 
 use crate::generator::Generator;
-use crate::march_settings;
+use crate::lights::Lights;
 
 /// Opens parts of the volume's file. This crate opens none itself: whoever starts the server brings one.
 ///
@@ -62,6 +62,8 @@ pub(crate) struct Present {
     pub(crate) greeting: Arc<Greeting>,
     /// Its box.
     pub(crate) bounds: Aabb,
+    /// The volume, and its shade.
+    pub(crate) lights: Lights,
     /// The scene of the generator.
     pub(crate) scene: SceneNumber,
     /// What else the file holds.
@@ -101,6 +103,7 @@ impl Load {
 
 impl Present {
     pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Parts>) -> Self {
+        let lights = Lights::new(scene, &look);
         let greeting = Greeting {
             volume: VolumeDescription::of(&scene.volume, &scene.histogram),
             look_version: LookVersion(1),
@@ -109,6 +112,7 @@ impl Present {
         Self {
             greeting: Arc::new(greeting),
             bounds: scene.volume.bounds(),
+            lights,
             scene: number,
             parts: parts.map(Parts::bounded),
             bytes: scene.volume.bytes_in_memory(),
@@ -203,7 +207,7 @@ impl Librarian {
             };
             let loaded = loader.load(&part, &progress, &cancelled)?;
             let look = Look { transfer: loaded.transfer, ..look };
-            let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, march_settings(&look));
+            let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
             let renderer = backend.renderer(scene.clone()).map_err(|e| e.to_string())?;
             Ok::<_, String>((scene, renderer, look, survey.parts))
         });
@@ -227,7 +231,7 @@ impl Librarian {
         let number = SceneNumber(self.present.borrow().scene.0.wrapping_add(1));
         let present = Present::new(&scene, number, look.clone(), Some(parts));
         drop(scene);
-        if !self.generator.replace(renderer, look, number).await {
+        if !self.generator.replace(renderer, look, number, present.lights.clone()).await {
             return Ended::Failed("the renderer has ended".into());
         }
         self.present.send_replace(Arc::new(present));

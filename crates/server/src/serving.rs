@@ -12,7 +12,7 @@ use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
-use isinglass_core::wire::{LoadStatus, PoseRequest, ServerStats, VolumeChange};
+use isinglass_core::wire::{LoadStatus, PoseRequest, ProbeRequest, ServerStats, VolumeChange};
 use isinglass_net::server::{ControlSender, FrameSender};
 use isinglass_net::{Server, Session, SessionClosed};
 use tokio::sync::{mpsc, watch};
@@ -23,6 +23,7 @@ use tracing::Instrument;
 use crate::Command;
 use crate::generator::{GenerateError, Generated, Generator, Wish};
 use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD};
+use crate::shots::Shots;
 
 /// What all viewers share.
 #[derive(Clone)]
@@ -91,6 +92,21 @@ struct Viewer {
     has_given_up: bool,
     /// When a load may be told of again.
     tell_at: Instant,
+    /// Whether frames of this version show a draft of the shade.
+    is_draft: bool,
+    /// When the look has rested, and all of its shade is to be worked out.
+    refine_at: Option<Instant>,
+    /// The same at work.
+    refining: Option<JoinHandle<bool>>,
+    shots: Shots,
+    /// Answers questions beside the frames.
+    probing: JoinHandle<()>,
+}
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        self.probing.abort();
+    }
 }
 
 /// A frame on its way to the network.
@@ -133,6 +149,8 @@ impl Viewer {
         if is_reading {
             house.load.mark_changed();
         }
+        let probes = answer_probes(session.probes.clone(), session.control.clone(), house.present.clone());
+        let shots = Shots::new(house.generator.clone(), session.frames.clone(), session.control.clone());
         Self {
             look: Arc::new(session.greeting.look.clone()),
             session,
@@ -148,6 +166,11 @@ impl Viewer {
             resting: None,
             has_given_up: false,
             tell_at: Instant::now(),
+            is_draft: false,
+            refine_at: None,
+            refining: None,
+            shots,
+            probing: tokio::spawn(probes),
         }
     }
 
@@ -191,6 +214,11 @@ impl Viewer {
                 None => false,
             },
             () = load_due(&mut self.house.load, self.tell_at) => self.tell_load().await,
+            is_refined = refined(&mut self.refining), if self.refining.is_some() => self.note_refined(is_refined).await,
+            () = tokio::time::sleep_until(self.refine_at.unwrap_or_else(Instant::now)), if self.refine_at.is_some() => {
+                self.refine();
+                true
+            }
             changed = self.session.poses.changed() => changed.is_ok(),
             ended = finished(&mut self.sending), if self.sending.is_some() => self.note_sent(ended),
             () = tokio::time::sleep_until(finer_at.unwrap_or_else(Instant::now)),
@@ -217,7 +245,18 @@ impl Viewer {
             look_version: self.version,
             look: (*self.look).clone(),
         };
-        self.session.control.volume_changed(change).await.is_ok() && self.tell_parts().await
+        if self.session.control.volume_changed(change).await.is_err() || !self.tell_parts().await {
+            return false;
+        }
+        self.refining = None;
+        // What was told is no draft.
+        match self.present.lights.is_fine(&self.look) {
+            true => {
+                (self.is_draft, self.refine_at) = (false, None);
+                true
+            }
+            false => self.tell_version(true).await,
+        }
     }
 
     async fn tell_parts(&self) -> bool {
@@ -239,7 +278,10 @@ impl Viewer {
     /// How a frame that was sent shall be sent again if the camera rests where it is.
     fn finer(&self, sent: &Sent) -> Option<Coding> {
         let header = &sent.generated.frame.header;
-        let is_newest = self.answered == Some((header.pose, self.version)) && header.look == self.version;
+        // Nor is a draft: it is about to be made anew.
+        let is_newest = !self.is_draft
+            && self.answered == Some((header.pose, self.version))
+            && header.look == self.version;
         let num_lists = header.camera.intrinsics.num_pixels();
         is_newest.then(|| self.pilot.finer(num_lists, &sent.ticket.coding)).flatten()
     }
@@ -254,12 +296,17 @@ impl Viewer {
     /// Takes all that has come by now. Of several looks the newest wins: none is rendered that is out of date.
     async fn take(&mut self, first: Request) -> bool {
         let mut newest_look = None;
+        let mut newest_shot = None;
         let mut next = Some(first);
         while let Some(request) = next {
             match request {
                 Request::SetLook(look) => newest_look = Some(look),
                 Request::Stats(stats) => tracing::debug!(?stats, "viewer"),
                 Request::Bye => return false,
+                Request::Shoot(shot) => newest_shot = Some(Some(shot)),
+                Request::CancelShot => newest_shot = Some(None),
+                // The session has a lane of its own for these.
+                Request::Probe(_) => {}
                 // A librarian that is gone leaves the volume as it is.
                 Request::OpenPart(part) => {
                     let _ = self.house.orders.send(Order::Open(self.session.viewer, part)).await;
@@ -268,13 +315,51 @@ impl Viewer {
             }
             next = self.session.requests.try_recv().ok();
         }
-        let Some(look) = newest_look else { return true };
+        let is_there = match newest_look {
+            Some(look) => self.set_look(look).await,
+            None => true,
+        };
+        if let Some(shot) = newest_shot {
+            self.shots.set(shot, &self.look, &self.present);
+        }
+        is_there
+    }
+
+    async fn set_look(&mut self, look: Look) -> bool {
         tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
-        self.version = self.version.next();
+        let is_draft = !self.present.lights.is_fine(&look);
         self.look = Arc::new(look);
-        // The newest pose shall be answered again.
+        self.refining = None;
+        self.begin_version(is_draft).await
+    }
+
+    /// Frames from now on have another number, and the newest pose shall be answered again.
+    async fn begin_version(&mut self, is_draft: bool) -> bool {
+        self.version = self.version.next();
         self.session.poses.mark_changed();
-        self.session.control.look_changed(self.version, (*self.look).clone()).await.is_ok()
+        self.tell_version(is_draft).await
+    }
+
+    async fn tell_version(&mut self, is_draft: bool) -> bool {
+        self.is_draft = is_draft;
+        self.refine_at = is_draft.then(|| Instant::now() + LOOK_REST);
+        self.session.control.look_changed(self.version, (*self.look).clone(), is_draft).await.is_ok()
+    }
+
+    /// The look rests: all of its shade is worked out beside the frames.
+    fn refine(&mut self) {
+        self.refine_at = None;
+        let (lights, look) = (self.present.lights.clone(), self.look.clone());
+        self.refining = Some(tokio::spawn(async move { lights.scene(&look).await.is_some() }));
+    }
+
+    /// Frames can be made with all of their shade; false when the viewer has left.
+    async fn note_refined(&mut self, is_refined: bool) -> bool {
+        if !is_refined {
+            let told = self.session.control.notice("the server cannot work out the shade of this look").await;
+            return told.is_ok();
+        }
+        self.begin_version(false).await
     }
 
     /// Generates the frame for a pose, and hands it over to be encoded and sent; false when the viewer has left.
@@ -310,6 +395,18 @@ impl Viewer {
             }
         };
         self.has_given_up = false;
+        if generated.is_draft && !self.is_draft {
+            // Other viewers' looks have taken the place of its shade.
+            self.answered = None;
+            return self.begin_version(true).await;
+        }
+        if self.is_draft && !generated.is_draft {
+            // Nothing of the shade had changed.
+            self.refining = None;
+            if !self.tell_version(false).await {
+                return false;
+            }
+        }
         self.pilot.handle_generated(generated.generate_micros);
         if self.sending.is_some() {
             let waiting = Instant::now();
@@ -438,6 +535,29 @@ impl Viewer {
     }
 }
 
+/// Answers the newest question as soon as it comes, until the connection is over.
+async fn answer_probes(
+    mut probes: watch::Receiver<Option<ProbeRequest>>,
+    control: ControlSender,
+    present: watch::Receiver<Arc<Present>>,
+) {
+    while probes.changed().await.is_ok() {
+        let newest = *probes.borrow_and_update();
+        if let Some(probe) = newest {
+            let present = present.borrow().clone();
+            control.probed(probe.answer(present.lights.volume()));
+        }
+    }
+}
+
+/// Returns when the shade is there, and whether it is; never if nobody works it out.
+async fn refined(refining: &mut Option<JoinHandle<bool>>) -> bool {
+    let Some(running) = refining else { return std::future::pending().await };
+    let is_refined = running.await.unwrap_or(false);
+    *refining = None;
+    is_refined
+}
+
 /// Returns when there is news of a load to tell. Nothing is lost if this is dropped.
 async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
     if load.changed().await.is_err() {
@@ -521,6 +641,8 @@ fn bounded(wish: Intrinsics, k: u8) -> Intrinsics {
     Intrinsics { width: shrink(wish.width), height: shrink(wish.height), ..wish }
 }
 
+/// A look that has not changed for so long rests: dragging does not have to wait for shade that is out of date.
+const LOOK_REST: Duration = Duration::from_millis(150);
 /// A camera that no newer pose has come of for so long rests: three refreshes at 30 Hz.
 const REST: Duration = Duration::from_millis(100);
 /// And one that none has come of for so long does even where the viewer refreshes four times a second only: what it waits

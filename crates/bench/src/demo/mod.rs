@@ -20,13 +20,13 @@ use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
+use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_net::LinkModel;
 use isinglass_server::{ServeOptions, start};
 
 use crate::error::BenchError;
-use crate::quality::march_settings;
 use crate::rivals::Method;
 use crate::scenes::{OpenedScene, open_scene};
 use crate::view::Orbit;
@@ -50,6 +50,8 @@ pub struct DemoOptions {
     pub shaded: bool,
     /// What of the volume is looked at.
     pub clip: Clip,
+    /// Light, occlusion and shadows.
+    pub lighting: Lighting,
     /// Layering rule.
     pub layering: Layering,
     /// Longest list.
@@ -90,6 +92,7 @@ impl Default for DemoOptions {
             transfer: None,
             shaded: true,
             clip: Clip::default(),
+            lighting: Lighting::default(),
             layering: Layering::default(),
             k: 8,
             method: Method::default(),
@@ -122,7 +125,8 @@ pub struct Outcome {
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
     let &DemoOptions { raw, selection, spacing, .. } = options;
     let open = OpenOptions { raw, selection, spacing, ..OpenOptions::default() };
-    let settings = MarchSettings { clip: options.clip, ..march_settings(options.shaded) };
+    let settings =
+        MarchSettings { clip: options.clip, ..MarchSettings::of(options.shaded, options.lighting) };
     let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
@@ -167,6 +171,7 @@ fn serve_and_play(
     let look = Look {
         shaded: options.shaded,
         clip: options.clip,
+        lighting: options.lighting,
         layering: options.layering,
         k: options.k,
         ..Look::new(opened.transfer.clone())

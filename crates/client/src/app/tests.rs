@@ -7,19 +7,21 @@ use egui::{Event, Key, Modifiers, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId, ProbeId, ShotId};
 use isinglass_core::kernels::layering::generate;
-use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::session::client::FrameTimes;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{Token, VolumeDescription, Welcome};
-use isinglass_net::LinkStats;
+use isinglass_core::wire::{ProbeRequest, Probed, Token, VolumeDescription, Welcome};
+use isinglass_net::{LinkStats, ReceivedShot};
 
 use super::*;
 use crate::novel_view::LAYERS;
 use crate::viewing::FrameSize;
+
+mod keeping;
 
 /// A server in a moment: frames of 48 pixels, made when they are asked for. While it `sleeps`, looks wait.
 struct HereSource {
@@ -32,6 +34,11 @@ struct HereSource {
     num_looks: usize,
     sleeps: bool,
     orientation: Option<String>,
+    probed: Option<Probed>,
+    num_probes: usize,
+    shot: Option<Arc<ReceivedShot>>,
+    num_shots: u32,
+    num_cancelled: usize,
 }
 
 impl HereSource {
@@ -49,6 +56,11 @@ impl HereSource {
             num_looks: 0,
             sleeps: false,
             orientation: None,
+            probed: None,
+            num_probes: 0,
+            shot: None,
+            num_shots: 0,
+            num_cancelled: 0,
         }
     }
 
@@ -58,8 +70,7 @@ impl HereSource {
         }
         if let Some(look) = self.wanted.take() {
             let volume = self.scene.volume.clone();
-            let settings = MarchSettings { clip: look.clip, ..MarchSettings::default() };
-            self.scene = Scene::new(volume, &look.transfer, settings);
+            self.scene = Scene::new(volume, &look.transfer, look.march_settings());
             self.look = (self.look.0.next(), Arc::new(look));
         }
         let Some((pose, intrinsics)) = self.asked else { return };
@@ -125,6 +136,38 @@ impl FrameSource for HereSource {
     fn note_shown(&mut self, _frame: FrameId) {}
 
     fn report(&mut self, _stats: ClientStats) {}
+
+    fn probe(&mut self, point: glam::Vec3) {
+        self.num_probes += 1;
+        let request = ProbeRequest { id: ProbeId(1), point: point.to_array() };
+        self.probed = Some(request.answer(&self.scene.volume));
+    }
+
+    fn probed(&self) -> Option<Probed> {
+        self.probed
+    }
+
+    /// At once; while the server sleeps, never.
+    fn shoot(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        self.num_shots += 1;
+        let id = ShotId(self.num_shots);
+        if !self.sleeps {
+            let camera = Camera::new(pose, intrinsics, &self.scene.volume.bounds());
+            let linear = ViewAids { background, ..ViewAids::default() }.linear_background();
+            let rgb = render(&self.scene, &camera).to_srgb8(linear);
+            let png = isinglass_formats::png::encode(intrinsics.width, intrinsics.height, &rgb);
+            self.shot = Some(Arc::new(ReceivedShot { id, png: png.map_err(|e| e.to_string()) }));
+        }
+        id
+    }
+
+    fn cancel_shot(&mut self) {
+        self.num_cancelled += 1;
+    }
+
+    fn take_shot(&mut self) -> Option<Arc<ReceivedShot>> {
+        self.shot.take()
+    }
 }
 
 /// At rest: the first picture is there.
@@ -366,7 +409,7 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
         let mut w = window(size);
         w.ctx.set_theme(theme);
         open_panel(&mut w);
-        for section in ["Frames", "Clip", "View"] {
+        for section in ["Light", "Frames", "Clip", "View"] {
             w.get_by_label(section).scroll_to_me();
             w.run_steps(4);
             w.get_by_label(section).click();

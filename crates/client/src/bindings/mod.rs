@@ -36,6 +36,12 @@ pub enum Action {
     Axes,
     /// The next kind of stereo.
     Stereo,
+    /// The value under the pointer on or off.
+    Probe,
+    /// A picture of the view to keep.
+    Picture,
+    /// The dialog for a picture of another size, or for a turntable.
+    PictureDialog,
     /// One edit of the transfer function back.
     Undo,
     /// One edit of the transfer function forward.
@@ -101,6 +107,8 @@ pub enum Gesture {
     Roll,
     /// Brings nearer, up and down.
     Zoom,
+    /// Moves the light.
+    Light,
 }
 
 /// Something that can be bound.
@@ -339,6 +347,7 @@ const TABLE: &[Line] = &[
     keys("roll", &[("roll", Deed::Drag(Gesture::Roll), &["ctrl+left drag"])]),
     fixed("wheel, pinch", "zoom at the pointer"),
     keys("zoom", &[("zoom", Deed::Drag(Gesture::Zoom), &["right drag"])]),
+    keys("move the light", &[("light", Deed::Drag(Gesture::Light), &["ctrl+right drag"])]),
     fixed("double click", "turn about what is visible there"),
     keys("first view", &[("first-view", Deed::Act(Action::FirstView), &["r"])]),
     keys(
@@ -386,6 +395,12 @@ const TABLE: &[Line] = &[
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
     keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
+    keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
+    keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),
+    keys(
+        "picture of another size, turntable",
+        &[("picture-dialog", Deed::Act(Action::PictureDialog), &["ctrl+shift+s"])],
+    ),
     keys(
         "undo and redo edits of the transfer function",
         &[

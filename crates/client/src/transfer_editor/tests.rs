@@ -23,6 +23,8 @@ fn harness(name: &str) -> Harness<'static, Bench> {
         spacing: [1.0; 3],
         unit: None,
         orientation: None,
+        placement: None,
+        value_unit: None,
         value_range: (-1000.0, 3000.0),
         histogram: (0..256).map(|i| 10_000 / (1 + i)).collect(),
     });

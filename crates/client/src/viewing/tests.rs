@@ -50,6 +50,8 @@ impl FrameSource for FakeSource {
             spacing: [1.0; 3],
             unit: None,
             orientation: None,
+            placement: None,
+            value_unit: None,
             value_range: (0.0, 1.0),
             histogram: vec![],
         };

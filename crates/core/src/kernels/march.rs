@@ -13,6 +13,7 @@ mod grid;
 #[cfg(test)]
 mod whole_marches;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{BVec3, Vec3};
@@ -27,7 +28,9 @@ use crate::picture::Picture;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{BRICK, Bricks, Histogram, LIT_MAX, Lit, Occupancy, Volume};
+use crate::volume::{
+    BRICK, Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Occupancy, Volume,
+};
 
 /// How to march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,11 +41,26 @@ pub struct MarchSettings {
     pub shading: Option<Shading>,
     /// What of the volume is marched.
     pub clip: Clip,
+    /// Ambient occlusion and shadows. Its light is that of the shading where both are made of a
+    /// [`Look`](crate::look::Look).
+    pub lighting: Lighting,
+    /// How finely they are worked out.
+    pub detail: Detail,
 }
 
 impl Default for MarchSettings {
     fn default() -> Self {
-        Self { step_in_voxels: 0.5, shading: Some(Shading::default()), clip: Clip::default() }
+        let (lighting, detail) = (Lighting::default(), Detail::Final);
+        let clip = Clip::default();
+        Self { step_in_voxels: 0.5, shading: Some(Shading::default()), clip, lighting, detail }
+    }
+}
+
+impl MarchSettings {
+    /// For the picture that stays, with shading or not, and both by the light of `lighting`.
+    pub fn of(shaded: bool, lighting: Lighting) -> Self {
+        let shading = Shading { light: lighting.direction(), ..Shading::default() };
+        Self { shading: shaded.then_some(shading), lighting, ..Self::default() }
     }
 }
 
@@ -59,8 +77,8 @@ pub struct Scene {
     pub table: TransferTable,
     /// Bricks that `table` leaves visible.
     pub occupancy: Occupancy,
-    /// Brightness of the voxels, if `settings` ask for shading.
-    pub lit: Option<Arc<Lit>>,
+    /// Brightness of the voxels, if `settings` ask for shading or lighting.
+    pub illumination: Illumination,
     /// Step and shading.
     pub settings: MarchSettings,
 }
@@ -72,20 +90,16 @@ impl Scene {
         let histogram = Arc::new(Histogram::of(&volume));
         let table = transfer.table(&volume, &histogram);
         let occupancy = bricks.occupancy(&table);
-        let lit = settings.shading.map(|shading| Arc::new(Lit::of(&volume, shading, table.x_scale)));
-        Self { volume, bricks, histogram, table, occupancy, lit, settings }
+        let illumination = illuminate(&volume, &table, settings, None);
+        Self { volume, bricks, histogram, table, occupancy, illumination, settings }
     }
 
-    /// The same volume with another look; bricks and histogram are shared, and so is the brightness of the voxels unless
-    /// the domain's width or the shading is another.
+    /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let table = transfer.table(&self.volume, &self.histogram);
         let occupancy = self.bricks.occupancy(&table);
-        let lit = settings.shading.map(|shading| match &self.lit {
-            Some(lit) if lit.suits(shading, table.x_scale) => Arc::clone(lit),
-            _ => Arc::new(Lit::of(&self.volume, shading, table.x_scale)),
-        });
-        Self { table, occupancy, lit, settings, ..self.clone() }
+        let illumination = illuminate(&self.volume, &table, settings, Some(&self.illumination));
+        Self { table, occupancy, illumination, settings, ..self.clone() }
     }
 
     /// What is left of the volume.
@@ -104,6 +118,17 @@ impl Scene {
         let n = ((s1 - s0) / h).ceil().clamp(1.0, MAX_STEPS);
         Some(Lattice { s0, h: (s1 - s0) / n, n: n as u32 })
     }
+}
+
+fn illuminate(
+    volume: &Volume,
+    table: &TransferTable,
+    settings: MarchSettings,
+    before: Option<&Illumination>,
+) -> Illumination {
+    let MarchSettings { shading, lighting, detail, clip, .. } = settings;
+    let region = clip.region(&volume.bounds());
+    Illumination::of(volume, table, shading, &region, lighting, detail, before)
 }
 
 /// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
@@ -186,7 +211,7 @@ pub(crate) use with_texels;
 pub struct Marcher<'a, T> {
     scene: &'a Scene,
     voxels: Grid<T>,
-    lit: Option<(Grid<&'a [u8]>, Shading)>,
+    lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
     visible_bins: VisibleBins,
     voxel_from_world: Vec3,
     half_dims: Vec3,
@@ -199,11 +224,11 @@ impl<'a, T: Texels> Marcher<'a, T> {
     pub fn new(scene: &'a Scene, texels: T) -> Self {
         let dims = scene.volume.dims();
         let [bx, by, bz] = scene.occupancy.dims;
-        let lit = scene.lit.as_ref().zip(scene.settings.shading);
+        let lit = scene.illumination.lit();
         Self {
             scene,
             voxels: Grid::new(texels, dims),
-            lit: lit.map(|(lit, shading)| (Grid::new(&lit.shares[..], dims), shading)),
+            lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
             visible_bins: VisibleBins::of(&scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
             half_dims: scene.volume.dims_f32() * 0.5,
@@ -335,14 +360,14 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// Brightness of matter in the middles of steps: that of the voxels, interpolated trilinearly.
     #[inline(always)]
     fn shade_lanes(&self, origin: Vec3, dir: Vec3, s_front: &Lanes, s_back: &Lanes) -> Lanes {
-        let Some((lit, shading)) = &self.lit else { return [1.0; LANES] };
+        let Some((grid, lit)) = &self.lit else { return [1.0; LANES] };
         let mut middle = [0.0; LANES];
         for m in 0..LANES {
             middle[m] = 0.5 * (s_front[m] + s_back[m]);
         }
-        let mut brightness = lit.sample_lanes(origin, dir, &middle);
+        let mut brightness = grid.sample_lanes(origin, dir, &middle);
         for b in &mut brightness {
-            *b = shading.ambient + shading.diffuse * (*b * (1.0 / LIT_MAX));
+            *b = lit.ambient + lit.diffuse * (*b * (1.0 / LIT_MAX));
         }
         brightness
     }
@@ -490,26 +515,37 @@ impl Sink for OverSink {
 /// The picture of the volume from a camera: full volume rendering, the reference of all novel views. Premultiplied
 /// linear.
 pub fn render(scene: &Scene, camera: &Camera) -> Picture {
-    render_until(scene, camera, TRANSMITTANCE_MIN)
+    render_until(scene, camera, 0..camera.intrinsics.height, TRANSMITTANCE_MIN)
+}
+
+/// Some rows of [`render`], to the bit.
+pub fn render_rows(scene: &Scene, camera: &Camera, rows: Range<u32>) -> Picture {
+    render_until(scene, camera, rows, TRANSMITTANCE_MIN)
 }
 
 /// The same picture by a march that goes on behind opaque matter, step by step to the far side: what a layered frame,
 /// which must know all matter, is compared with in time.
 pub fn render_through(scene: &Scene, camera: &Camera) -> Picture {
-    render_until(scene, camera, STOP_NOWHERE)
+    render_until(scene, camera, 0..camera.intrinsics.height, STOP_NOWHERE)
 }
 
-fn render_until(scene: &Scene, camera: &Camera, stop_at: f32) -> Picture {
-    with_texels!(scene, texels => render_with(&Marcher::new(scene, texels), camera, stop_at))
+fn render_until(scene: &Scene, camera: &Camera, rows: Range<u32>, stop_at: f32) -> Picture {
+    with_texels!(scene, texels => render_with(&Marcher::new(scene, texels), camera, rows, stop_at))
 }
 
-fn render_with<T: Texels>(marcher: &Marcher<'_, T>, camera: &Camera, stop_at: f32) -> Picture {
-    let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
+fn render_with<T: Texels>(
+    marcher: &Marcher<'_, T>,
+    camera: &Camera,
+    rows: Range<u32>,
+    stop_at: f32,
+) -> Picture {
+    let mut picture = Picture::new(camera.intrinsics.width, rows.end.saturating_sub(rows.start));
     let basis = camera.basis();
     let width = picture.width as usize;
     picture.pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.iter_mut().enumerate() {
-            let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
+            let row = rows.start as usize + y;
+            let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, row as f32 + 0.5);
             let mut sink = OverSink { over: Over::default(), stop_at };
             if let Some(lattice) = marcher.scene.lattice(&ray, camera.near * s_per_depth) {
                 marcher.march(&ray, lattice, &mut sink);

@@ -9,7 +9,9 @@ use super::bucket::Bucket;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
 use crate::look::Look;
 use crate::wire::control::ControlError;
-use crate::wire::{ClientMessage, ClientStats, Part, PoseError, PoseRequest, Refusal};
+use crate::wire::{
+    ClientMessage, ClientStats, Part, PoseError, PoseRequest, ProbeRequest, Refusal, ShotRequest,
+};
 
 /// State of one admitted connection.
 ///
@@ -38,6 +40,12 @@ pub enum Request {
     OpenPart(Part),
     /// No other part any more.
     CancelPart,
+    /// The value at a point.
+    Probe(ProbeRequest),
+    /// A picture to keep.
+    Shoot(ShotRequest),
+    /// The picture is no longer wanted.
+    CancelShot,
 }
 
 impl Session {
@@ -93,6 +101,9 @@ impl Session {
             ClientMessage::Bye => Ok(Request::Bye),
             ClientMessage::OpenPart(part) => Ok(Request::OpenPart(part)),
             ClientMessage::CancelPart => Ok(Request::CancelPart),
+            ClientMessage::Probe(probe) => Ok(Request::Probe(probe)),
+            ClientMessage::Shoot(shot) => Ok(Request::Shoot(shot)),
+            ClientMessage::CancelShot => Ok(Request::CancelShot),
             ClientMessage::Hello { .. } => Err(Refusal::Protocol("a second hello".into())),
         }
     }
@@ -138,6 +149,8 @@ pub fn priority(frame: FrameId, index: ChunkIndex, is_base: bool) -> i32 {
     if is_base { BASE_BAND + place } else { place }
 }
 
+/// Below every chunk: a picture to keep waits for what is looked at.
+pub const SHOT_PRIORITY: i32 = -1;
 /// Above every chunk.
 pub const CONTROL_PRIORITY: i32 = i32::MAX;
 /// Pose datagrams read per second. Clients send at most 120; twice that leaves room for bunching.

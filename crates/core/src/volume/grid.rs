@@ -1,6 +1,7 @@
 //! A scalar volume on a regular grid.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use crate::space::Aabb;
 
@@ -71,7 +72,7 @@ pub struct VolumeInfo {
 
 /// Where a volume lies in the world of its file: right-anterior-superior (RAS+) for a body, the file's own axes otherwise.
 /// Lengths are in the unit of the spacing.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
     /// The point of the file's world at the origin of world space, which is the centre of the volume's box.
     pub center: [f64; 3],
@@ -243,7 +244,7 @@ impl Volume {
     }
 }
 
-/// Bytes of the brightness of a voxel.
+/// Bytes of the brightness of a voxel; where matter shades itself, once more.
 const BRIGHTNESS_BYTES: usize = 1;
 
 fn min_max(values: impl Iterator<Item = f32>) -> (f32, f32) {

@@ -8,6 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
+use super::lighting::Lighting;
 
 /// Diffuse shading by the gradient, two-sided, from a light that is fixed in the world: the colour of matter does
 /// not depend on the view, as every layered frame assumes (Lochmann 2016, section 5: isotropic emission).
@@ -26,8 +27,7 @@ pub struct Shading {
 
 impl Default for Shading {
     fn default() -> Self {
-        let light = Vec3::new(-0.45, 0.6, 0.66).normalize();
-        Self { ambient: 0.25, diffuse: 0.85, light, half_gradient: 0.01 }
+        Self { ambient: 0.25, diffuse: 0.85, light: Lighting::default().direction(), half_gradient: 0.01 }
     }
 }
 
@@ -36,12 +36,14 @@ impl Default for Shading {
 pub struct Lit {
     /// The shares, x fastest.
     pub shares: Vec<u8>,
-    shading: Shading,
-    x_scale: f32,
+    /// Brightness of share 0.
+    pub ambient: f32,
+    /// Brightness that a whole share adds.
+    pub diffuse: f32,
 }
 
 impl Lit {
-    /// Lights a volume, in parallel. `x_scale`: domain positions a stored unit
+    /// Lights a volume by its gradients, in parallel. `x_scale`: domain positions a stored unit
     /// ([`x_scale`](crate::transfer::TransferTable::x_scale)).
     pub fn of(volume: &Volume, shading: Shading, x_scale: f32) -> Self {
         let shares = match volume.voxels() {
@@ -49,12 +51,7 @@ impl Lit {
             Voxels::U16(v) => light(v, volume, &shading, x_scale),
             Voxels::F32(v) => light(v, volume, &shading, x_scale),
         };
-        Self { shares, shading, x_scale }
-    }
-
-    /// Whether these are the shares that [`Lit::of`] would find for the same volume.
-    pub fn suits(&self, shading: Shading, x_scale: f32) -> bool {
-        self.shading == shading && self.x_scale == x_scale
+        Self { shares, ambient: shading.ambient, diffuse: shading.diffuse }
     }
 }
 

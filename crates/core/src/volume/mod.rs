@@ -1,13 +1,23 @@
-//! Scalar volumes: the grid of voxels, min/max bricks over it, its brightness under a light, closed-form fields and the built-in volumes.
+//! Scalar volumes: the grid of voxels, min/max bricks over it, its brightness under a light and in its own
+//! shade, closed-form fields and the built-in volumes.
 
 mod bricks;
+mod extinction;
 pub mod fields;
 mod grid;
 mod histogram;
+mod illumination;
+mod lighting;
 mod lit;
 pub mod procedural;
+mod shade;
 
 pub use bricks::{BRICK, Bricks, Occupancy};
+pub use extinction::Detail;
 pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::Histogram;
+pub use illumination::Illumination;
+pub use lighting::{
+    Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES,
+};
 pub use lit::{LIT_MAX, Lit, Shading};

@@ -7,12 +7,14 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, Parts, Token};
+use super::{
+    LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, Parts, ProbeRequest, Probed, ShotRequest, Token,
+};
 use crate::camera::MAX_SIDE;
-use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::ids::{FrameId, LookVersion, PoseId, ShotId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
 use crate::space::Aabb;
-use crate::volume::{Histogram, Volume};
+use crate::volume::{Histogram, Placement, Volume};
 
 /// What a client says. [`ClientMessage::Hello`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -38,6 +40,12 @@ pub enum ClientMessage {
     OpenPart(Part),
     /// The part that is being read is not wanted any more.
     CancelPart,
+    /// Asks for the value at a point.
+    Probe(ProbeRequest),
+    /// Asks for a picture to keep.
+    Shoot(ShotRequest),
+    /// The picture that was asked for is no longer wanted.
+    CancelShot,
 }
 
 /// What a server says. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -51,6 +59,9 @@ pub enum ServerMessage {
         version: LookVersion,
         /// The look.
         look: Look,
+        /// Whether frames of this number show a draft of it: another number, or the same with no draft, follows. Such a
+        /// frame is never the final picture.
+        is_draft: bool,
     },
     /// The client is not let in, or is sent away; the connection closes after this.
     Refused(Refusal),
@@ -64,6 +75,15 @@ pub enum ServerMessage {
     Parts(Box<Parts>),
     /// How the reading of another part stands.
     Load(LoadStatus),
+    /// What is at a point.
+    Probed(Probed),
+    /// A picture that was asked for will not come.
+    ShotFailed {
+        /// The request.
+        id: ShotId,
+        /// One line for the person.
+        why: String,
+    },
 }
 
 /// Another volume takes the place of the one that was shown.
@@ -107,6 +127,10 @@ pub struct VolumeDescription {
     pub unit: Option<String>,
     /// Where the axes point, such as `RAS`, if known.
     pub orientation: Option<String>,
+    /// Where the volume lies in the world of its file, if known.
+    pub placement: Option<Placement>,
+    /// Unit of the values, if known.
+    pub value_unit: Option<String>,
     /// Least and greatest value.
     pub value_range: (f32, f32),
     /// Voxels in at most [`MAX_BINS`] equal bins over the value range.
@@ -219,7 +243,9 @@ impl Message for ClientMessage {
             Self::SetLook(look) => Ok(look.validate()?),
             Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
             Self::OpenPart(part) => part.validate(),
-            Self::Stats(_) | Self::Bye | Self::CancelPart => Ok(()),
+            Self::Stats(_) | Self::Bye | Self::CancelPart | Self::CancelShot => Ok(()),
+            Self::Probe(probe) => probe.validate(),
+            Self::Shoot(shot) => shot.view().map(drop),
         }
     }
 }
@@ -244,6 +270,8 @@ impl Message for ServerMessage {
             }
             Self::Parts(parts) => parts.validate(),
             Self::Load(status) => status.validate(),
+            Self::ShotFailed { why, .. } => text("reason", why, MAX_NOTICE_BYTES),
+            Self::Probed(probed) => probed.validate(),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }
@@ -265,6 +293,9 @@ impl VolumeDescription {
             spacing: volume.spacing().to_array(),
             unit: volume.info.unit.as_deref().map(cut),
             orientation: volume.info.orientation.as_deref().map(cut),
+            placement: volume.info.placement,
+            // Computed tomography's numbers are Hounsfield units; of others no file of ours says.
+            value_unit: (volume.info.modality.as_deref() == Some("CT")).then(|| "HU".into()),
             value_range: volume.value_range(),
             histogram: counts,
         }
@@ -279,8 +310,12 @@ impl VolumeDescription {
 
     fn validate(&self) -> Result<(), ControlError> {
         text("volume name", &self.name, MAX_NAME_BYTES)?;
-        for s in [&self.unit, &self.orientation].into_iter().flatten() {
+        for s in [&self.unit, &self.orientation, &self.value_unit].into_iter().flatten() {
             text("unit or orientation", s, MAX_NAME_BYTES)?;
+        }
+        let numbers = self.placement.iter().flat_map(|p| p.axes.iter().flatten().chain(&p.center));
+        if numbers.into_iter().any(|x| !x.is_finite()) {
+            return Err(ControlError::Value("placement"));
         }
         let positive = |x: &f32| *x > 0.0 && x.is_finite();
         if self.dims.contains(&0) || !self.spacing.iter().all(positive) || !self.bounds().radius().is_finite()
@@ -367,8 +402,10 @@ pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::ProbeId;
     use crate::kernels::layering::Layering;
     use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+    use crate::wire::ProbedVoxel;
 
     fn look() -> Look {
         let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
@@ -388,6 +425,8 @@ mod tests {
             spacing: [1.0, 0.5, 2.0],
             unit: Some("mm".into()),
             orientation: None,
+            placement: None,
+            value_unit: None,
             value_range: (-1.0, 1.0),
             histogram: (0..256).collect(),
         };
@@ -401,10 +440,16 @@ mod tests {
         };
         vec![
             ServerMessage::Welcome(Box::new(welcome)),
-            ServerMessage::LookChanged { version: LookVersion(9), look: look() },
+            ServerMessage::LookChanged { version: LookVersion(9), look: look(), is_draft: true },
             ServerMessage::Refused(Refusal::Full(3)),
             ServerMessage::Notice("rendering on the CPU".into()),
             ServerMessage::Stats(ServerStats { bytes: 1 << 40, ..Default::default() }),
+            ServerMessage::Probed(Probed {
+                id: ProbeId(5),
+                point: [1.0, -2.0, 0.5],
+                voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5 }),
+            }),
+            ServerMessage::ShotFailed { id: ShotId(6), why: "too large".into() },
         ]
     }
 

@@ -6,10 +6,13 @@
 //! | [`ClientMessage`], [`ServerMessage`] | both | one bidirectional stream that the client opens; see [`control`] |
 //! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
+//! | picture to keep | server to client | one unidirectional stream each; see [`shot`] |
 
 pub mod control;
 mod parts;
 mod pose;
+mod probe;
+pub mod shot;
 mod token;
 
 pub use control::{
@@ -18,6 +21,8 @@ pub use control::{
 };
 pub use parts::{LoadState, LoadStatus, Part, Parts};
 pub use pose::{POSE_BYTES, PoseError, PoseRequest};
+pub use probe::{ProbeRequest, Probed, ProbedVoxel};
+pub use shot::ShotRequest;
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.

@@ -19,6 +19,7 @@ use crate::args::{
     RawArgs, VolumeArgs, parse_duration, parse_fov, parse_size,
 };
 use crate::given::Given;
+use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 use crate::state_args::StateArgs;
@@ -77,6 +78,8 @@ pub(crate) struct DemoArgs {
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
     method: MethodArgs,
@@ -123,6 +126,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),
         clip: args.look.clip.clip(),
+        lighting: args.light.lighting(),
         layering: args.layering.layering,
         k: args.layering.k,
         method: args.method.method,
@@ -161,7 +165,8 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let volume = args.volume.or_else(|| (!names_volume).then(|| DEFAULT_SOURCE.into()));
     let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
     let volume_source = Some((volume.source()?.to_owned(), volume.part.selection()));
-    let (opened, look) = seen.open_to_serve(&volume, &args.look, &args.layering, &args.memory)?;
+    let (opened, look) =
+        seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.layering, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);
     let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window);
     // The server has the look already, with what flags say.

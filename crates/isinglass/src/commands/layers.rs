@@ -16,6 +16,7 @@ use crate::args::{
     BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_output,
 };
 use crate::given::Given;
+use crate::light_args::LightArgs;
 use crate::report::print_json;
 use crate::state_args::StateArgs;
 
@@ -36,6 +37,8 @@ pub(crate) struct LayersArgs {
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
     codec: CodecArgs,
@@ -51,9 +54,9 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
     let seen = args.state.read(given)?;
-    let (opened, look) = seen.open(&args.volume, &args.look, &args.layering)?;
+    let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
     let backend = args.backend.open()?;
-    let camera = seen.camera(&args.orbit, &args.view, &opened.scene.volume.bounds());
+    let camera = seen.camera(&args.orbit, 0.0, &args.view, &opened.scene.volume.bounds());
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
     let frame = renderer.generate(header(camera, look.k), look.layering)?;

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
+use clap::error::ErrorKind;
+use isinglass_bench::progress::Progress;
 use isinglass_bench::view::Orbit;
 use serde_json::json;
 
@@ -13,6 +15,7 @@ use crate::args::{
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;
+use crate::light_args::LightArgs;
 use crate::report::print_json;
 use crate::state_args::StateArgs;
 
@@ -25,13 +28,18 @@ pub(crate) struct RenderArgs {
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// PNG file to write
-    #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
+    /// PNG file to write; for --turntable a folder, which is made, or a name with a # for each figure of the picture's number
+    #[arg(short, long, value_name = "FILE", value_parser = parse_pictures)]
     output: PathBuf,
+    /// N pictures once around the volume, from --orbit on by azimuth
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=MAX_PICTURES))]
+    turntable: Option<u32>,
     #[command(flatten)]
     view: ViewArgs,
     #[command(flatten)]
     look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
     /// Colour behind the volume
     #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
     background: [u8; 3],
@@ -46,23 +54,46 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
+    if args.turntable.is_none() && args.output.is_dir() {
+        let text = format!("{}: found a folder, expected the name of a file", args.output.display());
+        return Err(clap::Error::raw(ErrorKind::ValueValidation, text).into());
+    }
     let seen = args.state.read(given)?;
-    let (opened, _) = seen.open(&args.volume, &args.look, &LayeringArgs::default())?;
+    let lighting = args.light.lighting();
+    let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;
     let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
-    let camera = seen.camera(&args.orbit, &args.view, &bounds);
-    let plan = args.lens.plan(&camera, &bounds)?;
+    let num_pictures = args.turntable.unwrap_or(1);
+    let names = Names::of(args);
+    if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
     let mut renderer = backend.renderer(opened.scene)?;
+    let mut progress = args.turntable.map(|n| Progress::new("turntable", n.into()));
     let start = Instant::now();
-    let pictures = plan.draw(|views| renderer.render_mean(views))?;
-    let render_ms = start.elapsed().as_secs_f64() * 1e3;
-    let picture = plan.compose(&pictures, seen.background(args.background));
-    picture.write(&args.output)?;
-    if args.json {
+    let mut told = None;
+    for number in 0..num_pictures {
+        let degrees = 360.0 * number as f32 / num_pictures as f32;
+        let camera = seen.camera(&args.orbit, degrees, &args.view, &bounds);
+        let plan = args.lens.plan(&camera, &bounds)?;
+        let pictures = plan.draw(|views| renderer.render_mean(views))?;
+        let render_ms = start.elapsed().as_secs_f64() * 1e3;
+        let picture = plan.compose(&pictures, seen.background(args.background));
+        picture.write(&names.file(number))?;
+        if let Some(progress) = &mut progress {
+            progress.advance(1, "");
+        }
+        told = Some(([picture.width, picture.height], plan.json, render_ms));
+    }
+    if let Some(progress) = progress {
+        progress.finish();
+    }
+    if let (true, Some((size, lens, render_ms))) = (args.json, told) {
         print_json(&json!({
             "output": args.output.display().to_string(),
-            "size": [picture.width, picture.height],
-            "lens": plan.json,
+            "size": size,
+            "pictures": num_pictures,
+            "lens": lens,
             "backend": backend.description(),
             "tf": opened.transfer.name,
             "render_ms": render_ms,
@@ -70,3 +101,45 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     }
     Ok(())
 }
+
+/// Where the pictures go.
+enum Names {
+    One(PathBuf),
+    /// Called by their numbers.
+    Folder(PathBuf),
+    /// With so many figures between two parts of the name.
+    Pattern(PathBuf, String, usize, String),
+}
+
+impl Names {
+    fn of(args: &RenderArgs) -> Self {
+        if args.turntable.is_none() {
+            return Self::One(args.output.clone());
+        }
+        let name = args.output.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let Some(first) = name.find('#') else { return Self::Folder(args.output.clone()) };
+        let (before, rest) = name.split_at(first);
+        let after = rest.trim_start_matches('#');
+        let folder = args.output.parent().map(PathBuf::from).unwrap_or_default();
+        Self::Pattern(folder, before.to_owned(), rest.len() - after.len(), after.to_owned())
+    }
+
+    fn file(&self, number: u32) -> PathBuf {
+        match self {
+            Self::One(file) => file.clone(),
+            Self::Folder(folder) => folder.join(format!("{number:04}.png")),
+            Self::Pattern(folder, before, figures, after) => {
+                folder.join(format!("{before}{number:0figures$}{after}"))
+            }
+        }
+    }
+}
+
+/// A file to write, or a folder that is there.
+fn parse_pictures(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if path.is_dir() { Ok(path) } else { parse_output(text) }
+}
+
+/// A minute at 60 pictures a second.
+const MAX_PICTURES: i64 = 3600;

@@ -11,6 +11,7 @@ use serde_json::json;
 
 use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::given::Given;
+use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 use crate::state_args::StateArgs;
@@ -32,6 +33,8 @@ pub(crate) struct ServeArgs {
     viewers: u32,
     #[command(flatten)]
     look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
     #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
@@ -55,7 +58,8 @@ pub(crate) struct ServeArgs {
 pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     let seen = args.state.read(given)?;
     let source = seen.volume(&args.volume)?.source()?.to_owned();
-    let (opened, look) = seen.open_to_serve(&args.volume, &args.look, &args.layering, &args.memory)?;
+    let (opened, look) =
+        seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.layering, &args.memory)?;
     // Who follows the link sees the state at once.
     let state = seen.for_link(&look);
     let backend = args.backend.open()?;

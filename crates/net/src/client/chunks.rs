@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
 use isinglass_core::session::client::{ChunkPlace, Prediction};
+use isinglass_core::wire::shot::shot_id;
 use quinn::{Connection, RecvStream};
 
-use super::Shared;
+use super::{Shared, shot};
 use crate::transport::{RESET_SUPERSEDED, STOP_UNUSABLE};
 
 /// Reads all streams of a connection, each in its own task, until the connection is over.
@@ -52,6 +53,9 @@ async fn read(
             return Err(format!("a chunk of more than {} bytes is not read", bytes.len()));
         }
         bytes.extend_from_slice(&part.bytes);
+        if header.is_none() && shot_id(&bytes).is_some() {
+            return shot::read(shared, stream, bytes, budget).await;
+        }
         if header.is_none() && bytes.len() >= HEADER_BYTES {
             let read = codec::peek(&bytes);
             if read.is_err() {
@@ -82,13 +86,13 @@ fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
 }
 
 /// Bytes that all streams of a connection hold together while they are read.
-struct Budget {
+pub(super) struct Budget {
     total: Arc<AtomicUsize>,
     taken: usize,
 }
 
 impl Budget {
-    fn take(&mut self, bytes: usize) -> bool {
+    pub(super) fn take(&mut self, bytes: usize) -> bool {
         self.taken += bytes;
         self.total.fetch_add(bytes, Ordering::Relaxed) + bytes <= MAX_READING_BYTES
     }

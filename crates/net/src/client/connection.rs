@@ -4,19 +4,23 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use isinglass_core::ids::ShotId;
 use isinglass_core::wire::control::hello;
-use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeChange, Welcome};
+use isinglass_core::wire::{
+    ClientMessage, Refusal, ServerMessage, ShotRequest, Token, VolumeChange, Welcome,
+};
 use quinn::{
     AsyncUdpSocket, Connection, ConnectionError, Endpoint, EndpointConfig, RecvStream, Runtime,
     SendDatagramError, SendStream, TokioRuntime, TransportErrorCode,
 };
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, timeout};
 use tracing::Instrument;
 
-use super::{ClientOptions, Shared, State, chunks};
+use super::{ClientOptions, Shared, State, chunks, shot};
 use crate::conditioner::{ConditionedSocket, LinkModel};
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{Fingerprint, IdentityError, Mismatch, SERVER_NAME, pinned_tls, random_token};
@@ -163,6 +167,7 @@ impl Dialer {
                 shared.update(|s| {
                     s.connection = number;
                     s.look = Some((welcome.look_version, Arc::new(welcome.look.clone())));
+                    s.is_draft = false;
                     s.welcome = Some(Arc::new(*welcome));
                     // Both are said again, if there are any.
                     (s.parts, s.load) = (None, None);
@@ -379,12 +384,14 @@ async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed) -> Ended {
 async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
     loop {
         match control_stream::receive::<ServerMessage>(stream).await {
-            Ok(ServerMessage::LookChanged { version, look }) => {
-                shared.update(|s| s.look = Some((version, Arc::new(look))));
+            Ok(ServerMessage::LookChanged { version, look, is_draft }) => {
+                shared.update(|s| (s.look, s.is_draft) = (Some((version, Arc::new(look))), is_draft));
             }
             Ok(ServerMessage::VolumeChanged(change)) => change_volume(shared, *change),
             Ok(ServerMessage::Parts(parts)) => shared.update(|s| s.parts = Some(Arc::new(*parts))),
             Ok(ServerMessage::Load(load)) => shared.update(|s| s.load = Some(load)),
+            Ok(ServerMessage::Probed(probed)) => shared.update(|s| s.probed = Some(probed)),
+            Ok(ServerMessage::ShotFailed { id, why }) => shot::settle(shared, id, Err(why)),
             Ok(ServerMessage::Notice(text)) => {
                 shared.status.put_notice(text);
                 (shared.wake)();
@@ -417,6 +424,7 @@ fn change_volume(shared: &Shared, change: VolumeChange) {
                 Some(Arc::new(Welcome { volume, look_version, look: look.clone(), ..(**welcome).clone() }));
         }
         s.look = Some((look_version, Arc::new(look)));
+        (s.is_draft, s.probed) = (false, None);
     });
 }
 
@@ -425,6 +433,10 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
     let mut looks = shared.look.subscribe();
     let mut reports = shared.report.subscribe();
     let mut parts = shared.part.subscribe();
+    let mut probes = shared.probe.subscribe();
+    // Nor is a question forgotten that was asked without a connection.
+    probes.mark_changed();
+    let mut shots = shared.shot.subscribe();
     // A look that was asked for over a connection that is gone is asked for again.
     looks.mark_changed();
     // Once one was asked for over this connection, what is in force is on its way to that one.
@@ -432,8 +444,13 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
     let since = || shared.status.read().welcome.as_ref().map(|w| w.look_version);
     let (mut asked, mut asked_since) = (in_force(), since());
     let mut next_report = Instant::now() + REPORT_INTERVAL;
+    // After the look: a picture that is still waited for is asked for again, too.
+    shots.mark_changed();
+    let (mut shoots_at, mut probes_at) = (Instant::now(), Instant::now());
+    let mut asked_shot = None;
     loop {
         let message = tokio::select! {
+            biased;
             changed = looks.changed() => {
                 let wanted = looks.borrow_and_update().clone();
                 if changed.is_err() {
@@ -454,6 +471,21 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
                 let wish = *parts.borrow_and_update();
                 wish.map(|part| part.map_or(ClientMessage::CancelPart, ClientMessage::OpenPart))
             }
+            changed = changed_after(shoots_at, &mut shots) => {
+                if changed.is_err() {
+                    return;
+                }
+                shoots_at = Instant::now() + SHOT_INTERVAL;
+                let waiting = shots.borrow_and_update().waiting.clone();
+                shot_message(waiting, &mut asked_shot)
+            }
+            changed = changed_after(probes_at, &mut probes) => {
+                if changed.is_err() {
+                    return;
+                }
+                probes_at = Instant::now() + PROBE_INTERVAL;
+                probes.borrow_and_update().map(ClientMessage::Probe)
+            }
             () = tokio::time::sleep_until(next_report) => {
                 next_report += REPORT_INTERVAL;
                 let report = if reports.has_changed().unwrap_or(false) { *reports.borrow_and_update() } else { None };
@@ -466,6 +498,24 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream) {
             Err(control_stream::SendError::Control(e)) => tracing::error!("not sent: {e}"),
             Err(control_stream::SendError::Ended(_)) => return,
         }
+    }
+}
+
+/// Waits for a moment, and then for a change: who asks too often is sent away.
+async fn changed_after<T>(
+    at: Instant,
+    value: &mut watch::Receiver<T>,
+) -> Result<(), watch::error::RecvError> {
+    tokio::time::sleep_until(at).await;
+    value.changed().await
+}
+
+/// What to say of the picture that is wanted; `asked` is the one that the server knows of.
+fn shot_message(waiting: Option<ShotRequest>, asked: &mut Option<ShotId>) -> Option<ClientMessage> {
+    let before = std::mem::replace(asked, waiting.as_ref().map(|w| w.id));
+    match waiting {
+        Some(shot) => (before != Some(shot.id)).then_some(ClientMessage::Shoot(shot)),
+        None => before.map(|_| ClientMessage::CancelShot),
     }
 }
 
@@ -552,6 +602,10 @@ impl Backoff {
 const NO_COMMON_ALPN: u8 = 120;
 const POSE_INTERVAL: Duration = Duration::from_micros(8_300);
 const POSE_REPEAT: Duration = Duration::from_millis(100);
+/// Questions go out at most 30 times a second.
+const PROBE_INTERVAL: Duration = Duration::from_micros(33_334);
+/// And pictures are asked for.
+const SHOT_INTERVAL: Duration = PROBE_INTERVAL;
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
 const FIRST_BACKOFF: Duration = Duration::from_millis(250);

@@ -6,6 +6,7 @@
 mod chunks;
 mod connection;
 mod decode;
+mod shot;
 mod status;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,11 +15,14 @@ use std::time::Duration;
 
 use arc_swap::ArcSwapOption;
 use isinglass_core::camera::{Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId, ProbeId, ShotId};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::{Look, LookError};
 use isinglass_core::session::client::{self, FrameTimes};
-use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, PoseRequest, ServerStats, Welcome};
+use isinglass_core::wire::{
+    ClientStats, LoadStatus, Part, Parts, PoseRequest, ProbeRequest, Probed, ServerStats, ShotRequest,
+    Welcome,
+};
 use tokio::sync::watch;
 
 use crate::clock::Clock;
@@ -27,6 +31,7 @@ use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters
 use crate::link::Link;
 
 pub use connection::ConnectError;
+pub use shot::ReceivedShot;
 use status::{Status, StatusBoard};
 
 /// How to connect.
@@ -160,6 +165,8 @@ impl Client {
             look: watch::Sender::new(None),
             part: watch::Sender::new(None),
             report: watch::Sender::new(None),
+            probe: watch::Sender::new(None),
+            shot: watch::Sender::new(shot::Wish::default()),
             stop: watch::Sender::new(false),
             counters: Arc::default(),
         });
@@ -221,6 +228,58 @@ impl Client {
     /// Tells the server how this client fares, once a second at most.
     pub fn report(&self, stats: ClientStats) {
         self.shared.report.send_replace(Some(stats));
+    }
+
+    /// Whether frames of that look show a draft of it, with a final one to follow.
+    pub fn is_draft(&self) -> bool {
+        self.shared.status.read().is_draft
+    }
+
+    /// Asks for the value at a point of world space; the newest question wins, and one is answered.
+    pub fn probe(&self, point: [f32; 3]) -> ProbeId {
+        let mut id = ProbeId(0);
+        self.shared.probe.send_if_modified(|asked| {
+            id = asked.map_or(ProbeId(1), |a: ProbeRequest| a.id.next());
+            let is_usable = point.iter().all(|x| x.is_finite());
+            if is_usable {
+                *asked = Some(ProbeRequest { id, point });
+            }
+            is_usable
+        });
+        id
+    }
+
+    /// The newest answer.
+    pub fn probed(&self) -> Option<Probed> {
+        self.shared.status.read().probed
+    }
+
+    /// Asks for a picture to keep, under the look that was asked for last. It takes the place of one that has not come.
+    pub fn shoot(&self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        let mut id = ShotId(0);
+        self.shared.shot.send_modify(|wish| {
+            id = wish.newest.next();
+            // Its number is of no meaning here.
+            let view =
+                PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
+            wish.newest = id;
+            wish.waiting = Some(ShotRequest { id, view: view.encode().to_vec(), background });
+        });
+        let view = self.shared.shot.borrow().waiting.as_ref().map(ShotRequest::view);
+        if let Some(Err(e)) = view {
+            shot::settle(&self.shared, id, Err(e.to_string()));
+        }
+        id
+    }
+
+    /// The picture that was asked for last is no longer wanted.
+    pub fn cancel_shot(&self) {
+        self.shared.shot.send_if_modified(|wish| wish.waiting.take().is_some());
+    }
+
+    /// What has become of the picture that was asked for last; taken when it is asked for.
+    pub fn take_shot(&self) -> Option<Arc<ReceivedShot>> {
+        self.shared.status.take_shot()
     }
 
     /// The newest frame that can be shown, if there has been one.
@@ -338,6 +397,8 @@ struct Shared {
     /// The newest wish for another part; its inside is none where it is one for no other.
     part: watch::Sender<Option<Option<Part>>>,
     report: watch::Sender<Option<ClientStats>>,
+    probe: watch::Sender<Option<ProbeRequest>>,
+    shot: watch::Sender<shot::Wish>,
     stop: watch::Sender<bool>,
     counters: Arc<SharedCounters>,
 }

@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use arc_swap::{ArcSwap, ArcSwapOption};
 use isinglass_core::ids::LookVersion;
 use isinglass_core::look::Look;
-use isinglass_core::wire::{LoadStatus, Parts, Welcome};
+use isinglass_core::wire::{LoadStatus, Parts, Probed, Welcome};
 
+use super::shot::ReceivedShot;
 use super::{ConnectError, LinkStats, State};
 
 /// How the connection stands, and what the server has said.
@@ -22,6 +23,8 @@ pub(super) struct Status {
     pub(super) parts: Option<Arc<Parts>>,
     /// How the reading of another part stands.
     pub(super) load: Option<LoadStatus>,
+    pub(super) is_draft: bool,
+    pub(super) probed: Option<Probed>,
     pub(super) last_problem: Option<String>,
     pub(super) stats: LinkStats,
 }
@@ -30,6 +33,7 @@ pub(super) struct Status {
 pub(super) struct StatusBoard {
     shown: ArcSwap<Status>,
     notice: ArcSwapOption<String>,
+    shot: ArcSwapOption<ReceivedShot>,
     /// Whoever changes the status, or waits for a change.
     turn: Mutex<()>,
     changed: Condvar,
@@ -44,12 +48,15 @@ impl StatusBoard {
             look: None,
             parts: None,
             load: None,
+            is_draft: false,
+            probed: None,
             last_problem: None,
             stats: LinkStats::default(),
         };
         Self {
             shown: ArcSwap::from_pointee(status),
             notice: ArcSwapOption::empty(),
+            shot: ArcSwapOption::empty(),
             turn: Mutex::default(),
             changed: Condvar::new(),
         }
@@ -77,6 +84,16 @@ impl StatusBoard {
     /// The last such line; taken when it is asked for.
     pub(super) fn take_notice(&self) -> Option<String> {
         self.notice.swap(None).map(Arc::unwrap_or_clone)
+    }
+
+    /// Puts up what has become of a picture to keep.
+    pub(super) fn put_shot(&self, shot: ReceivedShot) {
+        self.shot.store(Some(Arc::new(shot)));
+    }
+
+    /// The same; taken when it is asked for.
+    pub(super) fn take_shot(&self) -> Option<Arc<ReceivedShot>> {
+        self.shot.swap(None)
     }
 
     /// Waits until the server has let this client in.

@@ -8,9 +8,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
-use isinglass_core::ids::{FrameId, PoseId};
+use isinglass_core::ids::{FrameId, PoseId, ShotId};
 use isinglass_core::session::rate::LinkState;
-use isinglass_core::session::server::priority;
+use isinglass_core::session::server::{SHOT_PRIORITY, priority};
+use isinglass_core::wire::shot::shot_header;
 use quinn::{SendStream, WriteError};
 use tokio::time::Instant;
 use tracing::Instrument;
@@ -54,6 +55,26 @@ impl FrameSender {
     ) -> Result<(), SessionClosed> {
         let span = tracing::debug_span!("frame", frame = frame.0, pose = pose.0, finer = true);
         self.send_inner(frame, chunks, true).instrument(span).await
+    }
+
+    /// Sends a picture to keep, as PNG: behind all frames. Returns when the viewer has it.
+    ///
+    /// If the future is dropped, the picture is given up.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn send_shot(&self, id: ShotId, png: &[u8]) -> Result<(), SessionClosed> {
+        let stream = self.link.connection.open_uni().await.map_err(|_| SessionClosed)?;
+        let _ = stream.set_priority(SHOT_PRIORITY);
+        let mut stream = ChunkStream { stream };
+        match stream.stream.write_all(&shot_header(id)).await {
+            Ok(()) => {}
+            Err(WriteError::Stopped(_)) => return Ok(()),
+            Err(_) => return Err(SessionClosed),
+        }
+        stream.write(&self.link, png).await?;
+        all_delivered(&[stream]).await;
+        Ok(())
     }
 
     /// The link as QUIC sees it.

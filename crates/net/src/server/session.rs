@@ -3,13 +3,14 @@
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use isinglass_core::ids::LookVersion;
+use isinglass_core::ids::{LookVersion, ShotId};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::server::{self, Request, violation};
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{
-    LoadState, LoadStatus, Parts, PoseRequest, Refusal, ServerMessage, ServerStats, VolumeChange,
+    LoadState, LoadStatus, Parts, PoseRequest, ProbeRequest, Probed, Refusal, ServerMessage, ServerStats,
+    VolumeChange,
 };
 use quinn::{Connection, RecvStream, SendStream};
 use tokio::sync::{mpsc, watch};
@@ -37,7 +38,9 @@ pub struct Session {
     pub greeting: Arc<Greeting>,
     /// The newest pose: there is no queue. Its sender is dropped when the connection is over.
     pub poses: watch::Receiver<Option<PoseRequest>>,
-    /// What the viewer asks for. The control stream is not read on while this is full.
+    /// The newest question for the value at a point; earlier ones are not answered.
+    pub probes: watch::Receiver<Option<ProbeRequest>>,
+    /// What else the viewer asks for. The control stream is not read on while this is full.
     pub requests: mpsc::Receiver<Request>,
     /// Frames go here.
     pub frames: FrameSender,
@@ -58,12 +61,30 @@ pub struct ControlSender {
 }
 
 impl ControlSender {
-    /// Frames from now on have this look.
+    /// Frames from now on have this look, or a draft of it.
     ///
     /// # Errors
     /// If the connection is over.
-    pub async fn look_changed(&self, version: LookVersion, look: Look) -> Result<(), SessionClosed> {
-        self.send(ServerMessage::LookChanged { version, look }).await
+    pub async fn look_changed(
+        &self,
+        version: LookVersion,
+        look: Look,
+        is_draft: bool,
+    ) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::LookChanged { version, look, is_draft }).await
+    }
+
+    /// What is at a point. Dropped if messages already wait: the viewer asks again.
+    pub fn probed(&self, probed: Probed) {
+        let _ = self.messages.try_send(ServerMessage::Probed(probed));
+    }
+
+    /// A picture that was asked for will not come.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn shot_failed(&self, id: ShotId, why: &str) -> Result<(), SessionClosed> {
+        self.send(ServerMessage::ShotFailed { id, why: one_line(why) }).await
     }
 
     /// One line for the person at the viewer.
@@ -163,6 +184,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let close = Arc::new(CloseOnDrop(connection.clone()));
     let max_viewers = place.shared.options.max_viewers;
     let (poses_in, poses) = watch::channel(None);
+    let (probes_in, probes) = watch::channel(None);
     let (requests_in, requests) = mpsc::channel(MAX_REQUESTS);
     let (messages, messages_out) = mpsc::channel(MAX_MESSAGES);
     let remote = connection.remote_address();
@@ -174,6 +196,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         remote,
         greeting,
         poses,
+        probes,
         requests,
         frames: FrameSender::new(link.clone(), close.clone()),
         control: ControlSender { messages, close },
@@ -185,7 +208,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let serving = async {
         let violated = tokio::select! {
             () = read_poses(&link, &clock, &poses_in) => None,
-            violated = read_requests(&link, &clock, recv, &requests_in) => violated,
+            violated = read_requests(&link, &clock, recv, &requests_in, &probes_in) => violated,
             () = write_messages(&mut send, messages_out) => None,
         };
         if let Some(refusal) = violated {
@@ -220,6 +243,7 @@ async fn read_requests(
     clock: &Clock,
     mut stream: RecvStream,
     requests: &mpsc::Sender<Request>,
+    probes: &watch::Sender<Option<ProbeRequest>>,
 ) -> Option<Refusal> {
     loop {
         let body = match control_stream::receive_body(&mut stream).await {
@@ -236,6 +260,8 @@ async fn read_requests(
                 link.connection.close(transport::CLOSE_BYE, b"");
                 return None;
             }
+            // Newest wins; a frame in the making does not hold it up.
+            Ok(Request::Probe(probe)) => drop(probes.send_replace(Some(probe))),
             // An application that no longer listens does not end the session: frames may still be wanted.
             Ok(request) => drop(requests.send(request).await),
             Err(refusal) => return Some(refusal),

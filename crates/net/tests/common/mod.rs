@@ -35,6 +35,8 @@ pub(crate) fn greeting() -> Greeting {
         spacing: [1.0; 3],
         unit: Some("mm".into()),
         orientation: None,
+        placement: None,
+        value_unit: None,
         value_range: (0.0, 1.0),
         histogram: vec![1; 16],
     };
@@ -111,7 +113,7 @@ pub(crate) async fn answer(mut session: Session) {
             Some(request) = session.requests.recv() => {
                 if let Request::SetLook(look) = request {
                     version = version.next();
-                    if session.control.look_changed(version, look).await.is_err() {
+                    if session.control.look_changed(version, look, false).await.is_err() {
                         return;
                     }
                 }

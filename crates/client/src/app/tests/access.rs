@@ -24,7 +24,7 @@ fn focused(w: &Harness<'_, ViewerApp<HereSource>>) -> Option<(egui::Role, String
 fn everything() -> Harness<'static, ViewerApp<HereSource>> {
     let mut w = window([1280.0, 1400.0]);
     open_panel(&mut w);
-    for section in ["Frames", "View", "State"] {
+    for section in ["Light", "Frames", "View", "State"] {
         w.get_by_label(section).scroll_to_me();
         w.run_steps(4);
         w.get_by_label(section).click();

@@ -1,0 +1,195 @@
+//! The light, the value under the pointer, and pictures to keep.
+
+use isinglass_core::volume::Lighting;
+
+use super::*;
+
+/// Runs until what is being made is on the disk: files are written on a thread.
+fn finish(w: &mut Harness<'_, ViewerApp<HereSource>>) {
+    let patience = std::time::Instant::now() + Duration::from_secs(60);
+    while w.state().shots.is_busy() {
+        assert!(std::time::Instant::now() < patience, "the picture never was on the disk");
+        w.run_steps(1);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A folder of its own, gone at the end.
+struct Folder(std::path::PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("isinglass-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Self(folder)
+    }
+
+    /// All files below, by their names.
+    fn files(&self) -> Vec<(String, Vec<u8>)> {
+        let mut found = Vec::new();
+        let mut folders = vec![self.0.clone()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else {
+                    let name = path.file_name().unwrap().to_string_lossy().into_owned();
+                    found.push((name, std::fs::read(path).unwrap()));
+                }
+            }
+        }
+        found.sort();
+        found
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// The file of what the window shows.
+fn expected(w: &Harness<'_, ViewerApp<HereSource>>, pose: Pose, (width, height): (u32, u32)) -> Vec<u8> {
+    let app = w.state();
+    let scene = &app.viewing.source().scene;
+    let intrinsics = Intrinsics::perspective(width, height, app.options.fov_y);
+    let camera = Camera::new(pose, intrinsics, &scene.volume.bounds());
+    let rgb = render(scene, &camera).to_srgb8(app.aids.linear_background());
+    isinglass_formats::png::encode(width, height, &rgb).unwrap()
+}
+
+#[test]
+fn f12_saves_the_picture_of_the_view_and_says_where() {
+    let folder = Folder::new("f12");
+    // The harness leaves a margin of eight points around the window.
+    let mut w = window([176.0, 136.0]);
+    // The numbers would lie over all of so small a picture.
+    press(&mut w, Modifiers::NONE, Key::O);
+    w.state_mut().shots.folder = folder.0.display().to_string();
+    w.state_mut().aids.background = [40, 80, 120];
+    press(&mut w, Modifiers::NONE, Key::F12);
+    finish(&mut w);
+    let files = folder.files();
+    let [(name, bytes)] = &files[..] else { panic!("{} files", files.len()) };
+    assert!(name.contains("shells") && name.ends_with(".png"), "{name}");
+    assert!(*bytes == expected(&w, pose(&w), (160, 120)), "another picture");
+    w.run_steps(2);
+    assert!(w.query_by_label_contains(name).is_some(), "the path is shown");
+    // Negative control: another view, another picture.
+    drag(&mut w, egui::pos2(90.0, 70.0), vec2(30.0, 0.0), Modifiers::NONE);
+    press(&mut w, Modifiers::NONE, Key::F12);
+    finish(&mut w);
+    let files = folder.files();
+    assert!(files.len() == 2 && files[0].1 != files[1].1);
+}
+
+#[test]
+fn a_turntable_is_as_many_pictures_as_asked_for_and_can_be_given_up() {
+    let folder = Folder::new("turntable");
+    let mut w = window([640.0, 480.0]);
+    w.state_mut().shots.folder = folder.0.display().to_string();
+    press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+    assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
+    for (name, value) in [("width", "40"), ("height", "30"), ("pictures", "5")] {
+        w.state_mut().shots.set_for_test(name, value.parse().unwrap());
+    }
+    w.run_steps(2);
+    w.get_by_label("Make the turntable").click();
+    w.run_steps(2);
+    finish(&mut w);
+    let files = folder.files();
+    let names: Vec<_> = files.iter().map(|(name, _)| &name[..]).collect();
+    assert_eq!(names, ["0000.png", "0001.png", "0002.png", "0003.png", "0004.png"]);
+    assert!(files[0].1 == expected(&w, pose(&w), (40, 30)), "the first is the window's view");
+    let center = w.state().controls.as_ref().unwrap().1.center();
+    let turn = glam::Quat::from_rotation_y(std::f32::consts::TAU * 2.0 / 5.0);
+    let first = pose(&w);
+    let third = Pose {
+        eye: center + turn * (first.eye - center),
+        world_from_view: (turn * first.world_from_view).normalize(),
+    };
+    assert!(files[2].1 == expected(&w, third, (40, 30)), "turned about the vertical");
+    // A server that takes its time: the window goes on, and the rest is given up.
+    w.state_mut().viewing.source_mut().sleeps = true;
+    press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+    w.get_by_label("Make the turntable").click();
+    w.run_steps(4);
+    assert!(w.query_by_label_contains("picture 1 of 5").is_some());
+    let before = pose(&w);
+    drag(&mut w, egui::pos2(100.0, 400.0), vec2(50.0, 0.0), Modifiers::NONE);
+    assert_ne!(pose(&w), before, "a drag goes on meanwhile");
+    w.get_by_label("Cancel").click();
+    w.run_steps(4);
+    assert!(!w.state().shots.is_busy());
+    assert_eq!(w.state().viewing.source().num_cancelled, 1);
+    assert_eq!(folder.files().len(), 5);
+}
+
+#[test]
+fn the_probe_shows_the_voxel_under_the_pointer() {
+    let mut w = window([640.0, 480.0]);
+    let at = egui::pos2(330.0, 235.0);
+    w.event(Event::PointerMoved(at));
+    rest(&mut w);
+    assert!(w.query_by_label_contains("voxel ").is_none(), "off at first");
+    assert_eq!(w.state().viewing.source().num_probes, 0);
+    press(&mut w, Modifiers::NONE, Key::P);
+    let source = w.state().viewing.source();
+    assert_eq!(source.num_probes, 1, "a pointer that rests asks once");
+    let found = source.probed.unwrap().voxel.unwrap();
+    let [x, y, z] = found.index.map(|i| i as i32);
+    assert_eq!(found.value, source.scene.volume.value_from_stored(source.scene.volume.stored_at(x, y, z)));
+    assert!(w.query_by_label_contains(&format!("voxel {x}, {y}, {z}")).is_some());
+    assert!(w.query_by_label(&format!("{}", found.value)).is_some());
+    // Beside the volume nothing is under the pointer.
+    w.event(Event::PointerMoved(egui::pos2(30.0, 440.0)));
+    rest(&mut w);
+    assert!(w.query_by_label_contains("voxel ").is_none());
+    press(&mut w, Modifiers::NONE, Key::P);
+    w.event(Event::PointerMoved(at));
+    rest(&mut w);
+    assert!(w.query_by_label_contains("voxel ").is_none(), "off again");
+}
+
+#[test]
+fn the_light_can_be_moved_in_the_picture_and_shade_changes_it() {
+    let mut w = window([1280.0, 720.0]);
+    let before = picture(&w);
+    let button = |pos, pressed| Event::PointerButton {
+        pos,
+        button: PointerButton::Secondary,
+        pressed,
+        modifiers: Modifiers::COMMAND,
+    };
+    let (from, to) = (egui::pos2(500.0, 400.0), egui::pos2(700.0, 380.0));
+    let camera = pose(&w);
+    w.event(Event::PointerMoved(from));
+    w.event(button(from, true));
+    w.event(Event::PointerMoved(to));
+    w.event(button(to, false));
+    rest(&mut w);
+    let lighting = w.state().viewing.source().look.1.lighting;
+    assert_ne!(lighting, Lighting::default());
+    assert_eq!(pose(&w), camera, "the camera stays");
+    let moved = picture(&w);
+    assert_ne!(moved, before);
+    open_panel(&mut w);
+    w.get_by_label("Light").click();
+    rest(&mut w);
+    w.get_by_label("reset the light").scroll_to_me();
+    rest(&mut w);
+    w.get_by_label("reset the light").click();
+    rest(&mut w);
+    assert_eq!(w.state().viewing.source().look.1.lighting, Lighting::default());
+    assert_eq!(picture(&w), before);
+    // The ball, and the slider of the shadows.
+    let ball = w.get_by_label("light direction").rect().center();
+    drag(&mut w, ball, vec2(20.0, 0.0), Modifiers::NONE);
+    assert_ne!(w.state().viewing.source().look.1.lighting, Lighting::default());
+    let slider = w.get_by_role_and_label(egui::Role::Slider, "shadows").rect();
+    drag(&mut w, slider.left_center() + vec2(4.0, 0.0), vec2(60.0, 0.0), Modifiers::NONE);
+    assert!(w.state().viewing.source().look.1.lighting.shadows > 0.3);
+    assert_ne!(picture(&w), before);
+}

@@ -1,0 +1,193 @@
+//! What is under the pointer: the point, from the depths of the frame that is shown, and its value, from the server.
+
+use std::time::Duration;
+
+use egui::{Align2, Context, Pos2, RichText, vec2};
+use glam::Vec3;
+use isinglass_core::wire::{Probed, VolumeDescription};
+
+use crate::pace::Pace;
+use crate::panels::pane;
+
+/// The probe, on or off.
+#[derive(Debug)]
+pub(crate) struct ValueProbe {
+    is_on: bool,
+    pace: Pace<Vec3>,
+    /// The point that was asked for last.
+    asked: Option<Vec3>,
+}
+
+impl Default for ValueProbe {
+    fn default() -> Self {
+        Self { is_on: false, pace: Pace::new(PERIOD), asked: None }
+    }
+}
+
+impl ValueProbe {
+    /// On or off.
+    pub(crate) fn toggle(&mut self) {
+        *self = Self { is_on: !self.is_on, ..Self::default() };
+    }
+
+    /// Whether points are wanted.
+    pub(crate) fn is_on(&self) -> bool {
+        self.is_on
+    }
+
+    /// The pointer is at a point of the volume, or at none; the point to ask for now.
+    pub(crate) fn point_at(&mut self, now: Duration, point: Option<Vec3>) -> Option<Vec3> {
+        let due = match point {
+            // A point that rests is asked for once.
+            Some(point) if self.asked != Some(point) => {
+                self.asked = Some(point);
+                self.pace.offer(now, point)
+            }
+            _ => self.pace.poll(now),
+        };
+        if point.is_none() {
+            self.asked = None;
+        }
+        due
+    }
+
+    /// When a question that waits may go: there must be a refresh then.
+    pub(crate) fn due(&self) -> Option<Duration> {
+        self.pace.due()
+    }
+}
+
+/// The lines beside the pointer: what is there, where it is in the file's own world, and the voxel. `answer` is the
+/// newest; one for another voxel is no answer to this.
+pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescription) -> [String; 3] {
+    let unit = volume.unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
+    let place = match &volume.placement {
+        Some(placement) => placement.file_from_world(point),
+        None => point.to_array().map(f64::from),
+    };
+    // A tenth of a voxel is as fine as anybody can point.
+    let finest = f64::from(volume.spacing.iter().copied().fold(f32::INFINITY, f32::min));
+    let decimals = (1.0 - finest.log10()).ceil().clamp(0.0, 6.0) as usize;
+    let letters = names(volume);
+    let coordinates: Vec<String> =
+        (0..3).map(|i| format!("{} {:.decimals$}", letters[i], place[i])).collect();
+    let index = voxel_at(point, volume);
+    let [x, y, z] = index;
+    // While the pointer moves, the newest answer is for where it was: right as long as that is the same voxel.
+    let found = answer.and_then(|a| a.voxel).filter(|voxel| voxel.index == index);
+    let value = found.map_or("…".to_owned(), |found| {
+        let unit = volume.value_unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
+        format!("{}{unit}", found.value)
+    });
+    [value, format!("{}{unit}", coordinates.join("  ")), format!("voxel {x}, {y}, {z}")]
+}
+
+/// The numbers of the voxel that holds a point, or of the nearest.
+fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
+    let from_corner = point - volume.bounds().min;
+    std::array::from_fn(|i| {
+        ((from_corner[i] / volume.spacing[i]).max(0.0) as u32).min(volume.dims[i].saturating_sub(1))
+    })
+}
+
+/// What the coordinates of the file's world are called. A body's world is right-anterior-superior.
+fn names(volume: &VolumeDescription) -> [&'static str; 3] {
+    let is_body = volume.orientation.is_some() && volume.placement.is_some();
+    if is_body { ["R", "A", "S"] } else { ["x", "y", "z"] }
+}
+
+/// Shows lines beside the pointer, inside of the window.
+pub(crate) fn show(ctx: &Context, at: Pos2, lines: &[String; 3]) {
+    let screen = ctx.content_rect();
+    let right = at.x < screen.right() - 260.0;
+    let below = at.y < screen.bottom() - 110.0;
+    let pivot = match (right, below) {
+        (true, true) => Align2::LEFT_TOP,
+        (true, false) => Align2::LEFT_BOTTOM,
+        (false, true) => Align2::RIGHT_TOP,
+        (false, false) => Align2::RIGHT_BOTTOM,
+    };
+    let side = |is_after: bool| if is_after { 16.0 } else { -16.0 };
+    let place = at + vec2(side(right), side(below));
+    let area = egui::Area::new(egui::Id::unique("probe")).fixed_pos(place).pivot(pivot).interactable(false);
+    area.order(egui::Order::Tooltip).show(ctx, |ui| {
+        pane(ctx).show(ui, |ui| {
+            ui.set_max_width(320.0);
+            ui.spacing_mut().item_spacing.y = 1.0;
+            let [value, place, voxel] = lines;
+            ui.label(RichText::new(value).strong().size(15.0));
+            ui.label(RichText::new(place).size(11.5));
+            ui.label(RichText::new(voxel).weak().size(11.5));
+        });
+    });
+}
+
+/// Points are asked for at most 30 times a second.
+const PERIOD: Duration = Duration::from_micros(33_334);
+
+#[cfg(test)]
+mod tests {
+    use isinglass_core::ids::ProbeId;
+    use isinglass_core::volume::Placement;
+    use isinglass_core::wire::ProbedVoxel;
+
+    use super::*;
+
+    fn volume() -> VolumeDescription {
+        VolumeDescription {
+            name: "head".into(),
+            dims: [10, 10, 10],
+            spacing: [0.5, 0.5, 2.0],
+            unit: Some("mm".into()),
+            orientation: Some("RAS".into()),
+            placement: Some(Placement {
+                center: [10.0, -20.0, 30.0],
+                axes: [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+            }),
+            value_unit: Some("HU".into()),
+            value_range: (0.0, 1.0),
+            histogram: vec![1],
+        }
+    }
+
+    fn probed(point: Vec3) -> Probed {
+        let voxel = Some(ProbedVoxel { index: [7, 9, 3], value: -42.5 });
+        Probed { id: ProbeId(1), point: point.to_array(), voxel }
+    }
+
+    #[test]
+    fn the_place_is_told_in_the_world_of_the_file() {
+        let point = Vec3::new(1.25, 2.0, -3.0);
+        let [value, place, voxel] = lines(point, Some(&probed(point)), &volume());
+        // x along R, y along S, z against A.
+        assert_eq!(place, "R 11.25  A -17.00  S 32.00 mm");
+        assert_eq!((&value[..], &voxel[..]), ("-42.5 HU", "voxel 7, 9, 3"));
+        let unplaced = VolumeDescription { placement: None, unit: None, value_unit: None, ..volume() };
+        let [value, place, _] = lines(point, Some(&probed(point)), &unplaced);
+        assert_eq!((&value[..], &place[..]), ("-42.5", "x 1.25  y 2.00  z -3.00"));
+        // An answer for another voxel is none for this; one for another point of the same is.
+        let other = Vec3::new(1.0, 1.3, -3.0);
+        assert_eq!(lines(other, Some(&probed(point)), &volume())[0], "…");
+        assert_eq!(lines(point + 0.1, Some(&probed(point)), &volume())[0], "-42.5 HU");
+        assert_eq!(lines(point, Some(&Probed { voxel: None, ..probed(point) }), &volume())[0], "…");
+        assert_eq!(lines(point, None, &volume())[2], "voxel 7, 9, 3");
+    }
+
+    #[test]
+    fn a_point_that_rests_is_asked_for_once_and_moving_ones_thirty_times_a_second() {
+        let mut probe = ValueProbe::default();
+        assert!(!probe.is_on());
+        probe.toggle();
+        assert!(probe.is_on());
+        let at = |i: u64| Duration::from_micros(i * 8_333);
+        let resting = (0..120).filter(|&i| probe.point_at(at(i), Some(Vec3::ONE)).is_some()).count();
+        assert_eq!(resting, 1);
+        let moving =
+            (120..240).filter(|&i| probe.point_at(at(i), Some(Vec3::splat(i as f32))).is_some()).count();
+        assert!((20..=31).contains(&moving), "{moving}");
+        assert!(probe.due().is_some());
+        let last = (240..260).filter_map(|i| probe.point_at(at(i), Some(Vec3::splat(239.0)))).last();
+        assert_eq!(last, Some(Vec3::splat(239.0)), "the newest arrives");
+        assert_eq!(probe.point_at(at(300), None), None);
+    }
+}

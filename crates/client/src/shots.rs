@@ -1,0 +1,290 @@
+//! Pictures to keep: one of the view, or a turntable of many, rendered in full by the server and written here.
+//!
+//! One picture is asked for at a time, the next when the one before is on the disk. Files are written on a thread.
+
+mod files;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use egui::{Align2, Context, RichText, vec2};
+use glam::{Quat, Vec3};
+use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
+use isinglass_core::ids::ShotId;
+use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+
+use self::files::{Stamp, Writing};
+use crate::frame_source::FrameSource;
+use crate::panels::pane;
+
+/// What is to be seen in the pictures.
+#[derive(Clone, Debug)]
+pub(crate) struct Subject {
+    /// Name of the volume, which files are called by.
+    pub(crate) name: String,
+    /// The camera of the window.
+    pub(crate) pose: Pose,
+    /// The same.
+    pub(crate) intrinsics: Intrinsics,
+    /// sRGB behind the volume.
+    pub(crate) background: [u8; 3],
+    /// What a turntable turns about: a point and a unit vector.
+    pub(crate) center: Vec3,
+    /// See there.
+    pub(crate) up: Vec3,
+}
+
+/// The dialog, and what is being made.
+pub(crate) struct Shots {
+    is_dialog_open: bool,
+    size: Option<[u32; 2]>,
+    num_pictures: u32,
+    /// Where files go, as a person writes it.
+    pub(crate) folder: String,
+    series: Option<Series>,
+}
+
+/// Pictures on their way.
+struct Series {
+    subject: Subject,
+    total: u32,
+    done: u32,
+    /// The file, or for several the folder.
+    path: PathBuf,
+    step: Step,
+}
+
+/// Where the picture after the last that is done stands.
+enum Step {
+    /// To be asked for.
+    Due,
+    /// Asked for.
+    Asked(ShotId),
+    /// On its way to the disk.
+    Writing(Writing),
+}
+
+impl Default for Shots {
+    fn default() -> Self {
+        let folder = files::default_folder().display().to_string();
+        Self { is_dialog_open: false, size: None, num_pictures: 1, folder, series: None }
+    }
+}
+
+impl Shots {
+    /// What a person would type.
+    #[cfg(test)]
+    pub(crate) fn set_for_test(&mut self, name: &str, value: u32) {
+        let size = self.size.get_or_insert([1; 2]);
+        match name {
+            "width" => size[0] = value,
+            "height" => size[1] = value,
+            _ => self.num_pictures = value,
+        }
+    }
+
+    /// Opens or closes the dialog.
+    pub(crate) fn toggle_dialog(&mut self) {
+        self.is_dialog_open = !self.is_dialog_open;
+    }
+
+    /// Asks for one picture, as large as the window's. While others are made it does nothing.
+    pub(crate) fn take(&mut self, subject: Subject) {
+        if self.series.is_none() {
+            self.begin(subject, 1);
+        }
+    }
+
+    fn begin(&mut self, subject: Subject, total: u32) {
+        let folder = files::folder_from_text(&self.folder);
+        let path = folder.join(Stamp::now().file_name(&subject.name, total > 1));
+        self.series = Some(Series { subject, total, done: 0, path, step: Step::Due });
+    }
+
+    /// Goes on with what is being made, if `is_ready` for another request; what there is to tell the person. Never waits.
+    pub(crate) fn poll(
+        &mut self,
+        source: &mut impl FrameSource,
+        is_ready: bool,
+        ctx: &Context,
+    ) -> Option<String> {
+        let series = self.series.as_mut()?;
+        match &mut series.step {
+            Step::Due if !is_ready => None,
+            Step::Due => {
+                let Subject { intrinsics, background, .. } = series.subject;
+                series.step = Step::Asked(source.shoot(series.pose(), intrinsics, background));
+                None
+            }
+            Step::Asked(id) => {
+                let shot = source.take_shot().filter(|shot| shot.id == *id)?;
+                match &shot.png {
+                    Ok(_) => {
+                        series.step = Step::Writing(Writing::start(series.file(), Arc::clone(&shot), ctx));
+                        None
+                    }
+                    Err(why) => {
+                        let why = format!("No picture: {why}");
+                        self.series = None;
+                        Some(why)
+                    }
+                }
+            }
+            Step::Writing(writing) => match writing.take()? {
+                Ok(file) => {
+                    series.done += 1;
+                    series.step = Step::Due;
+                    ctx.request_repaint();
+                    let is_all = series.done == series.total;
+                    let told = match series.total {
+                        1 => format!("Saved {}", file.display()),
+                        total => format!("Saved {total} pictures in {}", series.path.display()),
+                    };
+                    if is_all {
+                        self.series = None;
+                    }
+                    is_all.then_some(told)
+                }
+                Err(why) => {
+                    self.series = None;
+                    Some(format!("No picture: {why}"))
+                }
+            },
+        }
+    }
+
+    /// Whether anything is being made.
+    #[cfg(test)]
+    pub(crate) fn is_busy(&self) -> bool {
+        self.series.is_some()
+    }
+
+    /// Gives up what is being made; what there is to tell the person.
+    fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
+        let series = self.series.take()?;
+        source.cancel_shot();
+        Some(match series.done {
+            0 => "No picture was made".to_owned(),
+            done => {
+                format!("Stopped after {done} of {} pictures, in {}", series.total, series.path.display())
+            }
+        })
+    }
+
+    /// Shows the dialog if it is open, and the progress if there is any; what there is to tell the person.
+    pub(crate) fn show(
+        &mut self,
+        ctx: &Context,
+        subject: Option<Subject>,
+        source: &mut impl FrameSource,
+    ) -> Option<String> {
+        let mut is_cancelled = false;
+        if let Some(series) = &self.series {
+            is_cancelled = show_progress(ctx, series);
+        }
+        if self.is_dialog_open {
+            self.show_dialog(ctx, subject);
+        }
+        if is_cancelled { self.cancel(source) } else { None }
+    }
+
+    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>) {
+        let mut is_open = true;
+        let mut starts = false;
+        let window = egui::Window::new(RichText::new("Picture of the view").size(14.0));
+        let window = window.open(&mut is_open).anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0));
+        window.resizable(false).collapsible(false).show(ctx, |ui| {
+            let of_window = subject.as_ref().map_or([0; 2], |s| [s.intrinsics.width, s.intrinsics.height]);
+            let mut size = self.size.unwrap_or(of_window);
+            egui::Grid::new("picture").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+                let label = ui.label("size");
+                ui.horizontal(|ui| {
+                    for (side, name) in size.iter_mut().zip(["width", "height"]) {
+                        let value = egui::DragValue::new(side).range(1..=MAX_SIDE).suffix(" px");
+                        ui.add(value).labelled_by(label.id).on_hover_text(name);
+                    }
+                    if ui.button("as the window").clicked() {
+                        size = of_window;
+                    }
+                });
+                ui.end_row();
+                let label = ui.label("pictures");
+                let number = egui::DragValue::new(&mut self.num_pictures).range(1..=MAX_PICTURES);
+                let hint =
+                    "more than one: a turntable, once around the vertical through the centre of rotation";
+                ui.add(number).labelled_by(label.id).on_hover_text(hint);
+                ui.end_row();
+                let label = ui.label("folder");
+                ui.add(egui::TextEdit::singleline(&mut self.folder).desired_width(260.0))
+                    .labelled_by(label.id);
+                ui.end_row();
+            });
+            self.size = (size != of_window).then_some(size);
+            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SHOT_PIXELS && size[0] > 0;
+            if !is_fitting {
+                ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
+            }
+            let is_possible = is_fitting && subject.is_some() && self.series.is_none();
+            let name = if self.num_pictures > 1 { "Make the turntable" } else { "Take the picture" };
+            starts = ui.add_enabled(is_possible, egui::Button::new(name)).clicked();
+        });
+        self.is_dialog_open = is_open && !starts;
+        if let (true, Some(mut subject)) = (starts, subject) {
+            if let Some([width, height]) = self.size {
+                (subject.intrinsics.width, subject.intrinsics.height) = (width, height);
+            }
+            self.begin(subject, self.num_pictures);
+        }
+    }
+}
+
+impl Series {
+    /// The camera of the next picture: the window's own first.
+    fn pose(&self) -> Pose {
+        let Subject { pose, center, up, .. } = self.subject;
+        if self.done == 0 {
+            return pose;
+        }
+        let turn = std::f32::consts::TAU * self.done as f32 / self.total as f32;
+        let turn = Quat::from_axis_angle(up, turn);
+        Pose {
+            eye: center + turn * (pose.eye - center),
+            world_from_view: (turn * pose.world_from_view).normalize(),
+        }
+    }
+
+    /// Where it goes.
+    fn file(&self) -> PathBuf {
+        match self.total {
+            1 => self.path.clone(),
+            _ => self.path.join(format!("{:04}.png", self.done)),
+        }
+    }
+}
+
+/// Shows how far a series is; whether it shall end.
+fn show_progress(ctx: &Context, series: &Series) -> bool {
+    let mut is_cancelled = false;
+    let area = egui::Area::new(egui::Id::unique("pictures")).anchor(Align2::CENTER_TOP, vec2(0.0, 46.0));
+    area.show(ctx, |ui| {
+        pane(ctx).show(ui, |ui| {
+            ui.horizontal(|ui| {
+                let text = match series.total {
+                    1 => "the server renders the picture".to_owned(),
+                    total => format!("picture {} of {total}", series.done + 1),
+                };
+                ui.spinner();
+                ui.label(text);
+                if series.total > 1 {
+                    let share = series.done as f32 / series.total as f32;
+                    ui.add(egui::ProgressBar::new(share).desired_width(120.0));
+                }
+                is_cancelled = ui.button("Cancel").clicked();
+            });
+        });
+    });
+    is_cancelled
+}
+
+/// A minute at 60 pictures a second.
+const MAX_PICTURES: u32 = 3600;

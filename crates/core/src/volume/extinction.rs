@@ -1,0 +1,159 @@
+//! The mean extinction of matter in the cells of a coarse grid: what light is held up by.
+
+use rayon::prelude::*;
+
+use glam::Vec3;
+
+use super::grid::{Volume, Voxels};
+use crate::clip::Region;
+use crate::space::Aabb;
+use crate::transfer::{TABLE_BINS, TransferTable};
+
+/// How finely light is worked out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// While something is being dragged: few cells, few directions, and not every voxel read.
+    Draft,
+    /// For the picture that stays.
+    Final,
+}
+
+impl Detail {
+    /// Cells of the grid, at most: of four bytes each, and a few arrays of them. Twice as many along each axis cost eight
+    /// times the work, and creases of two voxels of a scan of 256³ are told apart by these.
+    fn max_cells(self) -> f32 {
+        match self {
+            Self::Draft => (1 << 17) as f32,
+            Self::Final => (1 << 21) as f32,
+        }
+    }
+}
+
+/// Mean extinction of every cell, x fastest. Cells are blocks of voxels, about cubes in the world; the first begins where
+/// the volume does, and the last may reach beyond it, where there is nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Extinction {
+    /// Cells along x, y, z.
+    pub(crate) dims: [usize; 3],
+    /// Voxels of a cell along x, y, z.
+    pub(crate) voxels: [usize; 3],
+    /// Sides of a cell, world units.
+    pub(crate) cell: Vec3,
+    /// Inverse world units.
+    pub(crate) sigma: Vec<f32>,
+}
+
+impl Extinction {
+    /// Classifies every voxel, or in a draft some of each cell. Outside of `region` there is nothing.
+    pub(crate) fn of(volume: &Volume, table: &TransferTable, region: &Region, detail: Detail) -> Self {
+        let (dims, voxels) = cells(volume, detail.max_cells());
+        let step = match detail {
+            Detail::Draft => voxels.map(|side| (side / 2).max(1)),
+            Detail::Final => [1; 3],
+        };
+        let mut found =
+            Self { dims, voxels, cell: cell_sides(volume, voxels), sigma: vec![0.0; dims.iter().product()] };
+        match volume.voxels() {
+            Voxels::U8(v) => {
+                let of = by_number(table, 1 << 8);
+                found.fill(v, volume, step, |stored| of[usize::from(stored)]);
+            }
+            Voxels::U16(v) => {
+                let of = by_number(table, 1 << 16);
+                found.fill(v, volume, step, |stored| of[usize::from(stored)]);
+            }
+            Voxels::F32(v) => found.fill(v, volume, step, |stored| sigma_of(table, stored)),
+        }
+        let bounds = volume.bounds();
+        if region.bounds != bounds || region.normal != Vec3::ZERO || region.offset > 0.0 {
+            found.cut(&bounds, region);
+        }
+        found
+    }
+
+    /// Takes away what lies outside of a region: of a cell at its border the share.
+    fn cut(&mut self, volume: &Aabb, region: &Region) {
+        let [cx, cy, _] = self.dims;
+        let (cell, first) = (self.cell, volume.min);
+        // Half of what a cell spans along the normal.
+        let reach = 0.5 * (region.normal.abs() * cell).element_sum();
+        self.sigma.par_iter_mut().enumerate().for_each(|(i, sigma)| {
+            let corner = Vec3::new((i % cx) as f32, (i / cx % cy) as f32, (i / cx / cy) as f32);
+            let low = first + corner * cell;
+            let overlap = (region.bounds.max.min(low + cell) - region.bounds.min.max(low)).max(Vec3::ZERO);
+            let in_box = (overlap / cell).to_array().iter().product::<f32>();
+            let distance = region.normal.dot(low + 0.5 * cell) - region.offset;
+            let on_side = if reach > 0.0 {
+                (0.5 + 0.5 * distance / reach).clamp(0.0, 1.0)
+            } else {
+                f32::from(distance >= 0.0)
+            };
+            // The last cells reach beyond the volume, where nothing is in any case.
+            *sigma *= in_box.min(1.0) * on_side;
+        });
+    }
+
+    fn fill<T: Copy + Sync>(
+        &mut self,
+        voxels: &[T],
+        volume: &Volume,
+        step: [usize; 3],
+        sigma: impl Fn(T) -> f32 + Sync,
+    ) {
+        let [nx, ny, nz] = volume.dims().map(|d| d as usize);
+        let [cx, cy, _] = self.dims;
+        let side = self.voxels;
+        // A cell beyond the volume's end is as full as the part inside.
+        let taken = |axis: usize| side[axis].div_ceil(step[axis]) as f32;
+        let share = (taken(0) * taken(1) * taken(2)).recip();
+        self.sigma.par_chunks_mut(cx * cy).enumerate().for_each(|(k, slice)| {
+            for z in (k * side[2]..((k + 1) * side[2]).min(nz)).step_by(step[2]) {
+                for (j, row) in slice.chunks_mut(cx).enumerate() {
+                    for y in (j * side[1]..((j + 1) * side[1]).min(ny)).step_by(step[1]) {
+                        let line = &voxels[(z * ny + y) * nx..][..nx];
+                        for (sum, block) in row.iter_mut().zip(line.chunks(side[0])) {
+                            *sum += block.iter().step_by(step[0]).map(|&v| sigma(v)).sum::<f32>() * share;
+                        }
+                    }
+                }
+            }
+        });
+    }
+}
+
+/// Cells along the axes and voxels of one, so that there are at most `max_cells`, about as long as wide.
+fn cells(volume: &Volume, max_cells: f32) -> ([usize; 3], [usize; 3]) {
+    let size = volume.spacing() * volume.dims_f32();
+    let least = volume.spacing().min_element();
+    // In single precision a product of three sides could underflow; relative to the least spacing none does.
+    let relative = size / least;
+    let mut side = (relative.x * relative.y * relative.z / max_cells).cbrt().max(1.0);
+    loop {
+        let voxels: [usize; 3] =
+            std::array::from_fn(|i| (side * least / volume.spacing()[i]).round().max(1.0) as usize);
+        let dims: [usize; 3] = std::array::from_fn(|i| (volume.dims()[i] as usize).div_ceil(voxels[i]));
+        if dims.iter().product::<usize>() as f32 <= max_cells {
+            return (dims, voxels);
+        }
+        side *= 1.05;
+    }
+}
+
+fn cell_sides(volume: &Volume, voxels: [usize; 3]) -> Vec3 {
+    volume.spacing() * Vec3::from_array(voxels.map(|n| n as f32))
+}
+
+/// Extinction of a stored number.
+fn sigma_of(table: &TransferTable, stored: f32) -> f32 {
+    // Not `clamp`: numbers of the greatest domains may cancel to none.
+    let x = stored * table.x_scale + table.x_offset;
+    let u = if x > 0.0 { x.min(1.0) } else { 0.0 } * TABLE_BINS as f32;
+    let i = (u as usize).min(TABLE_BINS - 1);
+    let (a, b) = (table.density[i][3], table.density[i + 1][3]);
+    a + (b - a) * (u - i as f32)
+}
+
+/// Extinctions of the numbers from 0 on.
+fn by_number(table: &TransferTable, count: usize) -> Vec<f32> {
+    (0..count).map(|stored| sigma_of(table, stored as f32)).collect()
+}

@@ -1,0 +1,383 @@
+//! All that light does to a volume under a look, kept apart by what it depends on: a change of one thing works out no
+//! other again.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::extinction::{Detail, Extinction};
+use super::grid::Volume;
+use super::lighting::Lighting;
+use super::lit::{LIT_MAX, Lit, Shading};
+use super::shade::Shade;
+use crate::clip::Region;
+use crate::transfer::TransferTable;
+
+/// Brightness of the voxels of a volume under a look.
+///
+/// Light comes from all around (ambient) and from a source (diffuse, by the angle of the gradient). With strengths a of
+/// the occlusion O and s of the shadow S, and A = 1 − a·(1 − O), a brightness is
+///
+///   ambient·A + diffuse·share·((1 − s)·A + s·S):
+///
+/// what of the source's light throws no shadow comes from around it as well. Without shading the share is 1, and both
+/// lights together are 1.
+#[derive(Clone, Debug)]
+pub struct Illumination {
+    shading: Option<Shading>,
+    lighting: Lighting,
+    /// What the extinction of matter depends on.
+    classes: Arc<Classes>,
+    extinction: Option<Arc<(Detail, Extinction)>>,
+    gradients: Option<Arc<Lit>>,
+    occlusion: Option<Part>,
+    shadow: Option<Part>,
+    lit: Option<Arc<Lit>>,
+}
+
+/// A shade, and how finely it was worked out.
+type Part = (Detail, Arc<Shade>);
+
+/// Extinctions at the nodes of a table, how stored numbers find them, and where.
+#[derive(Debug, PartialEq)]
+struct Classes {
+    sigma: Vec<f32>,
+    x_map: (f32, f32),
+    region: Region,
+}
+
+impl Classes {
+    fn of(table: &TransferTable, region: &Region) -> Self {
+        let sigma = table.density.iter().map(|node| node[3]).collect();
+        Self { sigma, x_map: (table.x_scale, table.x_offset), region: *region }
+    }
+}
+
+impl Illumination {
+    /// Lights a volume that `table` classifies; what is not in `region`, which is a part of its box, throws no shade. What is as it was `before`, for the same volume, is taken from there, if
+    /// it is as fine as is asked for.
+    pub fn of(
+        volume: &Volume,
+        table: &TransferTable,
+        shading: Option<Shading>,
+        region: &Region,
+        lighting: Lighting,
+        detail: Detail,
+        before: Option<&Self>,
+    ) -> Self {
+        let classes = Classes::of(table, region);
+        let gradients = shading.map(|shading| {
+            let is_same = |b: &&Self| b.shading == Some(shading) && b.classes.x_map.0 == table.x_scale;
+            let kept = before.filter(is_same).and_then(|b| b.gradients.clone());
+            kept.unwrap_or_else(|| Arc::new(Lit::of(volume, shading, table.x_scale)))
+        });
+        let mut found = Self {
+            shading,
+            lighting,
+            classes: Arc::new(classes),
+            extinction: None,
+            occlusion: None,
+            shadow: None,
+            lit: gradients.clone(),
+            gradients,
+        };
+        if lighting.is_on() {
+            found.shade(volume, table, region, detail, before.filter(|b| b.classes == found.classes));
+            found.lit = Some(Arc::new(found.combined(volume)));
+        }
+        found
+    }
+
+    /// `before` has the same extinctions.
+    fn shade(
+        &mut self,
+        volume: &Volume,
+        table: &TransferTable,
+        region: &Region,
+        detail: Detail,
+        before: Option<&Self>,
+    ) {
+        let lighting = self.lighting;
+        let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
+        let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> Part {
+            let found = extinction
+                .get_or_insert_with(|| Arc::new((detail, Extinction::of(volume, table, region, detail))));
+            (detail, Arc::new(shade(&found.1)))
+        };
+        let is_fine = |part: &Part| part.0 == detail || part.0 == Detail::Final;
+        if lighting.ambient_occlusion > 0.0 {
+            let kept = before.filter(|b| b.lighting.occlusion_radius == lighting.occlusion_radius);
+            let kept = kept.and_then(|b| b.occlusion.clone()).filter(is_fine);
+            let radius = lighting.occlusion_radius * volume.bounds().radius();
+            self.occlusion = kept.or_else(|| Some(shaded_by(&|e| Shade::occlusion(e, radius, detail))));
+        }
+        if lighting.shadows > 0.0 {
+            let source = |l: &Lighting| (l.azimuth_degrees, l.elevation_degrees, l.softness_degrees);
+            let kept = before.filter(|b| source(&b.lighting) == source(&lighting));
+            let kept = kept.and_then(|b| b.shadow.clone()).filter(is_fine);
+            self.shadow = kept.or_else(|| Some(shaded_by(&|e| Shade::shadow(e, &lighting, detail))));
+        }
+        self.extinction = extinction;
+    }
+
+    /// What a march reads; none where matter shines by itself.
+    pub fn lit(&self) -> Option<&Arc<Lit>> {
+        self.lit.as_ref()
+    }
+
+    /// Whether shade was worked out for the picture that stays, or there is none.
+    pub fn is_final(&self) -> bool {
+        [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
+    }
+
+    /// The brightness of every voxel, in one number.
+    fn combined(&self, volume: &Volume) -> Lit {
+        let [nx, ny, _] = volume.dims().map(|d| d as usize);
+        let (ambient, diffuse) =
+            self.shading.map_or((UNSHADED_AMBIENT, 1.0 - UNSHADED_AMBIENT), |s| (s.ambient, s.diffuse));
+        let whole = ambient + diffuse;
+        let Lighting { ambient_occlusion: a, shadows: s, .. } = self.lighting;
+        let unit = LIT_MAX / whole;
+        let mut shares = vec![0u8; volume.voxels().len()];
+        shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
+            let mut occlusion = self.occlusion.as_ref().map(|part| Rows::new(&part.1, nx));
+            let mut shadow = self.shadow.as_ref().map(|part| Rows::new(&part.1, nx));
+            for (y, out) in slice.chunks_mut(nx).enumerate() {
+                let open = occlusion.as_mut().map_or(&[][..], |rows| rows.at(y, z));
+                let lit = shadow.as_mut().map_or(&[][..], |rows| rows.at(y, z));
+                let gradients = self.gradients.as_deref();
+                let gradients = gradients.map_or(&[][..], |g| &g.shares[(z * ny + y) * nx..][..nx]);
+                for (x, out) in out.iter_mut().enumerate() {
+                    let open = open.get(x).map_or(1.0, |o| 1.0 - a * (1.0 - o));
+                    let lit = lit.get(x).map_or(1.0, |lit| *lit);
+                    let share = gradients.get(x).map_or(1.0, |g| f32::from(*g) * (1.0 / LIT_MAX));
+                    let brightness = ambient * open + diffuse * share * ((1.0 - s) * open + s * lit);
+                    *out = (brightness * unit + 0.5) as u8;
+                }
+            }
+        });
+        Lit { shares, ambient: 0.0, diffuse: whole }
+    }
+}
+
+/// A shade at the middles of the voxels of one row after the other.
+struct Rows<'a> {
+    shade: &'a Shade,
+    /// For each voxel the cell before it and the share of the next.
+    places: Vec<(u32, f32)>,
+    across: Vec<f32>,
+    row: Vec<f32>,
+}
+
+impl<'a> Rows<'a> {
+    fn new(shade: &'a Shade, nx: usize) -> Self {
+        let places = (0..nx).map(|x| {
+            let (cell, part) = place(shade, 0, x);
+            (cell as u32, part)
+        });
+        Self { shade, places: places.collect(), across: vec![0.0; shade.dims[0] + 1], row: vec![0.0; nx] }
+    }
+
+    fn at(&mut self, y: usize, z: usize) -> &[f32] {
+        let [cx, cy, cz] = self.shade.dims;
+        let ((j, ty), (k, tz)) = (place(self.shade, 1, y), place(self.shade, 2, z));
+        let line = |j: usize, k: usize| &self.shade.shares[(k.min(cz - 1) * cy + j.min(cy - 1)) * cx..][..cx];
+        let lines = line(j, k).iter().zip(line(j + 1, k)).zip(line(j, k + 1).iter().zip(line(j + 1, k + 1)));
+        for (across, ((a, b), (c, d))) in self.across.iter_mut().zip(lines) {
+            let (near, far) = (a + (b - a) * ty, c + (d - c) * ty);
+            *across = near + (far - near) * tz;
+        }
+        // Beyond the middle of the last cell its own share holds.
+        self.across[cx] = self.across[cx - 1];
+        for (out, &(cell, part)) in self.row.iter_mut().zip(&self.places) {
+            let (a, b) = (self.across[cell as usize], self.across[cell as usize + 1]);
+            *out = a + (b - a) * part;
+        }
+        &self.row
+    }
+}
+
+/// Between which cells the middle of a voxel lies along an axis.
+fn place(shade: &Shade, axis: usize, voxel: usize) -> (usize, f32) {
+    let at =
+        ((voxel as f32 + 0.5) / shade.voxels[axis] as f32 - 0.5).max(0.0).min(shade.dims[axis] as f32 - 1.0);
+    (at as usize, at.fract())
+}
+
+/// Of matter that is not shaded, the share of light that comes from all around where it is shown: as of shaded matter that
+/// looks at the light.
+const UNSHADED_AMBIENT: f32 = 0.25;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::march::{MarchSettings, Scene};
+    use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+    use crate::volume::procedural::Builtin;
+
+    fn transfer(opacity: f32) -> TransferFunction {
+        let p = |x, opacity| ControlPoint { x, color: [1.0; 3], opacity };
+        TransferFunction {
+            name: "step".into(),
+            domain: Domain::Full,
+            unit_length: UnitLength::Radius(0.1),
+            points: vec![p(0.0, 0.0), p(0.3, 0.0), p(0.4, opacity), p(1.0, opacity)],
+        }
+    }
+
+    fn scene(shaded: bool, lighting: Lighting) -> Scene {
+        let volume = Arc::new(Builtin::Cubus.volume(24));
+        Scene::new(volume, &transfer(0.9), MarchSettings::of(shaded, lighting))
+    }
+
+    const OFF: Lighting = Lighting {
+        ambient_occlusion: 0.0,
+        occlusion_radius: 0.3,
+        shadows: 0.0,
+        softness_degrees: 20.0,
+        azimuth_degrees: 10.0,
+        elevation_degrees: 60.0,
+    };
+
+    #[test]
+    fn without_shade_nothing_is_changed() {
+        let shaded = scene(true, OFF);
+        let shading = Shading { light: OFF.direction(), ..Shading::default() };
+        let plain = Lit::of(&shaded.volume, shading, shaded.table.x_scale);
+        assert_eq!(shaded.illumination.lit().map(|l| &**l), Some(&plain));
+        assert!(scene(false, OFF).illumination.lit().is_none());
+        assert!(shaded.illumination.is_final());
+    }
+
+    #[test]
+    fn a_brightness_is_what_the_formula_says() {
+        let lighting = Lighting { ambient_occlusion: 0.7, shadows: 0.6, ..OFF };
+        for shaded in [true, false] {
+            let scene = scene(shaded, lighting);
+            let found = &scene.illumination;
+            let (open, lit) = (&found.occlusion.as_ref().unwrap().1, &found.shadow.as_ref().unwrap().1);
+            assert_eq!(open.dims, [24; 3], "a cell a voxel");
+            let (ambient, diffuse) = if shaded { (0.25, 0.85) } else { (0.25, 0.75) };
+            let whole = scene.illumination.lit().unwrap();
+            assert_eq!((whole.ambient, whole.diffuse), (0.0, ambient + diffuse));
+            let mut darkest = 1f32;
+            for i in 0..24 * 24 * 24 {
+                let share = found.gradients.as_ref().map_or(1.0, |g| f32::from(g.shares[i]) / LIT_MAX);
+                let open = 1.0 - 0.7 * (1.0 - open.shares[i]);
+                let exact = ambient * open + diffuse * share * (0.4 * open + 0.6 * lit.shares[i]);
+                let got = whole.diffuse * f32::from(whole.shares[i]) / LIT_MAX;
+                // Half of a unit.
+                assert!((got - exact).abs() <= 0.502 * whole.diffuse / LIT_MAX, "{i}: {got} for {exact}");
+                darkest = darkest.min(got);
+            }
+            assert!(darkest < 0.5 * (ambient + diffuse), "there is shade: {darkest}");
+        }
+    }
+
+    #[test]
+    fn only_what_changes_is_worked_out_again() {
+        let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
+        let first = scene(true, lighting);
+        let with = |lighting| first.with_look(&transfer(0.9), MarchSettings::of(true, lighting)).illumination;
+        let same = |a: &Option<Part>, b: &Option<Part>| match (a, b) {
+            (Some(a), Some(b)) => Arc::ptr_eq(&a.1, &b.1),
+            _ => false,
+        };
+        let weaker = with(Lighting { ambient_occlusion: 0.5, ..lighting });
+        assert!(same(&weaker.occlusion, &first.illumination.occlusion));
+        assert!(same(&weaker.shadow, &first.illumination.shadow));
+        assert_ne!(weaker.lit(), first.illumination.lit());
+        let turned = with(Lighting { azimuth_degrees: 50.0, ..lighting });
+        assert!(same(&turned.occlusion, &first.illumination.occlusion));
+        assert!(!same(&turned.shadow, &first.illumination.shadow));
+        // Another transfer function, another shade; and each is what a fresh scene has.
+        let settings = MarchSettings::of(true, lighting);
+        let softer = first.with_look(&transfer(0.2), settings);
+        assert!(!same(&softer.illumination.occlusion, &first.illumination.occlusion));
+        let fresh = Scene::new(first.volume.clone(), &transfer(0.2), settings);
+        assert_eq!(softer.illumination.lit(), fresh.illumination.lit());
+        assert_eq!(
+            turned.lit(),
+            scene(true, Lighting { azimuth_degrees: 50.0, ..lighting }).illumination.lit()
+        );
+    }
+
+    #[test]
+    fn what_is_cut_away_throws_no_shade() {
+        use crate::clip::{Clip, Plane};
+        use glam::Vec3;
+        let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
+        let whole = scene(false, lighting);
+        // The light comes from above: without the upper half, what is left of the lower stands in the light.
+        let plane = Plane::new(Vec3::NEG_Y, 0.0);
+        let with = |clip| {
+            let settings = MarchSettings { clip, ..MarchSettings::of(false, lighting) };
+            whole.with_look(&transfer(0.9), settings).illumination
+        };
+        let cut = with(Clip { plane, ..Clip::default() });
+        let below = |i: usize| i / 24 % 24 < 12;
+        let sum = |l: &Illumination| -> u64 {
+            let shares = &l.lit().unwrap().shares;
+            shares.iter().enumerate().filter(|(i, _)| below(*i)).map(|(_, s)| u64::from(*s)).sum()
+        };
+        let (before, after) = (sum(&whole.illumination), sum(&cut));
+        assert!(after > before + before / 20, "{after} of {before}");
+        // Negative control: a plane that cuts nothing away, and none.
+        let far = Plane::new(Vec3::NEG_Y, -100.0);
+        assert_eq!(sum(&with(Clip { plane: far, ..Clip::default() })), before);
+        // Nothing left, nothing dark.
+        let none = with(Clip { plane: Plane::new(Vec3::Y, 100.0), ..Clip::default() });
+        assert!(none.lit().unwrap().shares.iter().all(|s| *s >= 254));
+    }
+
+    #[test]
+    fn a_draft_is_near_and_is_called_one() {
+        let volume = Arc::new(Builtin::Shells.volume(72));
+        let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
+        let settings = MarchSettings::of(true, lighting);
+        let whole = Scene::new(volume.clone(), &transfer(0.5), settings);
+        let in_draft = MarchSettings { detail: Detail::Draft, ..settings };
+        // What is fine already stays so.
+        assert!(whole.with_look(&transfer(0.5), in_draft).illumination.is_final());
+        let draft = Scene::new(volume.clone(), &transfer(0.5), in_draft);
+        assert!(!draft.with_look(&transfer(0.5), in_draft).illumination.is_final());
+        assert!(draft.with_look(&transfer(0.5), settings).illumination.is_final());
+        assert!(whole.illumination.is_final() && !draft.illumination.is_final());
+        let mean = |a: &Lit, b: &Lit| {
+            let sum: u64 = a.shares.iter().zip(&b.shares).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+            sum as f64 / a.shares.len() as f64
+        };
+        let (a, b) = (whole.illumination.lit().unwrap(), draft.illumination.lit().unwrap());
+        let none = scene_of(&volume, MarchSettings::of(true, OFF));
+        let plain = none.illumination.gradients.as_ref().unwrap();
+        assert!(mean(a, b) < 0.25 * mean(a, plain), "{} of {}", mean(a, b), mean(a, plain));
+    }
+
+    fn scene_of(volume: &Arc<Volume>, settings: MarchSettings) -> Scene {
+        Scene::new(volume.clone(), &transfer(0.5), settings)
+    }
+
+    #[test]
+    fn voxels_of_any_size_and_shape_are_lit() {
+        use crate::volume::{VolumeInfo, Voxels};
+        use glam::Vec3;
+        for (dims, spacing) in [
+            ([1, 1, 1], Vec3::ONE),
+            ([2, 1, 3], Vec3::new(1e-9, 1e-6, 1e-7)),
+            ([70, 3, 2], Vec3::new(1e9, 1e8, 1e11)),
+            ([300, 300, 30], Vec3::new(0.5, 0.5, 5.0)),
+        ] {
+            let n = dims.iter().product::<u32>();
+            let voxels = Voxels::U16((0..n).map(|i| (i.wrapping_mul(40_503) >> 3) as u16).collect());
+            let volume = Volume::new(dims, spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+            let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
+            for detail in [Detail::Draft, Detail::Final] {
+                let settings = MarchSettings { detail, ..MarchSettings::of(true, lighting) };
+                let scene = Scene::new(Arc::new(volume.clone()), &transfer(0.9), settings);
+                let lit = scene.illumination.lit().unwrap();
+                assert_eq!(lit.shares.len() as u32, n);
+                assert!(lit.shares.iter().any(|s| *s > 20), "{dims:?} {spacing}: all dark");
+            }
+        }
+    }
+}

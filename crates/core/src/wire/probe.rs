@@ -1,0 +1,99 @@
+//! What is at a point of the volume: asked by the client, answered by the server.
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+use super::control::ControlError;
+use crate::ids::ProbeId;
+use crate::volume::Volume;
+
+/// Asks for the value at a point. Of several that wait the newest is answered.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProbeRequest {
+    /// Number of the question.
+    pub id: ProbeId,
+    /// The point, world space.
+    pub point: [f32; 3],
+}
+
+/// The answer.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Probed {
+    /// Number of the question.
+    pub id: ProbeId,
+    /// The point that was asked for.
+    pub point: [f32; 3],
+    /// What is there; none outside of the volume.
+    pub voxel: Option<ProbedVoxel>,
+}
+
+/// A voxel and what it holds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProbedVoxel {
+    /// Its numbers along x, y and z, from 0.
+    pub index: [u32; 3],
+    /// Its value.
+    pub value: f32,
+}
+
+impl ProbeRequest {
+    /// Checks what the type cannot say.
+    pub(super) fn validate(&self) -> Result<(), ControlError> {
+        check_point(self.point)
+    }
+
+    /// The answer of a volume.
+    pub fn answer(&self, volume: &Volume) -> Probed {
+        let (bounds, point) = (volume.bounds(), Vec3::from_array(self.point));
+        let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();
+        let voxel = is_inside.then(|| {
+            let at = (point - bounds.min) / volume.spacing();
+            let dims = volume.dims();
+            let index = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
+            let [x, y, z] = index.map(|i| i as i32);
+            ProbedVoxel { index, value: volume.value_from_stored(volume.stored_at(x, y, z)) }
+        });
+        Probed { id: self.id, point: self.point, voxel }
+    }
+}
+
+impl Probed {
+    /// Checks what the type cannot say.
+    pub(super) fn validate(&self) -> Result<(), ControlError> {
+        if self.voxel.is_some_and(|v| !v.value.is_finite()) {
+            return Err(ControlError::Value("value of a probe"));
+        }
+        check_point(self.point)
+    }
+}
+
+fn check_point(point: [f32; 3]) -> Result<(), ControlError> {
+    if point.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(ControlError::Value("point of a probe")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::{VolumeInfo, Voxels};
+
+    #[test]
+    fn the_answer_is_the_voxel_that_holds_the_point() {
+        let voxels = Voxels::U16((0..60).collect());
+        let spacing = Vec3::new(1.0, 0.5, 2.0);
+        let volume = Volume::new([3, 4, 5], spacing, voxels, (2.0, -7.0), VolumeInfo::default()).unwrap();
+        let ask = |point: Vec3| ProbeRequest { id: ProbeId(3), point: point.to_array() }.answer(&volume);
+        for (i, [x, y, z]) in [[0, 0, 0], [2, 3, 4], [1, 2, 3]].into_iter().enumerate() {
+            let center = volume.bounds().min + (Vec3::new(x as f32, y as f32, z as f32) + 0.5) * spacing;
+            for aside in [Vec3::ZERO, spacing * 0.4, spacing * -0.4] {
+                let found = ask(center + aside);
+                let value = ((z * 4 + y) * 3 + x) as f32 * 2.0 - 7.0;
+                assert_eq!(found.voxel, Some(ProbedVoxel { index: [x, y, z], value }), "{i}");
+                assert_eq!((found.id, found.validate().is_ok()), (ProbeId(3), true));
+            }
+        }
+        // The faces belong to the volume; what is beyond does not.
+        assert!(ask(volume.bounds().max).voxel.is_some() && ask(volume.bounds().min).voxel.is_some());
+        assert!(ask(volume.bounds().max + 1e-3).voxel.is_none());
+        assert!(ProbeRequest { id: ProbeId(0), point: [f32::NAN, 0.0, 0.0] }.validate().is_err());
+    }
+}

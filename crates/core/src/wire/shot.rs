@@ -1,0 +1,93 @@
+//! A picture that the server renders in full for a client to keep: the request, and the stream that brings it.
+//!
+//! | offset | type | meaning |
+//! |---|---|---|
+//! | 0 | 4 bytes | `IGLS` |
+//! | 4 | u32 | id of the request, little-endian |
+//! | 8 | | a PNG file of the size that was asked for, to the end of the stream |
+
+use serde::{Deserialize, Serialize};
+
+use super::control::ControlError;
+use super::pose::PoseRequest;
+use crate::ids::ShotId;
+
+/// Asks for a picture under the look that was asked for last. A later request takes the place of one that is not answered.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ShotRequest {
+    /// Number of the request.
+    pub id: ShotId,
+    /// The view: the bytes of a pose datagram, of which pose, size and field of view count.
+    pub view: Vec<u8>,
+    /// sRGB behind the volume.
+    pub background: [u8; 3],
+}
+
+impl ShotRequest {
+    /// The view that is asked for.
+    ///
+    /// # Errors
+    /// If it is none, or larger than is rendered.
+    pub fn view(&self) -> Result<PoseRequest, ControlError> {
+        let view = PoseRequest::decode(&self.view).map_err(|_| ControlError::Value("view of a picture"))?;
+        if view.intrinsics.num_pixels() > MAX_SHOT_PIXELS {
+            return Err(ControlError::Value("size of a picture"));
+        }
+        Ok(view)
+    }
+}
+
+/// The first bytes of the stream.
+pub fn shot_header(id: ShotId) -> [u8; SHOT_HEADER_BYTES] {
+    let mut header = [0; SHOT_HEADER_BYTES];
+    header[..4].copy_from_slice(&SHOT_MAGIC);
+    header[4..].copy_from_slice(&id.0.to_le_bytes());
+    header
+}
+
+/// The request that a stream answers; none if these are not the first bytes of such a stream.
+pub fn shot_id(header: &[u8]) -> Option<ShotId> {
+    let header: &[u8; SHOT_HEADER_BYTES] = header.first_chunk()?;
+    let id = u32::from_le_bytes([header[4], header[5], header[6], header[7]]);
+    (header[..4] == SHOT_MAGIC).then_some(ShotId(id))
+}
+
+/// What the stream of a picture begins with.
+pub const SHOT_MAGIC: [u8; 4] = *b"IGLS";
+/// Bytes before the PNG file.
+pub const SHOT_HEADER_BYTES: usize = 8;
+/// Pixels of the largest picture: 7680×4320 and a little more.
+pub const MAX_SHOT_PIXELS: usize = 1 << 25;
+/// Bytes of the longest stream: three a pixel, and what PNG puts around them.
+pub const MAX_SHOT_BYTES: usize = 3 * MAX_SHOT_PIXELS + (1 << 20);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Intrinsics, Pose};
+    use crate::ids::PoseId;
+    use glam::Vec3;
+
+    fn request(width: u32, height: u32) -> ShotRequest {
+        let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0);
+        let intrinsics = Intrinsics::perspective(width, height, 0.5);
+        let view = PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
+        ShotRequest { id: ShotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
+    }
+
+    #[test]
+    fn a_view_is_read_back_and_one_that_is_too_large_is_refused() {
+        assert_eq!(request(640, 480).view().unwrap().intrinsics.width, 640);
+        assert!(request(7680, 4320).view().is_ok());
+        assert!(request(8192, 8192).view().is_err());
+        let good = request(640, 480);
+        assert!(ShotRequest { view: good.view[1..].to_vec(), ..good }.view().is_err());
+    }
+
+    #[test]
+    fn a_stream_says_what_it_answers() {
+        assert_eq!(shot_id(&shot_header(ShotId(0x0102_0304))), Some(ShotId(0x0102_0304)));
+        assert_eq!(shot_id(b"IGLC\x01\x02\x03\x04"), None);
+        assert_eq!(shot_id(b"IGLS\x01"), None);
+    }
+}

@@ -1,0 +1,60 @@
+//! Do the flags of the light and of the turntable do what they say?
+
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+mod common;
+
+use common::Bench;
+
+const RENDER: &str = "--backend cpu --size 48x48";
+
+#[test]
+fn shade_changes_the_picture_and_strengths_of_zero_do_not() {
+    let bench = Bench::new();
+    let render = |file: &str, flags: &str| {
+        bench.ok(&format!("render builtin:cubus@32 -o {file} {flags} {RENDER}"));
+    };
+    let error = |a: &str, b: &str| {
+        let found = bench.json(&format!("compare {a} {b} --json"));
+        found["max_abs_255"].as_u64().unwrap_or_default()
+    };
+    render("bare.png", "");
+    render("off.png", "--ambient-occlusion 0 --shadows 0 --occlusion-radius 0.4 --softness 20");
+    assert_eq!(error("bare.png", "off.png"), 0);
+    for (file, flags) in [
+        ("occlusion.png", "--ambient-occlusion 1"),
+        ("shadows.png", "--shadows 1"),
+        ("light.png", "--light 120,-20"),
+        ("unshaded.png", "--shading off --shadows 1"),
+    ] {
+        render(file, flags);
+        assert!(error("bare.png", file) > 8, "{flags}");
+    }
+    // A shaded frame in layers is the picture with the same shade.
+    bench.ok(&format!("layers builtin:cubus@32 --ambient-occlusion 1 --shadows 1 -o a.iglf {RENDER}"));
+    bench.ok("reproject a.iglf -o own.png --backend cpu");
+    render("both.png", "--ambient-occlusion 1 --shadows 1");
+    assert!(error("own.png", "both.png") <= 6, "the codec's rounding");
+    assert!(error("own.png", "bare.png") > 8, "negative control");
+}
+
+#[test]
+fn a_turntable_is_so_many_pictures_and_each_is_that_of_render() {
+    let bench = Bench::new();
+    let turntable = "render builtin:cubus@32 --orbit 10,15 --turntable 4";
+    bench.ok(&format!("{turntable} -o turn {RENDER}"));
+    bench.ok(&format!("{turntable} -o turn/at-###-degrees.png {RENDER}"));
+    let mut all = Vec::new();
+    for (number, azimuth) in [10, 100, 190, 280].into_iter().enumerate() {
+        bench.ok(&format!("render builtin:cubus@32 --orbit {azimuth},15 -o one.png {RENDER}"));
+        for name in [format!("turn/{number:04}.png"), format!("turn/at-{number:03}-degrees.png")] {
+            let same = bench.json(&format!("compare one.png {name} --json"));
+            assert_eq!(same["max_abs_255"].as_u64(), Some(0), "{name}");
+            all.push(name);
+        }
+    }
+    let other = bench.json(&format!("compare {} {} --json", all[0], all[2]));
+    assert!(other["max_abs_255"].as_u64() > Some(8), "negative control: {other}");
+    // A folder is no file, and one picture is no turntable.
+    bench.fails(&format!("render builtin:cubus@32 -o turn {RENDER}"), 2, &["found a folder"]);
+    bench.fails(&format!("render builtin:cubus@32 --turntable 1 -o turn {RENDER}"), 2, &["turntable"]);
+}

@@ -1,0 +1,78 @@
+//! Pictures that a viewer keeps: one at a time, made between the frames of everyone.
+
+use std::sync::Arc;
+
+use isinglass_core::camera::Camera;
+use isinglass_core::look::Look;
+use isinglass_core::picture::linear_from_srgb;
+use isinglass_core::wire::ShotRequest;
+use isinglass_formats::png;
+use isinglass_net::server::{ControlSender, FrameSender};
+use tokio::task::JoinHandle;
+use tracing::Instrument;
+
+use crate::generator::Generator;
+use crate::parts::Present;
+
+/// The pictures of one viewer. What is in the making is given up when another is asked for, and with the viewer.
+pub(crate) struct Shots {
+    generator: Generator,
+    frames: FrameSender,
+    control: ControlSender,
+    running: Option<JoinHandle<()>>,
+}
+
+impl Shots {
+    pub(crate) fn new(generator: Generator, frames: FrameSender, control: ControlSender) -> Self {
+        Self { generator, frames, control, running: None }
+    }
+
+    /// Makes a picture under a look in place of the one in the making, or none.
+    pub(crate) fn set(&mut self, shot: Option<ShotRequest>, look: &Look, present: &Arc<Present>) {
+        self.give_up();
+        let Some(shot) = shot else { return };
+        let (generator, look, present) = (self.generator.clone(), look.clone(), present.clone());
+        let (frames, control) = (self.frames.clone(), self.control.clone());
+        let id = shot.id;
+        let work = async move {
+            // Where the viewer has left, nobody waits for it.
+            let _ = match make(&generator, &shot, &look, &present).await {
+                Ok(png) => frames.send_shot(id, &png).await,
+                Err(why) => {
+                    tracing::warn!("no picture: {why}");
+                    control.shot_failed(id, &why).await
+                }
+            };
+        };
+        self.running = Some(tokio::spawn(work.instrument(tracing::debug_span!("picture", id = id.0))));
+    }
+
+    fn give_up(&mut self) {
+        if let Some(running) = self.running.take() {
+            running.abort();
+        }
+    }
+}
+
+impl Drop for Shots {
+    fn drop(&mut self) {
+        self.give_up();
+    }
+}
+
+/// The picture as a PNG file, or one line of why there is none.
+async fn make(
+    generator: &Generator,
+    shot: &ShotRequest,
+    look: &Look,
+    present: &Present,
+) -> Result<Vec<u8>, String> {
+    let view = shot.view().map_err(|e| e.to_string())?;
+    let camera = Camera::new(view.pose, view.intrinsics, &present.bounds);
+    let background = shot.background.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+    let made = generator.picture(present.scene, look, &present.lights, camera, background).await;
+    let rgb = made.ok_or("the server has stopped rendering")?.map_err(|e| e.to_string())?;
+    let [width, height] = [view.intrinsics.width, view.intrinsics.height];
+    let encoded = tokio::task::spawn_blocking(move || png::encode(width, height, &rgb));
+    encoded.await.map_err(|e| e.to_string())?.map_err(|e| e.to_string())
+}
