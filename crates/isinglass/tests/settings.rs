@@ -153,7 +153,7 @@ fn mistakes_are_one_line_that_names_file_line_and_key() {
     folders(&bench);
     for (text, words) in [
         ("[look]\nk = 99", &["bad.toml:2: look.k", "found \"99\"", "expected 1 to 32"][..]),
-        ("[look]\n\ncolour = 1", &["bad.toml:3: found look.colour", "look.{tf, shading, layering, k}"]),
+        ("[look]\n\ncolour = 1", &["bad.toml:3: found look.colour", "look.{tf, shading, ambient_occlusion"]),
         ("[loook]\nk = 1", &["bad.toml:2: found loook.k", "one of the sections network"]),
         ("k = 1", &["bad.toml: line 1", "outside of a section"]),
         ("[coding]\ncodec = \"best\"", &["bad.toml:2: coding.codec", "expected one of auto, exact, blocks"]),
