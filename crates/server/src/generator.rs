@@ -72,7 +72,7 @@ pub(crate) enum GenerateError {
 }
 
 enum Job {
-    Frame(Order),
+    Frame(Box<Order>),
     Rows(Box<RowsOrder>),
     Replace { studio: Box<Studio>, reply: oneshot::Sender<()> },
 }
@@ -142,7 +142,8 @@ impl Generator {
         wish: Wish,
     ) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
-        self.jobs.send(Job::Frame(Order { scene, look, header, wish, reply })).await.ok()?;
+        let order = Box::new(Order { scene, look, header, wish, reply });
+        self.jobs.send(Job::Frame(order)).await.ok()?;
         answer.await.ok()
     }
 
