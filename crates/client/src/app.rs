@@ -64,6 +64,8 @@ pub(crate) struct ViewerApp<S> {
     clip_editor: ClipEditor,
     /// Where the handles of the clip were drawn.
     clip_view: Option<clip_editor::View>,
+    /// The volume that the clip was last looked at for.
+    clip_bounds: Option<Aabb>,
     /// When the centre of rotation was chosen.
     center_chosen_at: Option<Duration>,
     editor: TransferEditor,
@@ -102,6 +104,7 @@ impl<S: FrameSource> ViewerApp<S> {
             is_orthographic: options.is_orthographic,
             clip_editor: ClipEditor::default(),
             clip_view: None,
+            clip_bounds: None,
             options,
             viewing,
             controls: None,
@@ -141,6 +144,7 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((of, controls)) if *of != bounds => {
                 controls.turn_to(&bounds);
                 *of = bounds;
+                self.clip_view = None;
             }
             Some(_) => {}
             None => {
@@ -205,6 +209,14 @@ impl<S: FrameSource> ViewerApp<S> {
             }
         }
         input
+    }
+
+    /// A clip that leaves nothing of another volume is no longer wished for.
+    fn drop_empty_clip(&mut self, now: Duration) {
+        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
+        if self.clip_bounds.replace(*bounds) != Some(*bounds) && look.clip.region(bounds).is_empty() {
+            self.set_clip(now, Clip::default());
+        }
     }
 
     fn toggle_clip(&mut self, now: Duration) {
@@ -501,6 +513,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
         let by_keys = self.keys(&ctx, now, &picture);
         let mut events = ctx.input(|i| i.events.clone());
+        self.drop_empty_clip(now);
         self.drag_clip(&ctx, now, &mut events);
         let free = |at| is_free(&ctx, at);
         let mut input =

@@ -5,7 +5,7 @@
 //! Faces that look away are drawn faintly and can be dragged as well; where two handles lie on each other the nearer face
 //! is meant.
 
-use egui::{Color32, Event, PointerButton, Pos2, Rect};
+use egui::{Color32, Event, PointerButton, Pos2, Rect, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::camera::Camera;
 use isinglass_core::clip::{Clip, Plane};
@@ -144,10 +144,9 @@ impl ClipEditor {
         }
         let busy = self.drag.map(|d| d.handle).or(self.hovered);
         // The nearer ones over the others.
-        let mut handles: Vec<_> = handles(view, clip).collect();
+        let mut handles = handles(view, clip);
         handles.sort_by_key(|(handle, _)| is_front(view, clip, *handle));
-        for (handle, point) in handles {
-            let Some([at, _]) = projected(&view.camera.basis(), view.rect, point, point) else { continue };
+        for (handle, at) in handles {
             let color = match handle {
                 Handle::Face(axis, _) => AXIS_COLORS[axis],
                 Handle::Slide | Handle::Tilt => PLANE_COLOR,
@@ -263,18 +262,27 @@ fn tip_of(view: &View, middle: Vec3, plane: &Plane) -> Vec3 {
     middle + plane.normal * (TIP_IN_RADII * view.bounds.radius())
 }
 
-/// Every handle and where it is, world space.
-fn handles(view: &View, clip: &Clip) -> impl Iterator<Item = (Handle, Vec3)> {
-    let faces = box_of(view, clip).into_iter().flat_map(|bounds| {
-        (0..3).flat_map(move |axis| {
-            [false, true].map(|high| (Handle::Face(axis, high), face_middle(&bounds, axis, high)))
-        })
-    });
-    let of_plane = clip.plane.into_iter().flat_map(|plane| {
+/// Every handle that is in sight, and where it is on the screen.
+fn handles(view: &View, clip: &Clip) -> Vec<(Handle, Pos2)> {
+    let basis = view.camera.basis();
+    let on_screen = |p: Vec3| projected(&basis, view.rect, p, p).map(|[at, _]| at);
+    let mut handles = Vec::with_capacity(8);
+    if let Some(bounds) = box_of(view, clip) {
+        for (axis, is_high) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+            let at = on_screen(face_middle(&bounds, axis, is_high));
+            handles.extend(at.map(|at| (Handle::Face(axis, is_high), at)));
+        }
+    }
+    if let Some(plane) = clip.plane {
         let middle = middle_of(view, clip, &plane);
-        [(Handle::Slide, middle), (Handle::Tilt, tip_of(view, middle, &plane))]
-    });
-    faces.chain(of_plane).collect::<Vec<_>>().into_iter()
+        let (slide, tilt) = (on_screen(middle), on_screen(tip_of(view, middle, &plane)));
+        // A plane across the view has both at one place; one is moved aside.
+        let is_across = slide.zip(tilt).is_some_and(|(slide, tilt)| slide.distance(tilt) < 2.0 * REACH);
+        let tilt = if is_across { slide.map(|slide| slide + vec2(2.5 * REACH, 0.0)) } else { tilt };
+        handles.extend(slide.map(|at| (Handle::Slide, at)));
+        handles.extend(tilt.map(|at| (Handle::Tilt, at)));
+    }
+    handles
 }
 
 /// Whether a face shows its outer side, or the plane's normal points at the eye.
@@ -294,9 +302,7 @@ fn handle_at(view: &View, clip: &Clip, at: Pos2) -> Option<Handle> {
     if !view.rect.contains(at) {
         return None;
     }
-    let basis = view.camera.basis();
-    let near = handles(view, clip).filter_map(|(handle, point)| {
-        let [on_screen, _] = projected(&basis, view.rect, point, point)?;
+    let near = handles(view, clip).into_iter().filter_map(|(handle, on_screen)| {
         let distance = on_screen.distance(at);
         // What is in front wins where both are as near.
         let behind = if is_front(view, clip, handle) { 0.0 } else { BEHIND };
@@ -374,7 +380,7 @@ const PLANE_COLOR: Color32 = Color32::from_rgb(255, 190, 70);
 
 #[cfg(test)]
 mod tests {
-    use egui::{Modifiers, pos2, vec2};
+    use egui::{Modifiers, pos2};
     use isinglass_core::camera::{Intrinsics, Pose};
 
     use super::*;
@@ -479,6 +485,25 @@ mod tests {
             let moved = dragged(&view, &clip, from, to).unwrap().plane.unwrap();
             assert!((moved.normal - tilted).length() < 1e-3, "{moved:?} {tilted}");
             assert!(moved.distance(middle).abs() < 1e-5, "its middle stays");
+        }
+    }
+
+    #[test]
+    fn a_plane_across_the_view_can_be_tilted_as_well_as_moved() {
+        for view in views() {
+            let forward = view.camera.pose.forward();
+            let clip = Clip { bounds: None, plane: Plane::new(forward, 0.1) };
+            let places = handles(&view, &clip);
+            let at = |handle| places.iter().find(|(h, _)| *h == handle).unwrap().1;
+            assert!(at(Handle::Slide).distance(at(Handle::Tilt)) > 2.0 * REACH);
+            let tilt = at(Handle::Tilt);
+            let tilted = dragged(&view, &clip, tilt, tilt + vec2(25.0, 0.0)).unwrap().plane.unwrap();
+            let right = view.camera.pose.world_from_view * Vec3::X;
+            assert!(tilted.normal.dot(right) > 0.1, "its far end goes to the right with the pointer");
+            let slide = at(Handle::Slide);
+            let moved = dragged(&view, &clip, slide, slide + vec2(0.0, 20.0)).unwrap().plane.unwrap();
+            assert!(moved.normal == clip.plane.unwrap().normal, "it does not turn");
+            assert!(moved.offset < 0.1, "down is towards the eye: {moved:?}");
         }
     }
 

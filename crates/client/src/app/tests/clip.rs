@@ -151,3 +151,27 @@ fn the_projection_changes_by_key_and_in_the_panel_and_keeps_size_and_centre() {
     rest(&mut w);
     assert!(is_parallel(&w));
 }
+
+#[test]
+fn a_clip_that_leaves_nothing_of_another_volume_is_given_up() {
+    let mut w = window([640.0, 480.0]);
+    let bounds = w.state().clip_view.unwrap().bounds;
+    let corner = Clip { bounds: Some(Aabb { min: bounds.max * 0.8, max: bounds.max }), plane: None };
+    let look = (*w.state().viewing.look().unwrap()).clone();
+    w.state_mut().viewing.set_look(Duration::from_secs(9), Look { clip: corner, ..look });
+    rest(&mut w);
+    assert_eq!(w.state().viewing.look().unwrap().clip, corner, "something of this one is left");
+    let source = w.state_mut().viewing.source_mut();
+    let half = Builtin::Shells.volume(24);
+    let volume = isinglass_core::volume::Volume::new(
+        half.dims(),
+        half.spacing() * 0.5,
+        half.voxels().clone(),
+        (1.0, 0.0),
+        Default::default(),
+    );
+    source.scene = Scene::new(Arc::new(volume.unwrap()), &source.look.1.transfer, source.scene.settings);
+    source.render();
+    rest(&mut w);
+    assert_eq!(w.state().viewing.look().unwrap().clip, Clip::default());
+}
