@@ -63,6 +63,32 @@ fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
     assert!(["front", "blue", "rows 0–63", "all"].iter().all(|row| text.contains(row)), "{text}");
 }
 
+/// What is cut away is gone from the rendering and from the stored frame alike, and so with parallel rays.
+#[test]
+fn clips_and_parallel_rays_are_the_same_in_a_picture_and_in_a_frame() {
+    let bench = Bench::new();
+    let worst = |a: &str, b: &str| bench.json(&format!("compare {a} {b} --json"))["max_abs_255"].as_u64();
+    bench.ok(&format!("render builtin:shells@48 -o whole.png {RENDER}"));
+    for flags in [
+        "--clip-box=-1,0.2,-9,9,-9,9",
+        "--clip-plane=-1,0,-2,0.1",
+        "--orthographic",
+        "--orthographic --clip-plane=0,1,0,0",
+    ] {
+        bench.ok(&format!("render builtin:shells@48 {flags} -o a.png {RENDER}"));
+        bench.ok(&format!("layers builtin:shells@48 {flags} -o a.iglf {RENDER}"));
+        bench.ok("reproject a.iglf -o b.png --backend cpu");
+        assert!(worst("a.png", "b.png") <= Some(2), "{flags}");
+        assert!(worst("a.png", "whole.png") > Some(20), "{flags}");
+    }
+    // From one projection into the other: nearer to its rendering than what it was made of.
+    bench.ok(&format!("render builtin:shells@48 --orthographic -o flat.png {RENDER}"));
+    bench.ok(&format!("layers builtin:shells@48 -o a.iglf {RENDER}"));
+    bench.ok("reproject a.iglf --orthographic -o b.png --backend cpu");
+    let dssim = |a: &str| bench.json(&format!("compare {a} flat.png --json"))["dssim"].as_f64().unwrap();
+    assert!(dssim("b.png") < 0.6 * dssim("whole.png"), "{} {}", dssim("b.png"), dssim("whole.png"));
+}
+
 /// A frame seen from 90 and 180 degrees aside, from within the volume and in another size is a picture too.
 #[test]
 fn a_stored_frame_can_be_seen_from_anywhere() {
