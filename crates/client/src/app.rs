@@ -12,7 +12,8 @@ use isinglass_core::look::Look;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
-use isinglass_net::{Clock, ReceivedFrame, State};
+use isinglass_formats::{SavedState, Selection};
+use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
 use crate::bindings::{Action, Focus, Step};
 use crate::camera_controls::{CameraControls, ControlInput, ZOOM_PER_NOTCH};
@@ -39,6 +40,19 @@ use crate::view_aids::{self, ViewAids, pixel_at};
 use crate::viewing::{Refresh, Standing, Viewing};
 use crate::waits::Waits;
 use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
+
+/// Where the frames of a source come from.
+#[derive(Default)]
+pub(crate) struct Origin {
+    /// Who renders, as the person at the viewer knows it.
+    pub(crate) server_name: String,
+    /// The server's link, for links to what is seen.
+    pub(crate) link: Option<Link>,
+    /// What the server was given to open, where that is known, for states that are saved.
+    pub(crate) volume_source: Option<(String, Selection)>,
+    /// What is shown at first in place of the first view.
+    pub(crate) state: Option<SavedState>,
+}
 
 /// See the module.
 pub(crate) struct ViewerApp<S> {
@@ -82,6 +96,8 @@ pub(crate) struct ViewerApp<S> {
     notice: Option<(String, Duration)>,
     reported_at: Duration,
     parts_bar: PartsBar,
+    /// Whether the page was asked for on which another volume or server is chosen.
+    wants_start: bool,
     /// Of the refreshes before.
     waits: Waits,
 }
@@ -133,8 +149,45 @@ impl<S: FrameSource> ViewerApp<S> {
             notice: None,
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
+            wants_start: false,
             waits: Waits::default(),
         }
+    }
+
+    /// Shows what another source brings, from its first view or its state on. Gives back the source before.
+    pub(crate) fn turn_to(&mut self, source: S, origin: Origin) -> S {
+        let Origin { server_name, link, volume_source, state } = origin;
+        self.options.server_name = server_name;
+        (self.options.link, self.options.volume_source) = (link, volume_source);
+        self.options.state = state.or(self.options.state.take());
+        let viewing = Viewing::new(source, self.viewing.frame_size, self.options.foresight);
+        (self.controls, self.center_chosen_at) = (None, None);
+        (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
+        (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
+        (self.notice, self.method_problem) = (None, None);
+        self.title.clear();
+        std::mem::replace(&mut self.viewing, viewing).into_source()
+    }
+
+    /// Whether the page was asked for on which another volume or server is chosen; once.
+    pub(crate) fn take_start_wish(&mut self) -> bool {
+        std::mem::take(&mut self.wants_start)
+    }
+
+    /// Whether a key says that the window shall be closed. Where nothing is shown, it is the only one that says anything.
+    pub(crate) fn take_quit(&self, ctx: &egui::Context) -> bool {
+        let take = |i: &mut egui::InputState| self.options.bindings.take_actions(&mut i.events, Focus::Text);
+        ctx.input_mut(take).contains(&Action::Quit)
+    }
+
+    /// Whether the look panel is open.
+    pub(crate) fn is_look_open(&self) -> bool {
+        self.is_look_open
+    }
+
+    /// How much of the window's bottom is taken by a bar, points.
+    pub(crate) fn bottom_height(&self) -> f32 {
+        self.parts_bar.height()
     }
 
     /// The camera controls for the volume that the source has now; one of another size is seen from the same side.
@@ -191,6 +244,7 @@ impl<S: FrameSource> ViewerApp<S> {
                         _ => self.editor.redo(&scale),
                     }
                 }
+                Action::Start => self.wants_start = true,
                 Action::StepTime(by) => {
                     let source = self.viewing.source();
                     let (parts, load) = (source.parts(), source.load());

@@ -1,7 +1,8 @@
 //! The viewer: ray-casts the newest layered frame from the camera under the user's hand at every refresh, and never
 //! waits for the network.
 //!
-//! [`run`] opens the window on a server's link, [`run_window`] on any [`FrameSource`]; [`HeadlessViewer`] is the same
+//! [`run`] opens the window on a server's link, [`run_window`] on any [`FrameSource`], [`run_window_with_start`] also without one
+//! and with a page to choose one; [`HeadlessViewer`] is the same
 //! without a window. [`camera_controls`] is pure. This crate renders no volume and knows nothing of the wire: frames
 //! come from `isinglass-net`, the ray caster from `isinglass-gpu`.
 
@@ -36,6 +37,7 @@ mod quality_control;
 mod run;
 mod shots;
 mod slots;
+mod start;
 mod state_files;
 mod stereo;
 mod transfer_editor;
@@ -56,9 +58,14 @@ pub use overlay::{OverlayModel, Row, ViewTime, format_bytes, format_duration, fo
 pub use picture::BACKGROUND;
 pub use quality_control::{Quality, QualityControl};
 pub use run::{ViewerOptions, run};
+pub use start::{First, LocalServer, LocalServers, Services};
 pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 pub use viewing::{FrameSize, Refresh, Standing, Viewing};
 pub use waits::Waits;
 pub use window::{
     DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowOptions, run_window,
+    run_window_with_start,
 };
+
+/// Whoever brings the frames of a window that may turn to others.
+pub type BoxedSource = Box<dyn FrameSource + Send>;

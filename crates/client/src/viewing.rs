@@ -172,6 +172,11 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
+    /// Whoever brought the frames.
+    pub fn into_source(self) -> S {
+        self.source
+    }
+
     /// Whoever brings the frames.
     pub fn source(&self) -> &S {
         &self.source

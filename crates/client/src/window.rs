@@ -17,7 +17,8 @@ use crate::foresight::Foresight;
 use crate::frame_source::FrameSource;
 use crate::gpu_timer::timer_features;
 use crate::novel_view::{LAYERS, NovelView, NovelViews};
-use crate::picture;
+use crate::picture::{self, PictureStatus};
+use crate::start::{First, Nothing, Services, StartWindow};
 use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh};
 use crate::waits::Waits;
@@ -166,6 +167,43 @@ pub fn run_window<S: FrameSource + 'static>(
     clock: Clock,
     make_source: impl FnOnce(Waker) -> Result<S, String>,
 ) -> Result<(), ViewerError> {
+    open_window(options, |options, opened| {
+        let source = make_source(opened.wake).map_err(ViewerError::Source)?;
+        Ok(Box::new(ViewerApp::new(options, opened.views, source, clock, opened.status)))
+    })
+}
+
+/// Opens a window that begins with `first`, and in which other servers and volumes can be chosen. Returns when it is closed.
+/// `clock` is that of the sources' stamps. Must be called on the main thread.
+///
+/// # Errors
+/// As for [`run_window`].
+pub fn run_window_with_start(
+    options: WindowOptions,
+    clock: Clock,
+    services: Services,
+    first: impl FnOnce(Waker) -> Result<First, String>,
+) -> Result<(), ViewerError> {
+    open_window(options, |options, opened| {
+        let Opened { ctx, wake, views, status } = opened;
+        let first = first(wake.clone()).map_err(ViewerError::Source)?;
+        let app = ViewerApp::new(options, views, Box::new(Nothing) as _, clock.clone(), status);
+        Ok(Box::new(StartWindow::new(app, services, first, &ctx, clock, wake)))
+    })
+}
+
+/// A window that was opened.
+struct Opened {
+    ctx: egui::Context,
+    wake: Waker,
+    views: NovelViews,
+    status: Arc<PictureStatus>,
+}
+
+fn open_window(
+    options: WindowOptions,
+    make_app: impl FnOnce(WindowOptions, Opened) -> Result<Box<dyn eframe::App>, ViewerError>,
+) -> Result<(), ViewerError> {
     let [width, height] = options.size;
     let native = eframe::NativeOptions {
         viewport: egui::ViewportBuilder::default()
@@ -188,11 +226,13 @@ pub fn run_window<S: FrameSource + 'static>(
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let status = picture::install(state).map_err(ViewerError::Device)?;
         let ctx = cc.egui_ctx.clone();
-        let wake: Waker = Arc::new(move || ctx.request_repaint());
+        let wake: Waker = {
+            let ctx = ctx.clone();
+            Arc::new(move || ctx.request_repaint())
+        };
         let views =
             NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());
-        let source = make_source(wake).map_err(ViewerError::Source)?;
-        Ok(Box::new(ViewerApp::new(options, views, source, clock, status)))
+        Ok(make_app(options, Opened { ctx, wake, views, status })?)
     });
     let run = || eframe::run_native("isinglass", native, create);
     match told_apart(display_available, run) {

@@ -8,6 +8,7 @@
 //! draws nothing and knows no network.
 
 mod axes;
+mod content;
 mod decode;
 mod dicom;
 mod dtype;
@@ -27,6 +28,7 @@ mod plan;
 pub mod png;
 mod presets;
 mod raw;
+mod recent;
 mod select;
 mod settings;
 mod sniff;
@@ -46,6 +48,7 @@ mod xml;
 mod zarr;
 mod zip;
 
+pub use content::{Content, content_of};
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};
@@ -53,6 +56,7 @@ pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline};
 pub use presets::{default_preset, preset, preset_names};
 pub use raw::RawShape;
+pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use select::{Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline};

@@ -12,6 +12,7 @@ mod given;
 mod lens_args;
 mod library;
 mod light_args;
+mod local;
 mod memory;
 mod report;
 mod state_args;

@@ -48,6 +48,8 @@ pub enum Action {
     Redo,
     /// So many times on in the server's file, or back.
     StepTime(i32),
+    /// The page on which another volume or server is chosen.
+    Start,
     /// The state of the view as a file.
     SaveState,
     /// The field for the file of a state.
@@ -426,6 +428,7 @@ const TABLE: &[Line] = &[
         "copy a link to what is seen; Ctrl+v shows what such a link says",
         &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
     ),
+    keys("another volume or server, in `view`", &[("start", Deed::Act(Action::Start), &["ctrl+n"])]),
     fixed("in the curve: click, drag", "add a point, move one"),
     fixed("in the curve: middle click, Del", "remove a point"),
     fixed("in the curve: Insert, Enter", "add a point behind the chosen one"),

@@ -1,6 +1,6 @@
-//! `view`: the viewer on a server's link.
+//! `view`: the viewer on a server's link, on a volume of this machine, or with a page to choose one.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -9,20 +9,31 @@ use clap::Args;
 use isinglass_bench::output::write_whole;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
-use isinglass_client::{CameraPath, Waker, WindowOptions, display_available, run_window};
-use isinglass_net::{Client, ClientOptions, Link};
+use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
+use isinglass_formats::{LoadRequest, Selection};
+use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
 use super::demo::initial_orbit;
-use crate::args::{ForesightArgs, MethodArgs, parse_fov, parse_output, parse_size};
+use crate::args::{
+    BackendArgs, ForesightArgs, MethodArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
+    parse_size,
+};
 use crate::given::Given;
+use crate::local;
+use crate::memory::MemoryArgs;
 use crate::state_args::StateArgs;
 use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
-    /// The link that `serve` printed; quote it in a shell
-    #[arg(value_name = "LINK")]
-    link: Link,
+    /// The link that `serve` printed, quoted in a shell; or a volume of this machine, as for `serve` [default: a page to choose
+    /// one]
+    #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
+    target: Option<Target>,
+    #[command(flatten)]
+    raw: RawArgs,
+    #[command(flatten)]
+    part: PartArgs,
     #[command(flatten)]
     state: StateArgs,
     /// Columns and rows of the window
@@ -43,42 +54,41 @@ pub(crate) struct ViewerArgs {
     window: WindowArgs,
     #[command(flatten)]
     foresight: ForesightArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    #[command(flatten)]
+    memory: MemoryArgs,
     /// Write the camera's path to FILE when the window is closed, for `demo --headless --path`
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     record: Option<PathBuf>,
 }
 
-/// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away
-/// later is shown in the window.
+/// What is shown at first.
+#[derive(Clone, Debug)]
+enum Target {
+    Server(Link),
+    Volume(String),
+}
+
+/// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away later, and
+/// whatever is chosen in the window, is told there.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
-    let seen = args.state.read_or(args.link.state.as_deref(), given)?;
+    let of_link = match &args.target {
+        Some(Target::Server(link)) => link.state.as_deref(),
+        Some(Target::Volume(_)) | None => None,
+    };
+    let seen = args.state.read_or(of_link, given)?;
     let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
     // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
     if !display_available() {
         bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
     }
-    let server_name = format!("{}:{}", args.link.host, args.link.port);
-    let waker = Arc::new(OnceLock::<Waker>::new());
-    let wakes = waker.clone();
-    let wake = Arc::new(move || {
-        if let Some(wake) = wakes.get() {
-            wake();
-        }
-    });
-    let options = ClientOptions { wake, ..ClientOptions::default() };
-    let clock = options.clock.clone();
-    let client = Client::connect(&args.link, options)?;
-    if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
-        bail!("{server_name}: {problem}");
-    }
     let recorder = args.record.as_ref().map(|_| Arc::<Mutex<CameraPath>>::default());
     let window = WindowOptions {
-        server_name,
         size,
         state: Some(state),
         bindings: seen.bindings(),
         state_sets_size,
-        link: Some(args.link),
         initial_orbit: initial_orbit(&args.orbit),
         fov_y: args.fov.to_radians(),
         is_orthographic: args.orthographic,
@@ -88,16 +98,70 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         recorder: recorder.clone(),
         ..WindowOptions::default()
     };
-    run_window(window, clock, move |wake| {
-        // There is one window, so nothing was set before.
-        let _ = waker.set(wake);
-        Ok(client)
-    })?;
+    let services = local::services(args.backend.backend, args.memory.bytes());
+    let (raw, selection, spacing) = (args.raw.shape(), args.part.selection(), args.part.spacing);
+    let is_of_volume = raw.is_some() || selection != Selection::default() || spacing.is_some();
+    let limit = args.memory.bytes();
+    let of_state = seen.state.volume.as_ref().filter(|v| v.source.is_some());
+    match args.target {
+        Some(Target::Server(_)) if is_of_volume => {
+            bail!(
+                "--channel, --time, --dims and the like belong to a volume, found a link; give them to `serve`"
+            );
+        }
+        Some(Target::Server(link)) => {
+            let (client, waker) = connect(&link)?;
+            let clock = client.clock().clone();
+            run_window_with_start(window, clock, services, move |wake| {
+                // There is one window, so nothing was set before.
+                let _ = waker.set(wake);
+                Ok(First::Connected { source: Box::new(client), link })
+            })?;
+        }
+        Some(Target::Volume(source)) => {
+            let request = LoadRequest { source, raw, selection, spacing, max_bytes: limit };
+            run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
+        }
+        None if of_state.is_some() => {
+            let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
+            let volume = seen.volume(&volume)?;
+            let source = volume.source()?.to_owned();
+            let (selection, spacing) = (volume.part.selection(), volume.part.spacing);
+            let request = LoadRequest { source, raw, selection, spacing, max_bytes: limit };
+            run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
+        }
+        None if is_of_volume => {
+            bail!("--channel, --time, --dims and the like belong to a volume, found none");
+        }
+        None => run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?,
+    }
     if let (Some(file), Some(recorder)) = (args.record, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
         write_whole(&file, path.to_string().as_bytes())?;
     }
     Ok(())
+}
+
+/// A client that was let in, and what wakes its window once there is one.
+fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
+    let waker = Arc::new(OnceLock::<Waker>::new());
+    let wakes = waker.clone();
+    let wake = Arc::new(move || {
+        if let Some(wake) = wakes.get() {
+            wake();
+        }
+    });
+    let client = Client::connect(link, ClientOptions { wake, ..ClientOptions::default() })?;
+    if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
+        bail!("{}:{}: {problem}", link.host, link.port);
+    }
+    Ok((client, waker))
+}
+
+/// Whatever is no volume is read as a link, and told so.
+fn parse_target(text: &str) -> Result<Target, LinkError> {
+    let is_volume = text.starts_with("builtin:") || !text.contains("://") && Path::new(text).exists();
+    if is_volume { Ok(Target::Volume(text.to_owned())) } else { text.parse().map(Target::Server) }
 }
 
 /// Longer than QUIC tries by itself on a slow link.

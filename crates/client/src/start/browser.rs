@@ -1,0 +1,443 @@
+//! The list of files that volumes are opened from. It works by keyboard as by mouse, and never waits for a disk.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+
+use egui::{Align, EventFilter, FontId, Key, Layout, Modifiers, Rect, RichText, ScrollArea, Sense, Ui, vec2};
+use isinglass_formats::{LoadRequest, Outline, Selection};
+
+use super::folder::{Entry, Folder};
+use super::opening::{on_a_thread, survey};
+use super::selection::SelectionForm;
+use super::services::LocalServers;
+use crate::background::path_from_text;
+use crate::overlay::format_bytes;
+use crate::panels::{bright, named, quiet};
+use crate::parts_bar::warning;
+use crate::window::Waker;
+
+/// See the module.
+pub(crate) struct Browser {
+    wake: Waker,
+    folder: Folder,
+    path_text: String,
+    /// Number of an entry.
+    selected: Option<usize>,
+    /// The name to select when the folder is listed.
+    wanted_name: Option<String>,
+    scrolls: bool,
+    wants_focus: bool,
+    /// The letters of a name that were typed lately, and the time of the last.
+    typed: (String, f64),
+    looked_at: Option<LookedAt>,
+    /// Whether the folder itself is to be opened.
+    takes_folder: bool,
+}
+
+/// A volume whose header is shown.
+struct LookedAt {
+    source: PathBuf,
+    form: SelectionForm,
+    /// The selection that `found` answers.
+    asked: Selection,
+    waiting: Option<Receiver<Result<Outline, String>>>,
+    found: Option<Result<Outline, String>>,
+}
+
+impl Browser {
+    pub(crate) fn new(folder: PathBuf, wake: &Waker) -> Self {
+        Self {
+            wake: wake.clone(),
+            path_text: folder.display().to_string(),
+            folder: Folder::open(folder, wake),
+            selected: None,
+            wanted_name: None,
+            scrolls: false,
+            wants_focus: false,
+            typed: (String::new(), 0.0),
+            looked_at: None,
+            takes_folder: false,
+        }
+    }
+
+    /// The folder that is shown.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder.path
+    }
+
+    /// Shows another folder; `select` is the name to select in it.
+    pub(crate) fn go_to(&mut self, folder: PathBuf, select: Option<String>) {
+        self.path_text = folder.display().to_string();
+        self.folder = Folder::open(folder, &self.wake);
+        (self.selected, self.wanted_name, self.scrolls) = (None, select, true);
+        (self.looked_at, self.takes_folder) = (None, false);
+    }
+
+    fn go_up(&mut self) {
+        if let Some(parent) = self.folder.path.parent().map(Path::to_owned) {
+            let name = self.folder.path.file_name().map(|n| n.to_string_lossy().into_owned());
+            self.go_to(parent, name);
+        }
+    }
+
+    /// Shows path, list and what is selected; a volume that shall be opened.
+    pub(crate) fn show(
+        &mut self,
+        ui: &mut Ui,
+        servers: &Arc<dyn LocalServers>,
+        held: u64,
+        height: f32,
+    ) -> Option<LoadRequest> {
+        self.folder.poll();
+        if let Some(name) = self.wanted_name.take_if(|_| !self.folder.is_listing) {
+            self.select(self.folder.entries.iter().position(|e| e.name == name));
+        }
+        self.path_row(ui);
+        let details = if self.looked_at.is_some() { DETAILS_HEIGHT.min(height * 0.5) } else { 0.0 };
+        let list = (height - ui.spacing().interact_size.y - 16.0 - details).max(90.0);
+        let opens = self.list(ui, list);
+        self.look(servers, held);
+        self.details(ui, servers, opens)
+    }
+
+    fn path_row(&mut self, ui: &mut Ui) {
+        ui.horizontal(|ui| {
+            let up = ui.add_enabled(self.folder.path.parent().is_some(), egui::Button::new("up"));
+            if up.on_hover_text("the folder above (Backspace in the list)").clicked() {
+                self.go_up();
+                self.wants_focus = true;
+            }
+            let slices = self.folder.may_be_volume();
+            let width = ui.available_width() - if slices.is_some() { 128.0 } else { 0.0 };
+            let field = egui::TextEdit::singleline(&mut self.path_text).desired_width(width);
+            let field = ui.add(field.hint_text("a file or folder"));
+            named(&field, egui::Role::TextInput, "path");
+            if field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter)) {
+                if let Some(path) = path_from_text(&self.path_text) {
+                    // A disk may be slow, but a person who presses enter waits for it anyway: the list tells what it found.
+                    self.go_to_text(path);
+                }
+                self.wants_focus = true;
+            }
+            if let Some(slices) = slices {
+                let all = egui::Button::new("whole folder").selected(self.takes_folder);
+                let hint = format!("the {slices} files of this folder as one volume");
+                if ui.add(all).on_hover_text(hint).clicked() {
+                    self.select(None);
+                    self.takes_folder = true;
+                }
+            }
+        });
+    }
+
+    /// The folder of a path that was written, with its last part selected, as that may be a file.
+    fn go_to_text(&mut self, path: PathBuf) {
+        let path = if path.is_relative() { self.folder.path.join(path) } else { path };
+        let is_folder_text = self.path_text.trim_end().ends_with(['/', '\\']);
+        match (path.parent(), path.file_name()) {
+            (Some(parent), Some(name)) if !is_folder_text => {
+                self.go_to(parent.to_owned(), Some(name.to_string_lossy().into_owned()));
+            }
+            _ => self.go_to(path, None),
+        }
+    }
+
+    fn select(&mut self, entry: Option<usize>) {
+        if self.selected != entry {
+            self.looked_at = None;
+        }
+        (self.selected, self.scrolls) = (entry, true);
+        self.takes_folder &= entry.is_none();
+    }
+
+    /// The list; whether what is selected shall be opened.
+    fn list(&mut self, ui: &mut Ui, height: f32) -> bool {
+        let width = ui.available_width();
+        let (outer, _) = ui.allocate_exact_size(vec2(width, height), Sense::hover());
+        let frame = ui.visuals().widgets.noninteractive.bg_stroke;
+        ui.painter().rect_filled(outer, 4.0, ui.visuals().extreme_bg_color);
+        let id = ui.make_persistent_id("files");
+        let list = ui.interact(outer, id, Sense::click());
+        named(&list, egui::Role::List, "files");
+        if std::mem::take(&mut self.wants_focus) || list.clicked() {
+            list.request_focus();
+        }
+        let filter =
+            EventFilter { tab: false, horizontal_arrows: true, vertical_arrows: true, escape: false };
+        ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
+        let stroke = if list.has_focus() { ui.visuals().selection.stroke } else { frame };
+        ui.painter().rect_stroke(outer, 4.0, stroke, egui::StrokeKind::Inside);
+        let mut opens = list.has_focus() && self.keys(ui, height);
+        let mut ui = ui.new_child(
+            egui::UiBuilder::new().max_rect(outer.shrink(3.0)).layout(Layout::top_down(Align::Min)),
+        );
+        ui.set_clip_rect(outer.shrink(2.0).intersect(ui.clip_rect()));
+        if let Some(problem) = &self.folder.problem {
+            let color = warning(&ui);
+            ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+            return false;
+        }
+        if self.folder.entries.is_empty() {
+            let text = if self.folder.is_listing { "looking…" } else { "nothing in this folder" };
+            let color = quiet(ui.ctx());
+            ui.label(RichText::new(text).color(color));
+            return false;
+        }
+        ui.spacing_mut().item_spacing.y = 0.0;
+        let mut area = ScrollArea::vertical().auto_shrink(false);
+        if let Some(row) = self.selected.filter(|_| self.scrolls) {
+            // In sight, with a line around it.
+            let (top, bottom) = ((row as f32 - 1.0) * ROW, (row as f32 + 2.0) * ROW);
+            let offset = ui.data(|d| d.get_temp::<f32>(id)).unwrap_or(0.0);
+            let view = height - 6.0;
+            area = area.vertical_scroll_offset(offset.min(top).max(bottom - view).max(0.0));
+        }
+        self.scrolls = false;
+        let mut clicked = None;
+        let output = area.show_rows(&mut ui, ROW, self.folder.entries.len(), |ui, rows| {
+            for i in rows {
+                let (rect, response) =
+                    ui.allocate_exact_size(vec2(ui.available_width(), ROW), Sense::click());
+                let entry = &self.folder.entries[i];
+                named(&response, egui::Role::ListItem, &entry.name);
+                row(ui, rect, entry, self.selected == Some(i), response.hovered());
+                if response.clicked() || response.double_clicked() {
+                    clicked = Some((i, response.double_clicked()));
+                }
+            }
+        });
+        ui.data_mut(|d| d.insert_temp(id, output.state.clamped_offset().y));
+        if let Some((i, is_double)) = clicked {
+            ui.memory_mut(|m| m.request_focus(id));
+            let scrolls = self.scrolls;
+            self.select(Some(i));
+            self.scrolls = scrolls;
+            opens |= is_double && self.enter();
+        }
+        opens
+    }
+
+    /// What the keys say; whether what is selected shall be opened.
+    fn keys(&mut self, ui: &Ui, height: f32) -> bool {
+        let last = self.folder.entries.len().saturating_sub(1);
+        let page = ((height / ROW) as usize).saturating_sub(2).max(1);
+        let at = self.selected;
+        let press = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+        let to = |n: usize| Some(n.min(last)).filter(|_| !self.folder.entries.is_empty());
+        let moved = if press(Key::ArrowDown) {
+            to(at.map_or(0, |n| n + 1))
+        } else if press(Key::ArrowUp) {
+            to(at.map_or(0, |n| n.saturating_sub(1)))
+        } else if press(Key::PageDown) {
+            to(at.map_or(0, |n| n + page))
+        } else if press(Key::PageUp) {
+            to(at.map_or(0, |n| n.saturating_sub(page)))
+        } else if press(Key::Home) {
+            to(0)
+        } else if press(Key::End) {
+            to(last)
+        } else {
+            None
+        };
+        if moved.is_some() {
+            self.select(moved);
+        }
+        if press(Key::Backspace) || press(Key::ArrowLeft) {
+            self.go_up();
+            return false;
+        }
+        if press(Key::ArrowRight) && self.entry().is_some_and(|e| e.is_folder) {
+            self.enter();
+            return false;
+        }
+        self.type_on(ui);
+        press(Key::Enter) && self.enter()
+    }
+
+    /// Letters select the first name that begins with them.
+    fn type_on(&mut self, ui: &Ui) {
+        let (text, now) = ui.input(|i| {
+            let texts = i.events.iter().filter_map(|e| match e {
+                egui::Event::Text(text) => Some(text.as_str()),
+                _ => None,
+            });
+            (texts.collect::<String>(), i.time)
+        });
+        if text.is_empty() {
+            return;
+        }
+        if now > self.typed.1 + TYPING_SECONDS {
+            self.typed.0.clear();
+        }
+        self.typed.0 += &text.to_lowercase();
+        self.typed.1 = now;
+        let typed = &self.typed.0;
+        let found = self.folder.entries.iter().position(|e| e.name.to_lowercase().starts_with(typed));
+        if found.is_some() {
+            self.select(found);
+        }
+    }
+
+    fn entry(&self) -> Option<&Entry> {
+        self.folder.entries.get(self.selected?)
+    }
+
+    /// Goes into the folder that is selected, or says that the file is to be opened.
+    fn enter(&mut self) -> bool {
+        let Some(entry) = self.entry() else { return false };
+        if entry.is_folder && entry.opens() != Some(true) {
+            let path = entry.path.clone();
+            self.go_to(path, None);
+            return false;
+        }
+        true
+    }
+
+    /// Reads the header of what is selected, and again when other parts of it are chosen.
+    fn look(&mut self, servers: &Arc<dyn LocalServers>, held: u64) {
+        let source = match self.entry() {
+            Some(entry) if entry.opens() == Some(true) => Some(entry.path.clone()),
+            None if self.takes_folder => Some(self.folder.path.clone()),
+            Some(_) | None => None,
+        };
+        let Some(source) = source else {
+            self.looked_at = None;
+            return;
+        };
+        if self.looked_at.as_ref().is_none_or(|l| l.source != source) {
+            let form = SelectionForm::default();
+            let asked = Selection::default();
+            self.looked_at = Some(LookedAt { source, form, asked, waiting: None, found: None });
+        }
+        let Some(looked) = &mut self.looked_at else { return };
+        if let Some(waiting) = &looked.waiting
+            && let Ok(found) = waiting.try_recv()
+        {
+            if let Ok(outline) = &found {
+                looked.form.learn(outline);
+            }
+            (looked.found, looked.waiting) = (Some(found), None);
+        }
+        let wanted = looked.form.selection();
+        if looked.waiting.is_none() && (looked.found.is_none() || looked.asked != wanted) {
+            looked.asked = wanted;
+            let request = request(&looked.source, wanted, &**servers);
+            let servers = servers.clone();
+            looked.waiting = Some(on_a_thread(&self.wake, move || survey(&request, held, &*servers)));
+        }
+    }
+
+    /// What is known of the volume that is selected, and what may be chosen of it.
+    fn details(&mut self, ui: &mut Ui, servers: &Arc<dyn LocalServers>, opens: bool) -> Option<LoadRequest> {
+        let Some(looked) = &mut self.looked_at else {
+            if let Some(entry) = self.entry()
+                && entry.opens() == Some(false)
+                && !entry.is_folder
+            {
+                let text = format!("{}: {}, which does not open here", entry.name, entry.kind());
+                let color = quiet(ui.ctx());
+                ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());
+            }
+            return None;
+        };
+        ui.add_space(4.0);
+        let mut is_asked = opens;
+        let is_folder = looked.source == self.folder.path;
+        match &looked.found {
+            None => drop(ui.label("reading the header…")),
+            Some(Err(problem)) => {
+                let color = warning(ui);
+                ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+                looked.form.show(ui);
+            }
+            Some(Ok(outline)) => {
+                ui.label(RichText::new(title(outline, is_folder)).strong());
+                let color = quiet(ui.ctx());
+                ui.add(egui::Label::new(RichText::new(facts(outline)).color(color)).truncate());
+                looked.form.show(ui);
+                ui.horizontal(|ui| {
+                    let can_open = looked.waiting.is_none();
+                    let text = if is_folder { "Open this folder" } else { "Open" };
+                    is_asked |= ui.add_enabled(can_open, egui::Button::new(text)).clicked();
+                    let needs = format!("needs {} of memory", format_bytes(outline.bytes_needed()));
+                    ui.label(RichText::new(needs).color(color));
+                    if let Some(warning) = outline.warnings.first() {
+                        let more = outline.warnings.len() - 1;
+                        let more = if more > 0 { format!(" (and {more} more)") } else { String::new() };
+                        let text = RichText::new(format!("{}{more}", warning.text)).size(11.5).color(color);
+                        let all: Vec<&str> = outline.warnings.iter().map(|w| w.text.as_str()).collect();
+                        ui.add(egui::Label::new(text).truncate()).on_hover_text(all.join("\n"));
+                    }
+                });
+            }
+        }
+        let is_good = matches!(looked.found, Some(Ok(_))) && looked.waiting.is_none();
+        // Whoever presses enter before the header was read is not made to press it again.
+        is_asked |= is_good && looked.form.opens_when_read;
+        looked.form.opens_when_read = is_asked && !is_good && looked.waiting.is_some();
+        (is_asked && is_good).then(|| request(&looked.source, looked.asked, &**servers))
+    }
+}
+
+fn request(source: &Path, selection: Selection, servers: &dyn LocalServers) -> LoadRequest {
+    LoadRequest {
+        selection,
+        max_bytes: servers.max_bytes(),
+        ..LoadRequest::new(source.to_string_lossy().into_owned())
+    }
+}
+
+fn title(outline: &Outline, is_folder: bool) -> String {
+    let whole = if is_folder { " (the whole folder)" } else { "" };
+    format!("{}{whole}", outline.name)
+}
+
+/// Format, size, type and spacing in one line.
+fn facts(outline: &Outline) -> String {
+    let [x, y, z] = outline.dims;
+    let spacing =
+        outline.spacing.map(|s| format!("{s:.3}").trim_end_matches('0').trim_end_matches('.').to_owned());
+    let unit = outline.unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
+    format!("{}, {x}×{y}×{z} {}, voxels of {}{unit}", outline.format, outline.dtype, spacing.join("×"))
+}
+
+/// A line of the list: name, kind and size.
+fn row(ui: &Ui, rect: Rect, entry: &Entry, is_selected: bool, is_hovered: bool) {
+    let visuals = ui.visuals();
+    if is_selected {
+        ui.painter().rect_filled(rect, 3.0, visuals.selection.bg_fill);
+    } else if is_hovered {
+        ui.painter().rect_filled(rect, 3.0, visuals.widgets.hovered.weak_bg_fill);
+    }
+    let opens = entry.is_folder || entry.opens() != Some(false);
+    let strong = if is_selected { visuals.selection.stroke.color } else { bright(ui.ctx()) };
+    let color = if opens { strong } else { visuals.weak_text_color().gamma_multiply(0.8) };
+    let side = if is_selected { strong } else { quiet(ui.ctx()) };
+    let font = FontId::proportional(13.0);
+    let small = FontId::proportional(11.5);
+    let painter = ui.painter().with_clip_rect(rect.intersect(ui.clip_rect()));
+    let middle = rect.center().y;
+    let size = if entry.is_folder { String::new() } else { format_bytes(entry.bytes) };
+    let right = rect.right() - 10.0;
+    painter.text(egui::pos2(right, middle), egui::Align2::RIGHT_CENTER, size, small.clone(), side);
+    let kind_right = right - SIZE_WIDTH;
+    let kind = painter.layout_no_wrap(entry.kind().to_owned(), small, side);
+    let kind_left = kind_right - kind.size().x;
+    painter.galley(egui::pos2(kind_left, middle - kind.size().y * 0.5), kind, side);
+    let mark = if entry.is_folder { "/" } else { "" };
+    let name_rect = rect.with_max_x(kind_left - 8.0);
+    ui.painter().with_clip_rect(name_rect.intersect(ui.clip_rect())).text(
+        egui::pos2(rect.left() + 6.0, middle),
+        egui::Align2::LEFT_CENTER,
+        format!("{}{mark}", entry.name),
+        font,
+        color,
+    );
+}
+
+const ROW: f32 = 21.0;
+const SIZE_WIDTH: f32 = 62.0;
+const DETAILS_HEIGHT: f32 = 150.0;
+/// Letters that come later begin another name.
+const TYPING_SECONDS: f64 = 1.0;

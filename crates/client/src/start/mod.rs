@@ -1,0 +1,314 @@
+//! The window around the viewer: a start page where nothing is shown yet, and whatever is opened from it, from the list of what
+//! was opened lately, or from files that are dropped. What is shown stays until the next is there, and no refresh waits for any
+//! of it.
+
+mod browser;
+mod folder;
+mod opening;
+mod page;
+mod recent_list;
+mod selection;
+mod services;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use egui::{Align2, RichText, vec2};
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion};
+use isinglass_core::look::Look;
+use isinglass_core::wire::{ClientStats, Welcome};
+use isinglass_formats::{LoadRequest, RecentEntry, RecentPlace, content_of};
+use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
+
+use self::opening::{Opened, Opening, later};
+use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
+use self::recent_list::RecentList;
+pub use self::services::{First, LocalServer, LocalServers, Services};
+use crate::BoxedSource;
+use crate::app::{Origin, ViewerApp};
+use crate::background::Background;
+use crate::frame_source::FrameSource;
+use crate::panels::{named, pane};
+use crate::parts_bar::warning;
+use crate::window::Waker;
+
+/// See the module.
+pub(crate) struct StartWindow {
+    app: ViewerApp<BoxedSource>,
+    services: Services,
+    recent: RecentList,
+    page: StartPage,
+    is_page_shown: bool,
+    has_session: bool,
+    /// The server in this process whose volume is shown, and the bytes of that.
+    server: Option<(Box<dyn Send>, u64)>,
+    opening: Option<Opening>,
+    problem: Option<String>,
+    dropped: Background<Result<Vec<egui::DroppedFileHandle>, PathBuf>>,
+    /// Whether the list has led to a folder, or a person has gone to one.
+    has_folder: bool,
+    clock: Clock,
+    wake: Waker,
+}
+
+impl StartWindow {
+    /// Around `app`, which shows nothing yet.
+    pub(crate) fn new(
+        app: ViewerApp<BoxedSource>,
+        services: Services,
+        first: First,
+        ctx: &egui::Context,
+        clock: Clock,
+        wake: Waker,
+    ) -> Self {
+        let recent = RecentList::new(services.recent_file.clone(), ctx);
+        let here = std::env::current_dir().ok().filter(|here| here.parent().is_some());
+        let folder = here.or_else(std::env::home_dir).unwrap_or_else(|| PathBuf::from("/"));
+        let page = StartPage::new(folder, &wake);
+        let mut window = Self {
+            app,
+            services,
+            recent,
+            page,
+            is_page_shown: true,
+            has_session: false,
+            server: None,
+            opening: None,
+            problem: None,
+            dropped: Background::default(),
+            has_folder: false,
+            clock,
+            wake,
+        };
+        match first {
+            First::StartPage => {}
+            First::Connected { source, link } => {
+                let shows = source.description().map(|d| d.volume.name.clone()).unwrap_or_default();
+                let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
+                let origin = Origin {
+                    server_name: format!("{}:{}", link.host, link.port),
+                    link: Some(link),
+                    ..Origin::default()
+                };
+                window.show_opened(Opened { source, origin, server: None, place, shows }, ctx);
+            }
+            First::Volume(request) => window.open(request),
+        }
+        window
+    }
+
+    /// A refresh of the whole window.
+    pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
+        let ctx = ui.ctx().clone();
+        if self.recent.poll(&ctx) && !self.has_folder {
+            self.has_folder = true;
+            if let Some(folder) = self.recent.folder() {
+                self.page.browser.go_to(folder.to_owned(), None);
+            }
+        }
+        self.take_dropped(&ctx);
+        self.go_on(&ctx);
+        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let wish = if self.is_page_shown {
+            // Of the viewer's keys only this one.
+            if self.app.take_quit(&ctx) {
+                ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            let scene = PageScene {
+                services: &self.services,
+                recent: &self.recent,
+                opening: self.opening.as_ref(),
+                problem: self.problem.as_deref(),
+                has_session: self.has_session,
+                held,
+            };
+            self.page.show(ui, &scene)
+        } else {
+            self.app.show(ui);
+            if self.app.take_start_wish() {
+                self.show_page();
+                ctx.request_repaint();
+            }
+            self.show_around(&ctx)
+        };
+        if let Some(wish) = wish {
+            self.has_folder = true;
+            self.problem = None;
+            self.fulfil(wish, &ctx);
+            ctx.request_repaint();
+        }
+    }
+
+    fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
+        match wish {
+            PageWish::Connect(link) => match Opening::connect(&link, &self.clock, &self.wake) {
+                Ok(opening) => self.opening = Some(opening),
+                Err(problem) => self.problem = Some(problem),
+            },
+            PageWish::Open(request) => self.open(request),
+            PageWish::Cancel => self.opening = None,
+            PageWish::Back => self.is_page_shown = false,
+            PageWish::Close => self.close(),
+            PageWish::Forget(number) => self.recent.forget(number, ctx),
+        }
+    }
+
+    /// Begins to open a volume; what is shown stays.
+    fn open(&mut self, request: LoadRequest) {
+        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let servers = self.services.servers.clone();
+        self.problem = None;
+        self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
+    }
+
+    /// Takes the next step of what is being opened.
+    fn go_on(&mut self, ctx: &egui::Context) {
+        let Some(opening) = &mut self.opening else { return };
+        if let Some(ended) = opening.poll() {
+            self.opening = None;
+            match ended {
+                Ok(opened) => self.show_opened(opened, ctx),
+                Err(problem) => self.problem = Some(problem),
+            }
+        } else {
+            // Its progress is not told, but asked for.
+            ctx.request_repaint_after(PROGRESS_PERIOD);
+        }
+    }
+
+    fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
+        let Opened { source, origin, server, place, shows } = opened;
+        let is_volume = matches!(place, RecentPlace::Volume { .. });
+        let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
+        self.recent.note(RecentEntry { place, shows, used_at: (self.services.calendar)() }, folder, ctx);
+        later((self.app.turn_to(source, origin), std::mem::replace(&mut self.server, server)));
+        (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
+    }
+
+    /// Ends what is shown.
+    fn close(&mut self) {
+        later((self.app.turn_to(Box::new(Nothing), Origin::default()), self.server.take()));
+        (self.has_session, self.is_page_shown) = (false, true);
+    }
+
+    fn show_page(&mut self) {
+        self.is_page_shown = true;
+        self.page.focus();
+    }
+
+    /// Files that were dropped on the window are told apart by what they hold: volumes are opened here; everything else goes on
+    /// to the viewer, which knows presets and states.
+    fn take_dropped(&mut self, ctx: &egui::Context) {
+        let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
+        if !files.is_empty() {
+            self.dropped.start(ctx, move || {
+                let mut paths = files.iter().map(|file| file.path().to_owned());
+                let volume = paths.find(|path| content_of(path).is_ok_and(is_volume));
+                volume.map_or(Ok(files), Err)
+            });
+        }
+        match self.dropped.take() {
+            Some(Ok(Err(volume))) => {
+                let source = volume.to_string_lossy().into_owned();
+                let max_bytes = self.services.servers.max_bytes();
+                self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
+            }
+            Some(Ok(Ok(files))) if self.is_page_shown => {
+                let name = files.first().map(|f| f.path().display().to_string()).unwrap_or_default();
+                self.problem = Some(format!("{name}: found no volume that opens here."));
+            }
+            Some(Ok(Ok(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
+            Some(Err(_)) | None => {}
+        }
+    }
+
+    /// What lies over the picture: the way to the page, and how far an opening is.
+    fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
+        let right = if self.app.is_look_open() { LOOK_WIDTH } else { FOLDED_LOOK_WIDTH };
+        let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
+        let is_clicked = area.show(ctx, |ui| {
+            let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
+            let shown = pane(ctx).show(ui, |ui| ui.add(button));
+            shown.inner.on_hover_text("another volume or server (Ctrl+n)").clicked()
+        });
+        if is_clicked.inner {
+            self.show_page();
+        }
+        if self.opening.is_none() && self.problem.is_none() {
+            return None;
+        }
+        let mut wish = None;
+        let lift = self.app.bottom_height();
+        let area = egui::Area::new(egui::Id::unique("opening"));
+        area.anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0 - lift)).show(ctx, |ui| {
+            pane(ctx).show(ui, |ui| {
+                ui.set_max_width((ctx.content_rect().width() - 60.0).clamp(180.0, 420.0));
+                if let Some(opening) = &self.opening {
+                    ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
+                    wish = opening_rows(ui, opening);
+                } else if let Some(problem) = self.problem.clone() {
+                    let color = warning(ui);
+                    ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+                    let ok = ui.small_button("OK");
+                    named(&ok, egui::Role::Button, "OK");
+                    if ok.clicked() {
+                        self.problem = None;
+                    }
+                }
+            });
+        });
+        wish
+    }
+}
+
+impl eframe::App for StartWindow {
+    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        self.show(ui);
+    }
+}
+
+/// Before anything is opened.
+pub(crate) struct Nothing;
+
+impl FrameSource for Nothing {
+    fn set_pose(&mut self, _pose: Pose, _intrinsics: Intrinsics) {}
+
+    fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        None
+    }
+
+    fn state(&self) -> State {
+        State::Connecting { attempt: 1, problem: None }
+    }
+
+    fn stats(&self) -> LinkStats {
+        LinkStats::default()
+    }
+
+    fn description(&self) -> Option<Arc<Welcome>> {
+        None
+    }
+
+    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        None
+    }
+
+    fn set_look(&mut self, _look: Look) {}
+
+    fn take_notice(&mut self) -> Option<String> {
+        None
+    }
+
+    fn note_shown(&mut self, _frame: FrameId) {}
+
+    fn report(&mut self, _stats: ClientStats) {}
+}
+
+/// How often a window that opens something is refreshed.
+const PROGRESS_PERIOD: std::time::Duration = std::time::Duration::from_millis(60);
+/// Beside the look panel, folded and open.
+const FOLDED_LOOK_WIDTH: f32 = 74.0;
+const LOOK_WIDTH: f32 = 352.0;

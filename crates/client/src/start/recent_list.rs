@@ -1,0 +1,141 @@
+//! The list of what was opened lately, and the file that it is kept in.
+
+use std::path::{Path, PathBuf};
+
+use isinglass_formats::{Recent, RecentEntry};
+
+use crate::background::{Background, write_text};
+
+/// Reads and writes on a thread of its own: the page is there before its list.
+pub(crate) struct RecentList {
+    file: Option<PathBuf>,
+    /// None until it was read.
+    list: Option<Recent>,
+    reading: Background<Result<Recent, String>>,
+    writing: Background<Result<(), String>>,
+    /// What is to be written when the disk is free again.
+    waiting: Option<String>,
+    problem: Option<String>,
+}
+
+impl RecentList {
+    /// Begins to read `file`.
+    pub(crate) fn new(file: Option<PathBuf>, ctx: &egui::Context) -> Self {
+        let mut reading = Background::default();
+        if let Some(file) = file.clone() {
+            reading.start(ctx, move || Recent::read(&file).map_err(|e| e.to_string()));
+        }
+        let list = file.is_none().then(Recent::default);
+        Self { file, list, reading, writing: Background::default(), waiting: None, problem: None }
+    }
+
+    /// Takes what the disk has said. Whether the list was read just now.
+    pub(crate) fn poll(&mut self, ctx: &egui::Context) -> bool {
+        if let Some(Ok(Err(problem))) = self.writing.take() {
+            self.problem = Some(problem);
+        }
+        self.write_on(ctx);
+        match self.reading.take() {
+            None => return false,
+            Some(Ok(Ok(list))) => self.list = Some(list),
+            // It starts anew with what is opened next.
+            Some(Ok(Err(problem))) => {
+                (self.list, self.problem) = (Some(Recent::default()), Some(problem));
+            }
+            Some(Err(_)) => self.list = Some(Recent::default()),
+        }
+        true
+    }
+
+    /// The entries, newest first.
+    pub(crate) fn entries(&self) -> &[RecentEntry] {
+        self.list.as_ref().map_or(&[], |list| &list.entries)
+    }
+
+    /// The folder that was looked into last.
+    pub(crate) fn folder(&self) -> Option<&Path> {
+        self.list.as_ref()?.folder.as_deref()
+    }
+
+    /// What went wrong with the file last.
+    pub(crate) fn problem(&self) -> Option<&str> {
+        self.problem.as_deref()
+    }
+
+    /// Puts something first.
+    pub(crate) fn note(&mut self, entry: RecentEntry, folder: Option<PathBuf>, ctx: &egui::Context) {
+        self.change(ctx, |list| {
+            list.note(entry);
+            list.folder = folder.or(list.folder.take());
+        });
+    }
+
+    /// Forgets an entry.
+    pub(crate) fn forget(&mut self, number: usize, ctx: &egui::Context) {
+        self.change(ctx, |list| {
+            if number < list.entries.len() {
+                list.entries.remove(number);
+            }
+        });
+    }
+
+    fn change(&mut self, ctx: &egui::Context, change: impl FnOnce(&mut Recent)) {
+        let list = self.list.get_or_insert_default();
+        change(list);
+        self.waiting = Some(list.to_toml());
+        self.write_on(ctx);
+    }
+
+    fn write_on(&mut self, ctx: &egui::Context) {
+        if self.writing.is_busy() || self.reading.is_busy() {
+            return;
+        }
+        if let (Some(file), Some(text)) = (self.file.clone(), self.waiting.take()) {
+            self.writing
+                .start(ctx, move || write(&file, &text).map_err(|e| format!("{}: {e}", file.display())));
+        }
+    }
+}
+
+fn write(file: &Path, text: &str) -> std::io::Result<()> {
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    write_text(file, text, true)
+}
+
+/// How long ago something was used, in words.
+pub(crate) fn ago(now: u64, then: u64) -> String {
+    let seconds = now.saturating_sub(then);
+    let plural = |n: u64, unit: &str| format!("{n} {unit}{} ago", if n == 1 { "" } else { "s" });
+    match seconds {
+        0..60 => "just now".into(),
+        60..3600 => plural(seconds / 60, "minute"),
+        3600..86_400 => plural(seconds / 3600, "hour"),
+        86_400..5_184_000 => plural(seconds / 86_400, "day"),
+        _ => plural(seconds / 2_592_000, "month"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_told_in_one_word_and_a_unit() {
+        let words =
+            [0, 59, 60, 7199, 7200, 86_400, 400_000, 6_000_000].map(|s| ago(10_000_000, 10_000_000 - s));
+        let expected = [
+            "just now",
+            "just now",
+            "1 minute ago",
+            "1 hour ago",
+            "2 hours ago",
+            "1 day ago",
+            "4 days ago",
+            "2 months ago",
+        ];
+        assert_eq!(words, expected);
+        assert_eq!(ago(5, 9), "just now", "a clock that was set back");
+    }
+}

@@ -1,0 +1,244 @@
+//! What was opened lately, as a small TOML file. It never holds a token or a fingerprint: a link is for one viewer and once.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{FormatError, io_error, shown};
+use crate::select::{Region, Selection};
+
+/// Servers and volumes, the one that was used last first.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Recent {
+    /// The folder that was looked into last.
+    pub folder: Option<PathBuf>,
+    /// At most [`Recent::MAX`].
+    pub entries: Vec<RecentEntry>,
+}
+
+/// Something that was opened.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecentEntry {
+    /// Where it is.
+    pub place: RecentPlace,
+    /// What it showed: the name of a volume.
+    pub shows: String,
+    /// When it was used last, seconds since 1970.
+    pub used_at: u64,
+}
+
+/// Where something was opened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RecentPlace {
+    /// A server.
+    Server {
+        /// Name or address.
+        host: String,
+        /// UDP port.
+        port: u16,
+    },
+    /// A volume of this machine.
+    Volume {
+        /// As for [`crate::open`].
+        source: String,
+        /// Which part of it.
+        selection: Selection,
+    },
+}
+
+impl Recent {
+    /// Entries that are kept.
+    pub const MAX: usize = 12;
+
+    /// Puts an entry first, in place of one of the same server or volume.
+    pub fn note(&mut self, entry: RecentEntry) {
+        let is_same = |other: &RecentEntry| match (&other.place, &entry.place) {
+            (RecentPlace::Volume { source: a, .. }, RecentPlace::Volume { source: b, .. }) => a == b,
+            (a, b) => a == b,
+        };
+        self.entries.retain(|other| !is_same(other));
+        self.entries.insert(0, entry);
+        self.entries.truncate(Self::MAX);
+    }
+
+    /// Reads the file at `path`; one that is not there holds nothing.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is no such list.
+    pub fn read(path: &Path) -> Result<Self, FormatError> {
+        match std::fs::metadata(path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
+            Ok(found) if found.len() > MAX_BYTES => {
+                let expected = "a list of what was opened lately, of at most 64 kB";
+                return Err(FormatError::Unsupported { path: shown(path), found: "a longer file", expected });
+            }
+            _ => {}
+        }
+        let text = std::fs::read_to_string(path).map_err(io_error(path))?;
+        Self::parse(&text).map_err(|(line, problem)| FormatError::Syntax { path: shown(path), line, problem })
+    }
+
+    /// What a list says, or the line and what is wrong with it.
+    fn parse(text: &str) -> Result<Self, (usize, String)> {
+        let stored: Stored = toml::from_str(text).map_err(|e| {
+            let line = e.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+            (line, e.message().lines().next().unwrap_or_default().to_owned())
+        })?;
+        let entries = stored.recent.into_iter().filter_map(StoredEntry::entry).take(Self::MAX).collect();
+        Ok(Self { folder: stored.folder, entries })
+    }
+
+    /// As TOML.
+    pub fn to_toml(&self) -> String {
+        let stored = Stored {
+            folder: self.folder.clone(),
+            recent: self.entries.iter().map(StoredEntry::of).collect(),
+        };
+        // Strings and numbers alone cannot fail.
+        toml::to_string(&stored).unwrap_or_default()
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    folder: Option<PathBuf>,
+    #[serde(default)]
+    recent: Vec<StoredEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredEntry {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    server: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    volume: Option<String>,
+    #[serde(default)]
+    shows: String,
+    used_at: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    channel: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    level: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    series: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    region: Option<String>,
+}
+
+impl StoredEntry {
+    fn of(entry: &RecentEntry) -> Self {
+        let (server, volume, selection) = match &entry.place {
+            RecentPlace::Server { host, port } => {
+                (Some(format!("{host}:{port}")), None, Selection::default())
+            }
+            RecentPlace::Volume { source, selection } => (None, Some(source.clone()), *selection),
+        };
+        let Selection { channel, time, level, series, region } = selection;
+        Self {
+            server,
+            volume,
+            shows: entry.shows.clone(),
+            used_at: entry.used_at,
+            channel,
+            time,
+            level,
+            series,
+            region: region.map(|r| r.to_string()),
+        }
+    }
+
+    /// None for one that makes no sense: it is left out.
+    fn entry(self) -> Option<RecentEntry> {
+        let Self { channel, time, level, series, .. } = self;
+        let place = match (self.server, self.volume) {
+            (Some(server), None) => {
+                let (host, port) = server.rsplit_once(':')?;
+                let is_good = !host.is_empty() && !host.chars().any(|c| c.is_control() || c == '#');
+                let port = port.parse().ok().filter(|_| is_good)?;
+                RecentPlace::Server { host: host.to_owned(), port }
+            }
+            (None, Some(source)) => {
+                let region = self.region.and_then(|r| r.parse::<Region>().ok());
+                RecentPlace::Volume { source, selection: Selection { channel, time, level, series, region } }
+            }
+            _ => return None,
+        };
+        let shows = self.shows.chars().filter(|c| !c.is_control()).take(MAX_NAME).collect();
+        Some(RecentEntry { place, shows, used_at: self.used_at })
+    }
+}
+
+/// Longest list that is read.
+const MAX_BYTES: u64 = 64 << 10;
+/// Longest name of a volume, characters.
+const MAX_NAME: usize = 200;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn server(port: u16, used_at: u64) -> RecentEntry {
+        let place = RecentPlace::Server { host: "::1".into(), port };
+        RecentEntry { place, shows: "head.nrrd".into(), used_at }
+    }
+
+    fn volume(source: &str, time: Option<u32>) -> RecentEntry {
+        let selection = Selection { time, region: "1:5,:,7:".parse().ok(), ..Selection::default() };
+        let place = RecentPlace::Volume { source: source.into(), selection };
+        RecentEntry { place, shows: "a \"b\"".into(), used_at: 7 }
+    }
+
+    #[test]
+    fn a_list_survives_its_file() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("recent.toml");
+        assert_eq!(Recent::read(&path).unwrap(), Recent::default(), "none is there yet");
+        let mut list = Recent { folder: Some("/data/µ".into()), entries: vec![] };
+        list.note(volume("/data/a b.nii", Some(3)));
+        list.note(server(4433, u64::from(u32::MAX)));
+        std::fs::write(&path, list.to_toml()).unwrap();
+        assert_eq!(Recent::read(&path).unwrap(), list);
+    }
+
+    #[test]
+    fn the_newest_is_first_and_nothing_is_there_twice() {
+        let mut list = Recent::default();
+        for i in 0..40 {
+            list.note(server(1 + i % 20, u64::from(i)));
+            assert!(list.entries.len() <= Recent::MAX);
+            assert_eq!(list.entries[0], server(1 + i % 20, u64::from(i)));
+        }
+        list.note(volume("/a", Some(1)));
+        list.note(server(9, 99));
+        list.note(volume("/a", Some(2)));
+        let volumes: Vec<_> =
+            list.entries.iter().filter(|e| matches!(e.place, RecentPlace::Volume { .. })).collect();
+        assert_eq!(volumes, [&volume("/a", Some(2))], "another time of the same volume takes its place");
+    }
+
+    #[test]
+    fn a_damaged_list_is_an_error_or_loses_what_makes_no_sense() {
+        let good = Recent { folder: None, entries: vec![server(1, 2), volume("/a", None)] }.to_toml();
+        for length in 0..good.len() {
+            let _ = Recent::parse(&good[..length]);
+        }
+        assert_eq!(Recent::parse("recent = 3").unwrap_err().0, 1);
+        assert!(Recent::parse("token = \"00\"").is_err(), "nothing else is in it");
+        for bad in
+            ["server = \"h\"", "server = \":1\"", "server = \"h:99999\"", "server = \"h#token=1:1\"", ""]
+        {
+            let text = format!("[[recent]]\nused_at = 1\n{bad}\n");
+            assert_eq!(Recent::parse(&text).unwrap().entries, [], "{bad}");
+        }
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("recent.toml");
+        std::fs::write(&path, vec![b'#'; 1 << 17]).unwrap();
+        let message = Recent::read(&path).unwrap_err().to_string();
+        assert!(message.contains("recent.toml") && message.contains("64 kB"), "{message}");
+    }
+}

@@ -1,0 +1,106 @@
+//! Servers in this process, for volumes that are opened in the viewer's window; and where the window keeps its list.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use isinglass_client::{LocalServer, LocalServers, Services};
+use isinglass_core::look::Look;
+use isinglass_core::session::rate::Plan;
+use isinglass_core::volume::Volume;
+use isinglass_formats::{LoadRequest, Outline};
+use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_server::{RunningServer, ServeOptions};
+use tokio::runtime::Runtime;
+
+use crate::library::FileLoader;
+use crate::memory;
+
+/// Starts them.
+pub(crate) struct Locals {
+    backend: BackendChoice,
+    /// Opened with the first volume, and kept: a device takes a while to open.
+    opened: Mutex<Option<Backend>>,
+    max_memory: u64,
+}
+
+impl Locals {
+    pub(crate) fn new(backend: BackendChoice, max_memory: u64) -> Self {
+        Self { backend, opened: Mutex::new(None), max_memory }
+    }
+
+    fn backend(&self) -> Result<Backend, String> {
+        let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
+        if opened.is_none() {
+            *opened = Some(Backend::open(self.backend).map_err(|e| e.to_string())?);
+        }
+        opened.clone().ok_or_else(|| "no backend".into())
+    }
+}
+
+impl LocalServers for Locals {
+    fn max_bytes(&self) -> u64 {
+        self.max_memory
+    }
+
+    fn check(&self, outline: &Outline, held: u64) -> Result<(), String> {
+        memory::check(&outline.name, outline.bytes_needed(), held, self.max_memory)
+    }
+
+    fn start(&self, volume: Volume, outline: &Outline, request: &LoadRequest) -> Result<LocalServer, String> {
+        let one_line = |e: anyhow::Error| format!("{e:#}");
+        let loader = FileLoader::new(request, None).map_err(one_line)?;
+        let opened = loader.opened(Arc::new(volume), outline).map_err(one_line)?;
+        let options = ServeOptions {
+            volume: opened.volume,
+            look: Look::new(opened.transfer),
+            backend: self.backend()?,
+            listen: ([127, 0, 0, 1], 0).into(),
+            plan: Plan::default(),
+            max_viewers: 1,
+            library: Some(opened.library),
+        };
+        let runtime = Runtime::new().map_err(|e| format!("no threads for the server: {e}"))?;
+        let started = runtime.block_on(async {
+            let server = isinglass_server::start(options).map_err(|e| e.to_string())?;
+            let link = server.mint_link(None).await.map_err(|e| e.to_string())?;
+            Ok::<_, String>((server, link))
+        });
+        let (server, link) = started?;
+        Ok(LocalServer { link, server: Box::new(Running(Some((runtime, server)))) })
+    }
+}
+
+/// A server and the threads that drive it; both end with it.
+struct Running(Option<(Runtime, RunningServer)>);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some((runtime, server)) = self.0.take() {
+            runtime.block_on(server.close());
+            runtime.shutdown_background();
+        }
+    }
+}
+
+/// What a window with a start page needs.
+pub(crate) fn services(backend: BackendChoice, max_memory: u64) -> Services {
+    Services {
+        servers: Arc::new(Locals::new(backend, max_memory)),
+        recent_file: state_folder().map(|folder| folder.join("recent.toml")),
+        calendar: || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()),
+    }
+}
+
+/// Where this user's programs keep what they remember from one start to the next.
+fn state_folder() -> Option<PathBuf> {
+    let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let folder = if cfg!(windows) {
+        variable("LOCALAPPDATA")
+    } else if cfg!(target_os = "macos") {
+        std::env::home_dir().map(|home| home.join("Library/Application Support"))
+    } else {
+        variable("XDG_STATE_HOME").or_else(|| std::env::home_dir().map(|home| home.join(".local/state")))
+    };
+    Some(folder?.join("isinglass"))
+}
