@@ -29,7 +29,8 @@ struct Parts {
 
 // Premultiplied colour and opacity seen along a ray of world space (`cast` and `cast_pieces` in the twin).
 fn cast_ray(ray: Ray) -> Over {
-    var acc = over_identity();
+    caster = combination.casters[0];
+    var acc = identity();
     let clipped = clip_region(
         combination.bounds_min,
         combination.bounds_max,
@@ -38,7 +39,7 @@ fn cast_ray(ray: Ray) -> Over {
         ray,
     );
     if (clipped.s1 <= clipped.s0) {
-        return acc;
+        return over_identity();
     }
     let whole = vec2f(clipped.s0, clipped.s1);
     var parts: array<Parts, MAX_FRAMES>;
@@ -83,12 +84,12 @@ fn cast_ray(ray: Ray) -> Over {
             alone = next;
             piece = vec2f(from_s, to);
         }
-        if (is_done || acc.transmittance < TRANSMITTANCE_MIN) {
+        if (is_done || ends_cast(acc)) {
             break;
         }
         from_s = to;
     }
-    return acc;
+    return shown(acc, ray);
 }
 
 // As zero() does, this hides a uniform.
@@ -194,6 +195,7 @@ fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX
         if (sum <= 0.0) {
             continue;
         }
+        let is_over = compositing() == BY_OVER;
         var tau = 0.0;
         var light = vec3f(0.0);
         for (var n = 0u; n < num_frames(); n++) {
@@ -202,8 +204,10 @@ fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX
             }
             let seen = cast_between(n, ray, step);
             if (alone != MIXED) {
-                (*acc).c += seen.c * (*acc).transmittance;
-                (*acc).transmittance *= seen.transmittance;
+                put(acc, vec4f(seen.c, select(seen.transmittance, 1.0 - seen.transmittance, is_over)));
+            } else if (!is_over) {
+                tau += weights[n] / sum * seen.transmittance;
+                light += seen.c * (weights[n] / sum);
             } else if (seen.transmittance < 1.0) {
                 // Where nothing can be seen through, casting stops: how much more there is was not looked at.
                 let tau_n = -log(max(seen.transmittance, TRANSMITTANCE_MIN));
@@ -211,9 +215,10 @@ fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX
                 light += seen.c * (weights[n] / sum * tau_n / (1.0 - seen.transmittance));
             }
         }
-        if (tau > 0.0) {
-            (*acc).c += light * ((*acc).transmittance * opacity(tau) / tau);
-            (*acc).transmittance *= 1.0 - opacity(tau);
+        if (alone == MIXED && !is_over) {
+            put(acc, vec4f(light, tau));
+        } else if (tau > 0.0) {
+            put(acc, vec4f(light * (opacity(tau) / tau), opacity(tau)));
         }
     }
 }
@@ -223,12 +228,17 @@ fn cast_between(n: u32, ray: Ray, within: vec2f) -> Over {
     layer = n;
     caster = combination.casters[n];
     places = combination.places[n];
-    var acc = over_identity();
+    var acc = identity();
     let line = clip(ray, within);
     if (line.hit) {
         walk(line, &acc);
     }
     return acc;
+}
+
+// How segments become one colour: all frames are of one look.
+fn compositing() -> u32 {
+    return combination.casters[0].compositing + zero();
 }
 
 fn offset_at(i: u32) -> u32 {

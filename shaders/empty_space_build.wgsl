@@ -1,5 +1,6 @@
 // Makes a frame ready for casting, one workgroup a tile and one invocation a list: the grid (twin of EmptySpace::new in
-// crates/core/src/kernels/empty_space.rs), a summary of each list, and E = C/α instead of C.
+// crates/core/src/kernels/empty_space.rs), a summary of each list, and E = C/α instead of C; in a projection what takes the place
+// of E and τ (crates/core/src/kernels/raycast/projected.rs).
 
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
@@ -54,9 +55,12 @@ fn summarize(list: u32) {
     let start = offsets[list];
     let end = offsets[list + 1u];
     var word = 0xffffu;
+    let width = u32(caster.basis.width);
+    let center = basis_ray(caster.basis, f32(list % width) + 0.5, f32(list / width) + 0.5);
+    let parts = parts_of_way(caster, center.ray);
     for (var i = start; i < end; i++) {
         word = min(word & 0xffffu, depth_plane[i] & 0xffffu) | max(word & 0xffff0000u, depth_plane[i] & 0xffff0000u);
-        light(i);
+        light(i, parts);
     }
     let range = range_from_word(word);
     var cells = vec2u(0u);
@@ -70,12 +74,19 @@ fn summarize(list: u32) {
     summaries[SUMMARY_WORDS * list + 2u] = cells.y;
 }
 
-// From C to E.
-fn light(i: u32) {
+// From C to E; `parts` are those of the list's way.
+fn light(i: u32, parts: f32) {
     let b_and_tau = unpack_halves(b_tau[i]);
     let alpha = opacity(b_and_tau.y);
-    let per_alpha = select(1.0 / alpha, 0.0, alpha <= 0.0);
-    let e_rg = unpack_halves(rg[i]) * per_alpha;
+    var factor = select(1.0 / alpha, 0.0, alpha <= 0.0);
+    var tau = b_and_tau.y;
+    if (caster.compositing == BY_GREATEST) {
+        factor = 1.0;
+        tau = key_from_slot(tau);
+    } else if (caster.compositing == BY_MEAN) {
+        factor = parts;
+    }
+    let e_rg = unpack_halves(rg[i]) * factor;
     rg[i] = pack_halves(e_rg.x, e_rg.y);
-    b_tau[i] = pack_halves(b_and_tau.x * per_alpha, b_and_tau.y);
+    b_tau[i] = pack_halves(b_and_tau.x * factor, tau);
 }

@@ -1,10 +1,13 @@
 // The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
-// The part after this one defines what becomes of the steps:
+// Parts after this one define what the mode makes of two neighbouring samples (march/*.wgsl), and what becomes of the steps:
+//   fn take(between: Between) -> u32
+// hands what is visible between them to
 //   fn sink_step(step: Step) -> u32
-// takes the visible steps of a ray, front to back, and returns how the march goes on (Pace): the lattice points to
-// the next end of a step, 1 or STRIDE; 0 for not at all.
+// front to back, and both return how the march goes on (Pace): the lattice points to the next end of a step, 1 or STRIDE;
+// 0 for not at all; NO_STEP where there was nothing. In the end comes
+//   fn end_march(lattice: Lattice)
 
 @group(0) @binding(0) var<uniform> scene: Scene;
 @group(0) @binding(1) var<storage, read> table: TransferTable;
@@ -31,6 +34,18 @@ struct Step {
     s1: f32,
     // Opacity, 1 − e^−τ.
     alpha: f32,
+}
+
+// Two neighbouring samples of a march: positions in the domain, and world distances.
+struct Between {
+    x0: f32,
+    x1: f32,
+    s0: f32,
+    s1: f32,
+    // Of the ray in voxel space.
+    origin: vec3f,
+    dir: vec3f,
+    lattice: Lattice,
 }
 
 fn scene_lattice(ray: Ray, near: f32) -> Lattice {
@@ -131,7 +146,7 @@ fn march(ray: Ray, lattice: Lattice) {
             i = visible;
             has_x_front = false;
             if (i >= n) {
-                return;
+                break;
             }
         }
         let s_front = s0 + f32(i) * h;
@@ -142,20 +157,16 @@ fn march(ray: Ray, lattice: Lattice) {
         let next = min(i + stride, n);
         let s_back = s0 + f32(next) * h;
         let x1 = domain_at(origin + dir * s_back);
-        let classified = classify(x0, x1, s_back - s_front);
-        let tau = classified.w;
-        if (tau > TAU_MIN) {
-            let alpha = opacity(tau);
-            let c = classified.xyz * (shade(origin + dir * (0.5 * (s_front + s_back))) * alpha);
-            stride = sink_step(Step(c, tau, s_front, s_back, alpha));
-            if (stride == 0u) {
-                return;
-            }
+        let pace = take(Between(x0, x1, s_front, s_back, origin, dir, lattice));
+        if (pace == 0u) {
+            break;
         }
+        stride = select(pace, stride, pace == NO_STEP);
         x_front = x1;
         has_x_front = true;
         i = next;
     }
+    end_march(lattice);
 }
 
 // Colour (not premultiplied) and, in w, optical depth of a step of length h between the domain positions x0, x1.
@@ -189,7 +200,7 @@ fn domain_at(p: vec3f) -> f32 {
     let x01 = lerp(v(c, 0, 0, 1), v(c, 1, 0, 1), t.x);
     let x11 = lerp(v(c, 0, 1, 1), v(c, 1, 1, 1), t.x);
     let value = lerp(lerp(x00, x10, t.y), lerp(x01, x11, t.y), t.z);
-    return clamp(value * scene.x_scale + scene.x_offset, 0.0, 1.0);
+    return clamp(value * scene.x_scale + scene.x_offset, X_LEAST, X_GREATEST);
 }
 
 // Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.
@@ -244,6 +255,8 @@ const TAU_MIN: f32 = 1e-7;
 const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
 // Units of a whole share of light.
 const LIT_MAX: f32 = 255.0;
+// There was nothing to take.
+const NO_STEP: u32 = 0xffffffff;
 // Lattice points of a stride.
 const STRIDE: u32 = 2;
 // Bound on the steps of one ray.

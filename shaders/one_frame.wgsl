@@ -46,17 +46,22 @@ fn takes_nearest() -> bool {
     return caster.is_nearest != zero();
 }
 
+// How segments become one colour.
+fn compositing() -> u32 {
+    return caster.compositing + zero();
+}
+
 // Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
 fn cast_ray(ray: Ray) -> Over {
-    var acc = over_identity();
     if (caster.has_frame == zero()) {
-        return acc;
+        return over_identity();
     }
+    var acc = identity();
     let line = clip(ray, vec2f(0.0, NEVER));
     if (line.hit && caster.num_samples > zero()) {
         sample_line(line, &acc);
     } else if (line.hit) {
         walk(line, &acc);
     }
-    return acc;
+    return shown(acc, ray);
 }

@@ -152,10 +152,46 @@ fn walk(line: Line, acc: ptr<function, Over>) {
         if (any(met.is_met) && met.length > 0.0) {
             cross(met, line.w0_minus_w1 - line.depth_slope <= 0.0, acc);
         }
-        if (is_done || (*acc).transmittance < TRANSMITTANCE_MIN) {
+        if (is_done || ends_cast(*acc)) {
             return;
         }
     }
+}
+
+// Of a projection an Over holds what is collected: colour, and in the place of transmittance the greatest key, 0 for nothing.
+
+// Nothing yet.
+fn identity() -> Over {
+    return Over(vec3f(0.0), select(0.0, 1.0, compositing() == BY_OVER));
+}
+
+// Puts colour and opacity, or in a projection colour and key, behind what is there.
+fn put(acc: ptr<function, Over>, seen: vec4f) {
+    let rule = compositing();
+    if (rule == BY_OVER) {
+        (*acc).c += seen.xyz * (*acc).transmittance;
+        (*acc).transmittance *= 1.0 - seen.w;
+    } else if (rule == BY_MEAN) {
+        (*acc).c += seen.xyz;
+    } else if (seen.w > (*acc).transmittance) {
+        *acc = Over(seen.xyz, seen.w);
+    }
+}
+
+// Whether nothing behind matters.
+fn ends_cast(acc: Over) -> bool {
+    let is_opaque = acc.transmittance < TRANSMITTANCE_MIN;
+    return select(acc.transmittance >= KEY_FULL, is_opaque, compositing() == BY_OVER);
+}
+
+// What is shown of a ray.
+fn shown(acc: Over, ray: Ray) -> Over {
+    let rule = compositing();
+    if (rule == BY_OVER) {
+        return acc;
+    }
+    let c = acc.c / select(1.0, parts_of_way(caster, ray), rule == BY_MEAN);
+    return Over(c, 1.0 - projected_rgba(c).w);
 }
 
 // What a line may meet in a column of lists: the two that it runs between.
@@ -184,21 +220,29 @@ fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
     var i = select(second, first_behind(met.lists.x, met.lo), met.is_met.x);
     var end = select(last, offset_at(met.lists.x + 1u), met.is_met.x);
     var mixture = vec4f(0.0);
-    var list = over_identity();
+    let rule = compositing();
+    var list = identity();
     loop {
         let medium = medium_at(i);
         let overlap = max(min(hi, medium.ends.y) - max(met.lo, medium.ends.x), 0.0);
         let share = overlap / max(medium.ends.y - medium.ends.x, 1.0);
-        let crossed = opacity(medium.tau * share * ratios[side]);
-        let behind = select(1.0 - crossed, 1.0, is_forward);
-        let before = select(1.0, list.transmittance, is_forward);
-        list.c = list.c * behind + medium.e * (crossed * before);
-        list.transmittance *= 1.0 - crossed;
+        let is_over = rule == BY_OVER;
+        let is_greatest = rule == BY_GREATEST;
+        let passed = share * ratios[side];
+        // Of a mean the share itself; where there is a key, all or nothing.
+        let is_higher = overlap > 0.0 && medium.tau > list.transmittance;
+        let crossed = select(select(passed, f32(is_higher), is_greatest), opacity(medium.tau * passed), is_over);
+        let kept = select(1.0, 1.0 - crossed, select(is_greatest, !is_forward, is_over));
+        let before = select(1.0, list.transmittance, is_over && is_forward);
+        list.c = list.c * kept + medium.e * (crossed * before);
+        let key = select(list.transmittance, medium.tau, is_greatest && is_higher);
+        list.transmittance = select(key, list.transmittance * (1.0 - crossed), is_over);
         i += 1u;
         var is_done = false;
         if (i >= end || medium.ends.y >= hi) {
-            mixture += vec4f(list.c, 1.0 - list.transmittance) * met.nearness[side];
-            list = over_identity();
+            let w = select(list.transmittance, 1.0 - list.transmittance, is_over);
+            mixture += vec4f(list.c, w) * met.nearness[side];
+            list = identity();
             is_done = side == 1u || !met.is_met.y;
             i = second;
             end = last;
@@ -208,8 +252,7 @@ fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
             break;
         }
     }
-    (*acc).c += mixture.xyz * (*acc).transmittance;
-    (*acc).transmittance *= 1.0 - mixture.w;
+    put(acc, mixture);
 }
 
 // What is known of a list without looking at its segments (empty_space_build.wgsl).
@@ -341,6 +384,8 @@ fn column_end(columns: Columns, column: i32, i: i32) -> f32 {
 
 // Shortest depth interval that is divided by, in depth units.
 const MIN_CROSSING: f32 = 1e-2;
+// Nothing has a greater key.
+const KEY_FULL: f32 = 0.9995;
 // A list with less weight than this is left out.
 const MIN_NEARNESS: f32 = 1e-3;
 // A row must win by so many pixels.

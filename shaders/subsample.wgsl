@@ -80,10 +80,9 @@ fn sample_line(line: Line, acc: ptr<function, Over>) {
         let stands_for = (length_before + length) / num_here;
         for (var i = 0u; i < u32(num_here); i++) {
             let sample = sample_at(line, stretch.ends.x + part * (f32(i) + 0.5), stands_for, stretch, along);
-            (*acc).c += sample.xyz * (*acc).transmittance;
-            (*acc).transmittance *= 1.0 - sample.w;
+            put(acc, sample);
         }
-        if ((*acc).transmittance < TRANSMITTANCE_MIN) {
+        if (ends_cast(*acc)) {
             return;
         }
         num_before = num;
@@ -125,6 +124,13 @@ fn look_up(column: i32, row_unclamped: i32, depth: f32, length: f32, along: u32)
         return vec4f(0.0);
     }
     let sigma = medium.tau * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list));
+    let rule = compositing();
+    if (rule == BY_GREATEST) {
+        return vec4f(medium.e, medium.tau);
+    }
+    if (rule == BY_MEAN) {
+        return vec4f(medium.e * (length * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list))), 0.0);
+    }
     let crossed = opacity(sigma * length);
     return vec4f(medium.e * crossed, crossed);
 }

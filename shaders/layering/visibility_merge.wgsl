@@ -2,17 +2,7 @@
 // crates/core/src/kernels/layering/visibility_merge.rs, which derives it. OPEN pieces are
 // gathered.
 //
-// Before this part stands a generated line: const MEAN_K: u32, the segments a list may have on average; it has K at most.
-
-struct Budget {
-    num_lists: atomic<u32>,
-    num_pieces: atomic<u32>,
-    threshold: f32,
-    // Joins of the sample by the bin of their cost.
-    joins: array<atomic<u32>, COST_BINS>,
-}
-
-@group(1) @binding(4) var<storage, read_write> budget: Budget;
+// Before this part stands the budget (budget.wgsl).
 
 // The pieces of one ray while they are gathered are those of `list`.
 struct Gather {
@@ -41,14 +31,6 @@ fn gather(ray: Ray, lattice: Lattice, tolerance: f32) {
     list.len = 0u;
     march(ray, lattice);
     finish();
-}
-
-// The cost up to which steps are merged at once, where rays stop joining at `threshold`.
-fn tolerance_from(threshold: f32) -> f32 {
-    if MEAN_K < TOLERANT_K {
-        return 0.0;
-    }
-    return threshold * TOLERANCE_SHARE;
 }
 
 // Cost of merging piece i with `behind`, which has cost `spent`.
@@ -108,6 +90,10 @@ fn sink_step(step: Step) -> u32 {
         thin_out();
     }
     return pace;
+}
+
+fn num_gathered() -> u32 {
+    return list.len;
 }
 
 fn finish() {
@@ -250,7 +236,7 @@ fn join(most: u32, threshold: f32, is_sample: bool) {
             break;
         }
         if (is_sample) {
-            atomicAdd(&budget.joins[bitcast<u32>(greatest) >> BIN_SHIFT], 1u);
+            count_join(greatest);
         }
         groups.error[least] = groups.joined[least];
         groups.len -= 1u;
@@ -324,44 +310,6 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     list.len = groups.len;
 }
 
-// One pixel of 4² or, of a large frame, 8²: what the joins cost.
-@compute @workgroup_size(8, 8)
-fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
-    let width = u32(camera.width);
-    let height = u32(camera.height);
-    let stride = select(4u, 8u, width * height >= LARGE_FRAME);
-    let x = id.x * stride + min(stride / 2u, width / 2u);
-    let y = (band.first_row + id.y) * stride + min(stride / 2u, height / 2u);
-    if (x >= width || y >= height || id.y >= band.num_rows) {
-        return;
-    }
-    let from_camera = basis_ray(camera, f32(x) + 0.5, f32(y) + 0.5);
-    let lattice = scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth);
-    if (lattice.n == 0u) {
-        return;
-    }
-    gather(from_camera.ray, lattice, 0.0);
-    if (list.len == 0u) {
-        return;
-    }
-    atomicAdd(&budget.num_lists, 1u);
-    atomicAdd(&budget.num_pieces, list.len);
-    join(1u, INFINITE_COST, true);
-}
-
-// The least lower end of a bin such that joins below it leave at most MEAN_K segments a list.
-@compute @workgroup_size(1)
-fn choose_threshold() {
-    let allowed = atomicLoad(&budget.num_lists) * MEAN_K;
-    var left = atomicLoad(&budget.num_pieces);
-    var bin = 0u;
-    while (left > allowed && bin < COST_BINS) {
-        left -= atomicLoad(&budget.joins[bin]);
-        bin += 1u;
-    }
-    budget.threshold = bitcast<f32>(bin << BIN_SHIFT);
-}
-
 // While gathering, the error of reading a, the gap and b as one homogeneous piece.
 fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
     let length = b.s1 - a.s0;
@@ -376,13 +324,6 @@ fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
     return (MOVED_WEIGHT * moved / (length + moved) + mixed) * (length / h);
 }
 
-// Costs below this are equal.
-const COST_LEAST: f32 = 1e-20;
-// More than any cost: WGSL has no infinity.
-const INFINITE_COST: f32 = 3.4e38;
-// See tolerance_from.
-const TOLERANCE_SHARE: f32 = 0.1;
-const TOLERANT_K: u32 = 12u;
 // Two groups with less than so much of the threshold as their errors keep their border.
 const SETTLED_SHARE: f32 = 0.3;
 // Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it.
@@ -393,9 +334,3 @@ const MOVED_WEIGHT: f32 = 2.0;
 const COLOR_WEIGHT: f32 = 6.0;
 // Colour below which the slope of sRGB is taken as constant.
 const COLOR_DARK: f32 = 0.02;
-// Lists of a frame of which one ray in 64 says enough.
-const LARGE_FRAME: u32 = 131072;
-// Bits of a float left out in the number of its bin: 1/32 of an octave each.
-const BIN_SHIFT: u32 = 18;
-// Bins of all finite costs.
-const COST_BINS: u32 = 8192;

@@ -34,6 +34,26 @@ fn over_rgba(acc: Over) -> vec4f {
     return vec4f(acc.c, 1.0 - acc.transmittance);
 }
 
+// Colour, and as opacity its greatest channel.
+fn projected_rgba(c: vec3f) -> vec4f {
+    return vec4f(c, min(max(max(c.x, c.y), c.z), 1.0));
+}
+
+// What stands in the place of τ for a key in [0, 1].
+fn slot_from_key(key: f32) -> f32 {
+    let bounded = clamp(key, KEY_LEAST, 1.0);
+    return SLOT_MAX * (bounded * bounded * bounded);
+}
+
+fn key_from_slot(slot: f32) -> f32 {
+    return pow(clamp(slot, 0.0, SLOT_MAX) * (1.0 / SLOT_MAX), 1.0 / 3.0);
+}
+
+// The greatest half float below a positive one.
+fn half_below(x: f32) -> f32 {
+    return f32_from_half(max(half_from_f32(x), 1u) - 1u);
+}
+
 // View depth (world units) to the 16-bit scale of a frame, unrounded and unclamped.
 fn depth_to_units(camera: Basis, depth: f32) -> f32 {
     return (depth - camera.near) * (DEPTH_UNITS / (camera.far - camera.near));
@@ -72,6 +92,10 @@ fn opacity(tau: f32) -> f32 {
     return 1.0 - exp(-tau);
 }
 
+// Least key of a segment.
+const KEY_LEAST: f32 = 0.005;
+// What stands in the place of τ for a key of 1.
+const SLOT_MAX: f32 = 8.0;
 // Greatest optical depth of a segment.
 const TAU_MAX: f32 = 1000.0;
 // Depth units between near and far.

@@ -40,10 +40,21 @@ struct Scene {
     clip_offset: f32,
 }
 
-// core::transfer::TransferTable.
+// core::transfer::TransferTable, and what else a march knows of values (core::kernels::march::modes).
 struct TransferTable {
     integral: array<vec4f, TABLE_BINS + 1>,
     density: array<vec4f, TABLE_BINS + 1>,
+    surfaces: array<Surface, MAX_ISOS>,
+    num_surfaces: u32,
+    // Steps whose greatest key is not above this do not matter.
+    key_limit: f32,
+}
+
+// core::kernels::march::modes::Surface.
+struct Surface {
+    color: vec3f,
+    tau: f32,
+    x: f32,
 }
 
 // The rows of a picture that one dispatch works on.
@@ -69,9 +80,15 @@ struct Raycaster {
     skips_empty_space: u32,
     // Samples a ray, 0 for all that there is.
     num_samples: u32,
-    padding: u32,
+    // How segments become one colour: core::mode::Compositing.
+    compositing: u32,
     clip_normal: vec3f,
     clip_offset: f32,
+    // The volume's box, whatever is left of it.
+    volume_min: vec3f,
+    padding_0: u32,
+    volume_max: vec3f,
+    padding_1: u32,
 }
 
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
@@ -99,6 +116,12 @@ struct Display {
 
 // Most frames that a picture is made of.
 const MAX_FRAMES: u32 = 4;
+// Compositing: core::mode::Compositing by number.
+const BY_OVER: u32 = 0;
+const BY_GREATEST: u32 = 1;
+const BY_MEAN: u32 = 2;
+// Most surfaces at once.
+const MAX_ISOS: u32 = 8;
 // Bins of a transfer table.
 const TABLE_BINS: u32 = 1024;
 // Voxels along the side of a brick.

@@ -164,7 +164,14 @@ pub fn camera(scene: &Scene, azimuth_deg: f32, (width, height): (u32, u32)) -> C
 
 /// Of a frame of this camera.
 pub fn header(camera: Camera, k: u8) -> FrameHeader {
-    FrameHeader { frame: FrameId(7), pose: PoseId(3), look: LookVersion(1), camera, k }
+    FrameHeader {
+        frame: FrameId(7),
+        pose: PoseId(3),
+        look: LookVersion(1),
+        camera,
+        k,
+        mode: Default::default(),
+    }
 }
 
 /// Cameras that see a frame from everywhere: its own pose, beside, behind, inside, looking back.

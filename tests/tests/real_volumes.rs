@@ -226,8 +226,14 @@ fn a_real_volume_goes_through_blocks() {
         let azimuth = (30.0 + f32::from(id)).to_radians();
         let pose = Pose::orbit(bounds.center(), azimuth, 0.35, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
-        let header =
-            FrameHeader { frame: FrameId(id.into()), pose: PoseId(1), look: LookVersion(1), camera, k: 12 };
+        let header = FrameHeader {
+            frame: FrameId(id.into()),
+            pose: PoseId(1),
+            look: LookVersion(1),
+            camera,
+            k: 12,
+            mode: Default::default(),
+        };
         let frame = generate(&scene, header, Layering::VisibilityMerge);
         let settings = blocks::Settings { quality: 60, is_split: false };
         let reference = references.newest().cloned();

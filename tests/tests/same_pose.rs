@@ -58,8 +58,14 @@ fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
         assert!(truth.pixels.iter().any(|p| p[3] > 0.3), "{source} shows nothing");
         for &layering in rules {
             let at = format!("{source}, {layering}, {}", backend.description());
-            let header =
-                FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+            let header = FrameHeader {
+                frame: FrameId(1),
+                pose: PoseId(1),
+                look: LookVersion(1),
+                camera,
+                k: 8,
+                mode: Default::default(),
+            };
             let frame = renderer.generate(header, layering).unwrap();
             let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
             // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
@@ -102,8 +108,14 @@ fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
                 renderer.set_scene(Scene { settings, ..whole.clone() }).unwrap();
                 let truth = renderer.render(&camera).unwrap();
                 assert!(error(&truth, &uncut).max_abs_255 > 30, "{at}: nothing is cut away");
-                let header =
-                    FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+                let header = FrameHeader {
+                    frame: FrameId(1),
+                    pose: PoseId(1),
+                    look: LookVersion(1),
+                    camera,
+                    k: 8,
+                    mode: Default::default(),
+                };
                 let frame = renderer.generate(header, Layering::default()).unwrap();
                 let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
                 let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();

@@ -40,7 +40,8 @@ fn path(name: &str) -> PathBuf {
 
 /// FNV-1a of all that a frame says: size, k and ids, the camera's numbers, then the words of offsets and planes.
 fn checksum(frame: &LayeredFrame) -> u64 {
-    let FrameHeader { frame: id, pose, look, camera, k } = frame.header;
+    let FrameHeader { frame: id, pose, look, camera, k, mode } = frame.header;
+    assert_eq!(mode, isinglass_core::mode::Mode::Composite);
     let Camera { pose: Pose { eye, world_from_view: q }, intrinsics, near, far } = camera;
     let integers = [id.0, pose.0, look.0, intrinsics.width, intrinsics.height, u32::from(k)];
     let floats = [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, intrinsics.projection.to_number(), near, far]
@@ -107,7 +108,14 @@ fn make_missing_vectors() {
         let intrinsics = Intrinsics::perspective(width, height, 0.7);
         let pose = Pose::orbit(bounds.center(), azimuth, 0.35, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
-        let header = FrameHeader { frame: FrameId(id), pose: PoseId(2), look: LookVersion(3), camera, k };
+        let header = FrameHeader {
+            frame: FrameId(id),
+            pose: PoseId(2),
+            look: LookVersion(3),
+            camera,
+            k,
+            mode: Default::default(),
+        };
         generate(&scene, header, layering)
     };
     let frame = |source: &str, size, k, layering| frame_at(1, 0.5, source, size, k, layering);

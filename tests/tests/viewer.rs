@@ -281,6 +281,7 @@ impl StillSource {
             look: LookVersion(0),
             camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
             k: 8,
+            mode: Default::default(),
         };
         let frame: LayeredFrame = generate(&self.scene, header, Layering::default());
         let times = FrameTimes::default();

@@ -181,7 +181,14 @@ pub fn march_settings(shaded: bool) -> MarchSettings {
 
 /// The header of a frame that answers nobody.
 pub fn header(camera: Camera, k: u8) -> FrameHeader {
-    FrameHeader { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k }
+    FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(0),
+        look: LookVersion(0),
+        camera,
+        k,
+        mode: Default::default(),
+    }
 }
 
 /// Runs `body` and returns its result and milliseconds: the lesser of two times if the first was short, as a first run

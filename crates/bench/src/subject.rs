@@ -1,6 +1,8 @@
 //! What tables of quality and of codecs look at and from where, and how a report says so.
 
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::kernels::march::MarchSettings;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_formats::OpenOptions;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
@@ -27,6 +29,10 @@ pub struct Subject {
     pub intrinsics: Intrinsics,
     /// Whether gradients shade.
     pub shaded: bool,
+    /// What a pixel tells of its ray.
+    pub mode: Mode,
+    /// The surfaces of [`Mode::Iso`].
+    pub isos: Isos,
     /// Where the kernels run.
     pub backend: BackendChoice,
 }
@@ -34,7 +40,7 @@ pub struct Subject {
 impl Subject {
     /// Opens one of the scenes.
     pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
-        let settings = march_settings(self.shaded);
+        let settings = MarchSettings { mode: self.mode, isos: self.isos, ..march_settings(self.shaded) };
         Ok(open_scene(&source.source, self.transfer.as_deref(), settings, &OpenOptions::default())?)
     }
 
@@ -51,6 +57,7 @@ impl Subject {
             angles_deg: self.angles_degrees.clone(),
             backend: backend.description(),
             shading: self.shaded,
+            mode: self.mode.name(),
             threads,
         }
     }
@@ -73,6 +80,8 @@ pub struct SubjectConditions {
     pub angles_deg: Vec<f32>,
     /// Where the kernels ran.
     pub backend: String,
+    /// What a pixel told of its ray.
+    pub mode: &'static str,
     /// Whether gradients shade.
     pub shading: bool,
     /// Threads of the CPU.

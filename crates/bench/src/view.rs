@@ -130,8 +130,14 @@ mod tests {
         for distance_in_radii in [None, Some(0.5), Some(0.0), Some(7.0)] {
             let orbit = Orbit { azimuth_degrees: 33.0, elevation_degrees: -12.0, distance_in_radii };
             let camera = orbit.camera(intrinsics, &bounds);
-            let header =
-                FrameHeader { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k: 8 };
+            let header = FrameHeader {
+                frame: FrameId(1),
+                pose: PoseId(0),
+                look: LookVersion(0),
+                camera,
+                k: 8,
+                mode: Default::default(),
+            };
             // Single precision over a few operations on numbers of the order of 10.
             assert!((radius_from_header(&header) - bounds.radius()).abs() < 1e-4);
             let again = orbit_of_frame(&Orbit { distance_in_radii: None, ..orbit }, intrinsics, &header);

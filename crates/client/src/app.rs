@@ -22,6 +22,7 @@ use crate::frame_source::FrameSource;
 use crate::light_panel;
 use crate::look_panel::{self, Settings};
 use crate::meters::RefreshMeter;
+use crate::mode_panel;
 use crate::novel_view::{NovelViews, Shown};
 use crate::orientation::Orientation;
 use crate::overlay::{OverlayModel, ViewTime};
@@ -72,6 +73,8 @@ pub(crate) struct ViewerApp<S> {
     novel_views: NovelViews,
     method_problem: Option<String>,
     stereo: Stereo,
+    /// How often the next mode was asked for since the last refresh.
+    next_modes: usize,
     shows_overlay: bool,
     aids: ViewAids,
     is_orthographic: bool,
@@ -135,6 +138,7 @@ impl<S: FrameSource> ViewerApp<S> {
             picture_status,
             novel_views,
             method_problem: None,
+            next_modes: 0,
             center_chosen_at: None,
             editor: TransferEditor::default(),
             state_files: StateFiles::default(),
@@ -237,6 +241,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Probe => self.probe.toggle(),
                 Action::Picture => self.wants_picture = true,
                 Action::PictureDialog => self.shots.toggle_dialog(),
+                Action::Mode => self.next_modes += 1,
                 Action::Undo | Action::Redo => {
                     let Some(scale) = self.value_scale() else { continue };
                     match action {
@@ -490,6 +495,10 @@ impl<S: FrameSource> ViewerApp<S> {
             wanted.transfer = transfer;
         }
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
+        for _ in 0..std::mem::take(&mut self.next_modes) {
+            let next = wanted.mode.next();
+            mode_panel::set_mode(&mut wanted, next, &scale);
+        }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
             // The picture is to say that it is older, and the pace may hold the look back.

@@ -107,6 +107,7 @@ mod tests {
             look: LookVersion(look),
             camera,
             k: 4,
+            mode: Default::default(),
         };
         let times = FrameTimes { connection: 1, ..Default::default() };
         Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })

@@ -23,6 +23,7 @@ mod kept;
 mod light_panel;
 mod look_panel;
 mod meters;
+mod mode_panel;
 mod novel_view;
 mod orientation;
 mod overlay;

@@ -11,6 +11,7 @@ use crate::bindings::{Action, Bindings};
 use crate::clip_editor::ClipEditor;
 use crate::clip_panel;
 use crate::light_panel;
+use crate::mode_panel;
 use crate::panels::pane;
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
@@ -85,6 +86,7 @@ pub(crate) fn show(
             let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
             scroll.show(ui, |ui| {
                 ui.set_width(PANEL_WIDTH);
+                mode_panel::show(ui, &mut settings.look, scale);
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
                 section(ui, "Light", false, |ui| {
                     light_panel::show(ui, &mut settings.look.lighting, settings.world_from_view);

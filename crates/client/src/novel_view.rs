@@ -57,7 +57,9 @@ impl NovelViews {
         bounds: &Aabb,
         camera: &Camera,
     ) -> Option<Shown> {
-        let Some((worker, view)) = self.worker.as_mut().zip(self.selected.checked_sub(1)) else {
+        // The other methods composite with over.
+        let selected = self.selected.checked_sub(1).filter(|_| !frame.frame.header.mode.is_projection());
+        let Some((worker, view)) = self.worker.as_mut().zip(selected) else {
             self.texture = None;
             return None;
         };
@@ -213,7 +215,14 @@ mod tests {
     fn wish(width: u32) -> Wish {
         let intrinsics = Intrinsics::perspective(width, 1, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), intrinsics, &BOUNDS);
-        let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(0), camera, k: 4 };
+        let header = FrameHeader {
+            frame: FrameId(1),
+            pose: PoseId(1),
+            look: LookVersion(0),
+            camera,
+            k: 4,
+            mode: Default::default(),
+        };
         let frame = LayeredFrame::empty(header);
         let frame = ReceivedFrame { frame, is_complete: true, is_exact: true, times: Default::default() };
         Wish { view: 0, frame: Arc::new(frame), bounds: BOUNDS, camera }

@@ -4,6 +4,7 @@ use glam::Vec3;
 use isinglass_core::camera::Camera;
 use isinglass_core::clip::Region;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_core::mode::Compositing;
 
 /// Where half of what is seen along the ray through a point of the picture lies in front, of what is left of the volume,
 /// world space: on an opaque surface the surface, in a cloud its visible middle. None where next to nothing is seen.
@@ -55,7 +56,13 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
         let (front, back) = (f32::from(s.front), f32::from(s.back));
         let share = (b.min(back) - a.max(front)).max(0.0) / (b - a);
         let length = (back - front) * level_depth * slant;
-        tau += s.tau / length * share * (to - from).length();
+        // In a projection what shows most stands for what is densest.
+        let dense = match frame.header.mode.compositing() {
+            Compositing::Over => s.tau,
+            Compositing::Greatest => s.tau * s.tau * s.tau,
+            Compositing::Mean => s.c.max_element(),
+        };
+        tau += dense / length * share * (to - from).length();
     }
     tau
 }
@@ -95,6 +102,7 @@ mod tests {
             look: LookVersion(0),
             camera: camera(0.0),
             k: 2,
+            mode: Default::default(),
         };
         let mut frame = LayeredFrame::empty(header);
         let level = |x: f32| (x * 65535.0) as u16;

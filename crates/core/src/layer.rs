@@ -10,11 +10,18 @@
 //!   [near, far] to [0, 65535] (Zellmann 2012). Front < back always.
 //! - `c_rg`, `c_b_tau`: red and green, blue and optical depth τ, as half floats, low bits first. C is the
 //!   premultiplied colour of the segment composited on its own; τ = −ln(1 − α) ≤ [`TAU_MAX`].
+//!
+//! That is so in the modes whose pieces are composited with *over*. In a projection ([`crate::mode::Compositing`]) matter
+//! neither hides nor dims, and the same fields hold other numbers. Of the greatest: C is what the segment shows, wherever
+//! a ray crosses it, and in the place of τ stands its key ([`slot_from_key`]); what has the greatest key on a ray is
+//! shown. Of the mean: C is the segment's share of what its list shows, so the list shows the sum of its C, and τ is 0.
+//! The opacity of what a projection shows is its greatest channel.
 
 use glam::Vec3;
 
 use crate::camera::Camera;
 use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::mode::{Compositing, Mode};
 
 /// What is said of a layered frame beside its lists.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +36,8 @@ pub struct FrameHeader {
     pub camera: Camera,
     /// Longest list that can occur, 1 to [`MAX_K`].
     pub k: u8,
+    /// What its pixels tell, and with it how segments become one colour.
+    pub mode: Mode,
 }
 
 /// W×H lists of segments. `offsets[i]..offsets[i + 1]` are the segments of list `i` (row by row from the top).
@@ -112,17 +121,25 @@ impl LayeredFrame {
         self.c_b_tau.push(c_b_tau);
     }
 
-    /// The picture from the frame's own pose: every list composited with *over*. Premultiplied linear.
+    /// The picture from the frame's own pose: every list composited as the mode has it. Premultiplied linear.
     pub fn flatten(&self) -> crate::picture::Picture {
         let i = self.header.camera.intrinsics;
         let mut picture = crate::picture::Picture::new(i.width, i.height);
+        let compositing = self.header.mode.compositing();
         for (n, pixel) in picture.pixels.iter_mut().enumerate() {
-            let mut acc = Over::default();
-            for s in self.list(n) {
-                let s = self.segment(s);
-                acc.add(s.c, s.tau);
-            }
-            *pixel = acc.rgba();
+            let segments = self.list(n).map(|s| self.segment(s));
+            *pixel = match compositing {
+                Compositing::Over => {
+                    let mut acc = Over::default();
+                    segments.for_each(|s| acc.add(s.c, s.tau));
+                    acc.rgba()
+                }
+                Compositing::Greatest | Compositing::Mean => {
+                    let mut acc = Projected::default();
+                    segments.for_each(|s| acc.add(compositing, s.c, s.tau));
+                    acc.rgba()
+                }
+            };
         }
         picture
     }
@@ -196,6 +213,49 @@ impl Over {
     }
 }
 
+/// What a projection has collected, in any order. The identity is the default value.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Projected {
+    /// Colour.
+    pub c: Vec3,
+    /// Greatest key, or number that grows with it; 0 for nothing.
+    pub key: f32,
+}
+
+impl Projected {
+    /// Takes another piece; `key` is without meaning for a mean.
+    #[inline(always)]
+    pub fn add(&mut self, compositing: Compositing, c: Vec3, key: f32) {
+        if compositing == Compositing::Mean {
+            self.c += c;
+        } else if key > self.key {
+            *self = Self { c, key };
+        }
+    }
+
+    /// Colour, and as opacity its greatest channel.
+    pub fn rgba(&self) -> [f32; 4] {
+        [self.c.x, self.c.y, self.c.z, self.c.max_element().min(1.0)]
+    }
+}
+
+/// What stands in the place of τ for a key in [0, 1]: 8·key³, of which the codec's scale of τ makes even steps of the key.
+/// Every segment has one above 0, which is that of nothing.
+pub fn slot_from_key(key: f32) -> f32 {
+    let key = key.clamp(KEY_LEAST, 1.0);
+    SLOT_MAX * (key * key * key)
+}
+
+/// Inverse of [`slot_from_key`].
+pub fn key_from_slot(slot: f32) -> f32 {
+    (slot.clamp(0.0, SLOT_MAX) * (1.0 / SLOT_MAX)).cbrt()
+}
+
+/// The greatest half float below a positive one.
+pub fn half_below(x: f32) -> f32 {
+    f32_from_half(half_from_f32(x).saturating_sub(1))
+}
+
 /// Most lists of a frame that a server makes for lists of mean length `k`: with that many segments and an eighth more, the
 /// planes stay within what a peer of the codec accepts and within wgpu's default binding size, 2²⁵ words.
 pub fn max_lists(k: u8) -> usize {
@@ -238,6 +298,10 @@ fn half_from_f32(x: f32) -> u16 {
 /// Greatest optical depth of a segment: e^−1000 is zero in any picture, and a thousandth of such a segment is still
 /// seen with a transmittance of e^−1.
 pub const TAU_MAX: f32 = 1000.0;
+/// Least key of a segment.
+pub const KEY_LEAST: f32 = 0.005;
+/// What stands in the place of τ for a key of 1.
+pub const SLOT_MAX: f32 = 8.0;
 /// Greatest list length: Gupta 2022 compares lists of 15 and of 30.
 pub const MAX_K: usize = 32;
 /// Most lists of a frame that a server makes at all: 1920×1080 with a margin of 160 on each side.

@@ -5,7 +5,7 @@
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
 //! Modules use only those above them: [`ids`], [`wanted`], [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
-//! [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
+//! [`mode`], [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 pub mod camera;
 pub mod clip;
@@ -15,6 +15,7 @@ pub mod image_error;
 pub mod kernels;
 pub mod layer;
 pub mod look;
+pub mod mode;
 pub mod picture;
 pub mod prediction;
 pub mod session;

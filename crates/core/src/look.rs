@@ -1,4 +1,4 @@
-//! What a viewer may choose about the picture: classification, shading and the layering rule.
+//! What a viewer may choose about the picture: mode, classification, shading and the layering rule.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,6 +6,7 @@ use crate::clip::{Clip, ClipError};
 use crate::kernels::layering::Layering;
 use crate::kernels::march::MarchSettings;
 use crate::layer::MAX_K;
+use crate::mode::{Isos, Mode};
 use crate::transfer::{TransferError, TransferFunction};
 use crate::volume::{Lighting, LightingError};
 
@@ -24,6 +25,12 @@ pub struct Look {
     pub k: u8,
     /// What of the volume is looked at.
     pub clip: Clip,
+    /// What a pixel tells of its ray.
+    #[serde(default)]
+    pub mode: Mode,
+    /// The surfaces of [`Mode::Iso`].
+    #[serde(default)]
+    pub isos: Isos,
 }
 
 /// Why a look cannot be used.
@@ -52,7 +59,8 @@ impl Look {
     /// A transfer function with everything else as it is unless somebody chooses.
     pub fn new(transfer: TransferFunction) -> Self {
         let (layering, lighting) = (Layering::default(), Lighting::default());
-        Self { transfer, shaded: true, lighting, layering, k: DEFAULT_K, clip: Clip::default() }
+        let (clip, mode, isos) = (Clip::default(), Mode::default(), Isos::default());
+        Self { transfer, shaded: true, lighting, layering, k: DEFAULT_K, clip, mode, isos }
     }
 
     /// Checks what the type cannot say.
@@ -79,7 +87,8 @@ impl Look {
 
     /// How a volume is marched under this look.
     pub fn march_settings(&self) -> MarchSettings {
-        MarchSettings { clip: self.clip, ..MarchSettings::of(self.shaded, self.lighting) }
+        let &Self { shaded, lighting, clip, mode, isos, .. } = self;
+        MarchSettings { clip, mode, isos, ..MarchSettings::of(shaded, lighting) }
     }
 }
 

@@ -8,7 +8,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::picture::linear_from_srgb;
+use crate::picture::{linear_from_srgb, srgb_from_linear};
 use crate::volume::{Histogram, Volume};
 
 /// One control point. Between points, colour and opacity vary linearly.
@@ -146,24 +146,48 @@ impl TransferFunction {
         (mix.map(linear_from_srgb), a.opacity + (b.opacity - a.opacity) * t)
     }
 
+    /// Linear colour that a projection shows of position `x`, premultiplied: the colour there, its sRGB dimmed by the
+    /// opacity there over the greatest of the function. So a ramp of opacity is an even ramp on the screen.
+    pub fn shown(&self, x: f32) -> [f32; 3] {
+        let greatest = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
+        if greatest <= 0.0 {
+            return [0.0; 3];
+        }
+        let (color, opacity) = self.at(x);
+        color.map(|c| linear_from_srgb(srgb_from_linear(c) * (opacity / greatest)))
+    }
+
     /// The table for one volume. `histogram` must be the volume's own.
     pub fn table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
-        let (lo, hi) = match self.domain {
-            Domain::Full => volume.value_range(),
-            Domain::Values(a, b) => (a, b),
-            Domain::Percentiles(a, b) => (histogram.percentile(a), histogram.percentile(b)),
-        };
         let unit_length = match self.unit_length {
             UnitLength::Voxel => volume.spacing().to_array().iter().product::<f32>().cbrt(),
             UnitLength::World(l) => l,
             UnitLength::Radius(r) => r * volume.bounds().radius(),
         };
+        self.tabulate(unit_length, self.x_map(volume, histogram))
+    }
+
+    /// The table of [`Self::shown`] for one volume, in place of extinction its greatest channel.
+    pub fn shown_table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
+        let shown = |x: f32| {
+            let c = self.shown(x);
+            [c[0], c[1], c[2], c[0].max(c[1]).max(c[2])].map(f64::from)
+        };
+        integrated(shown, self.x_map(volume, histogram))
+    }
+
+    /// From stored numbers s to positions: s·`.0` + `.1`.
+    fn x_map(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
+        let (lo, hi) = match self.domain {
+            Domain::Full => volume.value_range(),
+            Domain::Values(a, b) => (a, b),
+            Domain::Percentiles(a, b) => (histogram.percentile(a), histogram.percentile(b)),
+        };
         let (scale, offset) = volume.value_map();
         // In double precision: the span may be shorter than the inverse of the greatest float.
         let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });
         let finite = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
-        let x_map = (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span));
-        self.tabulate(unit_length, x_map)
+        (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span))
     }
 
     /// The table for stored numbers s at position x = s·`x_map.0` + `x_map.1`, `unit_length` in world units.
@@ -173,30 +197,35 @@ impl TransferFunction {
             let sigma = -f64::from(1.0 - opacity.min(MAX_OPACITY)).ln() / f64::from(unit_length);
             [sigma * f64::from(c[0]), sigma * f64::from(c[1]), sigma * f64::from(c[2]), sigma]
         };
-        let to_f32 = |v: [f64; 4]| v.map(|x| x as f32);
-        let mut density = Vec::with_capacity(TABLE_BINS + 1);
-        let mut integral = Vec::with_capacity(TABLE_BINS + 1);
-        let mut sum = [0f64; 4];
-        integral.push([0.0; 4]);
-        density.push(to_f32(medium(0.0)));
-        for bin in 0..TABLE_BINS {
-            for sub in 0..SUBDIVISIONS {
-                let x = (bin as f32 + (sub as f32 + 0.5) / SUBDIVISIONS as f32) / TABLE_BINS as f32;
-                let m = medium(x);
-                for ch in 0..4 {
-                    sum[ch] += m[ch] / (TABLE_BINS * SUBDIVISIONS) as f64;
-                }
-            }
-            integral.push(to_f32(sum));
-            density.push(to_f32(medium((bin + 1) as f32 / TABLE_BINS as f32)));
-        }
-        TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1 }
+        integrated(medium, x_map)
     }
+}
+
+/// The table of a medium, over positions.
+fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) -> TransferTable {
+    let to_f32 = |v: [f64; 4]| v.map(|x| x as f32);
+    let mut density = Vec::with_capacity(TABLE_BINS + 1);
+    let mut integral = Vec::with_capacity(TABLE_BINS + 1);
+    let mut sum = [0f64; 4];
+    integral.push([0.0; 4]);
+    density.push(to_f32(medium(0.0)));
+    for bin in 0..TABLE_BINS {
+        for sub in 0..SUBDIVISIONS {
+            let x = (bin as f32 + (sub as f32 + 0.5) / SUBDIVISIONS as f32) / TABLE_BINS as f32;
+            let m = medium(x);
+            for ch in 0..4 {
+                sum[ch] += m[ch] / (TABLE_BINS * SUBDIVISIONS) as f64;
+            }
+        }
+        integral.push(to_f32(sum));
+        density.push(to_f32(medium((bin + 1) as f32 / TABLE_BINS as f32)));
+    }
+    TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1 }
 }
 
 /// A transfer function made ready for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1], where
 /// x = stored·`x_scale` + `x_offset`, clamped.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct TransferTable {
     /// Running integrals over x: (K red, K green, K blue, T); extinctions per world unit.
     pub integral: Vec<[f32; 4]>,
@@ -211,8 +240,19 @@ pub struct TransferTable {
 impl TransferTable {
     /// Whether a sample between the stored numbers `lo` and `hi` can have any extinction. Errs on the side of yes.
     pub fn is_visible(&self, lo: f32, hi: f32) -> bool {
-        let x = |stored: f32| (stored * self.x_scale + self.x_offset).clamp(0.0, 1.0) * TABLE_BINS as f32;
-        let (a, b) = (x(lo).min(x(hi)), x(lo).max(x(hi)));
+        let (a, b) = self.positions(lo, hi);
+        self.has_any(a.clamp(0.0, 1.0), b.clamp(0.0, 1.0))
+    }
+
+    /// The positions of two stored numbers, ascending and not clamped.
+    pub fn positions(&self, lo: f32, hi: f32) -> (f32, f32) {
+        let x = |stored: f32| stored * self.x_scale + self.x_offset;
+        (x(lo).min(x(hi)), x(lo).max(x(hi)))
+    }
+
+    /// Whether there is anything between two positions in [0, 1]. Errs on the side of yes.
+    pub fn has_any(&self, a: f32, b: f32) -> bool {
+        let (a, b) = (a * TABLE_BINS as f32, b * TABLE_BINS as f32);
         let (a, b) = ((a - 1e-3).max(0.0) as usize, ((b + 1e-3).ceil() as usize).min(TABLE_BINS));
         self.integral[b][3] > self.integral[a][3] || self.density[a..=b].iter().any(|m| m[3] > 0.0)
     }

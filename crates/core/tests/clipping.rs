@@ -52,7 +52,14 @@ fn clips(bounds: &Aabb) -> [Clip; 3] {
 }
 
 fn frame_of(scene: &Scene, camera: Camera, layering: Layering) -> LayeredFrame {
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 8,
+        mode: Default::default(),
+    };
     let frame = generate(scene, header, layering);
     frame.validate().unwrap();
     frame

@@ -27,7 +27,14 @@ fn near(azimuth_degrees: f32, pan: Vec3, bounds: &Aabb) -> Camera {
 }
 
 fn frame(scene: &Scene, camera: Camera) -> LayeredFrame {
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 8,
+        mode: Default::default(),
+    };
     generate(scene, header, Layering::default())
 }
 

@@ -40,7 +40,7 @@ fn through_everything(scene: &Scene, pose: Pose) -> Picture {
     assert!(is_finite(&picture), "{pose:?}");
     for layering in Layering::ALL {
         let (frame, look) = (FrameId(1), LookVersion(1));
-        let header = FrameHeader { frame, pose: PoseId(1), look, camera, k: 3 };
+        let header = FrameHeader { frame, pose: PoseId(1), look, camera, k: 3, mode: Default::default() };
         let made = generate(scene, header, layering);
         made.validate().unwrap();
         let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();

@@ -43,7 +43,14 @@ fn seeds() -> (Vec<Seed>, Vec<Arc<Reference>>) {
     {
         let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 5.0), intrinsics, &bounds);
-        let header = FrameHeader { frame: FrameId(1), pose: PoseId(2), look: LookVersion(3), camera, k };
+        let header = FrameHeader {
+            frame: FrameId(1),
+            pose: PoseId(2),
+            look: LookVersion(3),
+            camera,
+            k,
+            mode: Default::default(),
+        };
         let mut frame = LayeredFrame::empty(header);
         for list in 0..intrinsics.num_pixels() {
             let (x, y) = (list % width as usize, list / width as usize);

@@ -57,7 +57,14 @@ fn camera_at(azimuth: f32, bounds: &Aabb) -> Camera {
 }
 
 fn frame_of(scene: &Scene, camera: Camera) -> LayeredFrame {
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 12 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 12,
+        mode: Default::default(),
+    };
     generate(scene, header, Layering::VisibilityMerge)
 }
 

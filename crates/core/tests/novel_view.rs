@@ -38,7 +38,14 @@ fn camera(pose: Pose, size: u32, bounds: &Aabb) -> Camera {
 }
 
 fn frame_of(scene: &Scene, camera: Camera, k: u8, layering: Layering) -> LayeredFrame {
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k,
+        mode: Default::default(),
+    };
     let frame = generate(scene, header, layering);
     frame.validate().unwrap();
     frame
@@ -230,6 +237,7 @@ fn samples_see_a_homogeneous_medium_exactly() {
         look: LookVersion(1),
         camera: old,
         k: 3,
+        mode: Default::default(),
     });
     // Three segments a list from near to far, of one extinction along every list's own direction.
     let sigma = 0.35;

@@ -39,7 +39,14 @@ fn parallel(azimuth: f32, distance: f32, side: u32, bounds: &Aabb) -> Camera {
 }
 
 fn frame_of(scene: &Scene, camera: Camera, layering: Layering) -> LayeredFrame {
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 8 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 8,
+        mode: Default::default(),
+    };
     let frame = generate(scene, header, layering);
     frame.validate().unwrap();
     frame

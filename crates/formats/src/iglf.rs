@@ -165,7 +165,14 @@ mod tests {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
         let intrinsics = Intrinsics::perspective(20, 130, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.1, 0.2, 6.0), intrinsics, &bounds);
-        let header = FrameHeader { frame: FrameId(1), pose: PoseId(2), look: LookVersion(3), camera, k: 4 };
+        let header = FrameHeader {
+            frame: FrameId(1),
+            pose: PoseId(2),
+            look: LookVersion(3),
+            camera,
+            k: 4,
+            mode: Default::default(),
+        };
         let mut frame = LayeredFrame::empty(header);
         for list in 0..20 * 130u16 {
             for i in 0..list % 5 {

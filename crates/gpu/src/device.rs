@@ -184,7 +184,7 @@ impl Gpu {
     fn compile(&self, kernel: Kernel, entry: &'static str) -> wgpu::ComputePipeline {
         let layouts = self.layouts();
         let groups: &[Option<&wgpu::BindGroupLayout>] = match kernel {
-            Kernel::Render(kind, _) => &[Some(layouts.scene(kind)), Some(&layouts.picture)],
+            Kernel::Render(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.picture)],
             Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],

@@ -9,6 +9,7 @@ use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
 use isinglass_core::kernels::raycast::{CastOptions, MARGIN_UNITS, Reconstruction};
 use isinglass_core::layer::DEPTH_UNITS;
+use isinglass_core::mode::Compositing;
 use isinglass_core::space::Aabb;
 
 /// See `shaders/shared/types.wgsl`.
@@ -117,15 +118,24 @@ pub(crate) struct Raycaster {
     pub(crate) is_nearest: u32,
     pub(crate) skips_empty_space: u32,
     pub(crate) num_samples: u32,
-    pub(crate) padding: u32,
+    pub(crate) compositing: u32,
     pub(crate) clip_normal: [f32; 3],
     pub(crate) clip_offset: f32,
+    pub(crate) volume_min: [f32; 3],
+    pub(crate) padding_0: u32,
+    pub(crate) volume_max: [f32; 3],
+    pub(crate) padding_1: u32,
 }
 
 impl Raycaster {
     /// The generating camera of a frame and the box of its volume, cast as `options` say; the margin is that of
     /// [`isinglass_core::kernels::raycast::Raycaster::new`].
-    pub(crate) fn of(camera: &Camera, bounds: &Aabb, options: &CastOptions) -> Self {
+    pub(crate) fn of(
+        camera: &Camera,
+        bounds: &Aabb,
+        compositing: Compositing,
+        options: &CastOptions,
+    ) -> Self {
         let depth_per_unit = (camera.far - camera.near) / DEPTH_UNITS;
         let region = options.clip.region(bounds).grown(MARGIN_UNITS * depth_per_unit);
         Self {
@@ -137,9 +147,13 @@ impl Raycaster {
             is_nearest: (options.reconstruction == Reconstruction::Nearest).into(),
             skips_empty_space: options.skips_empty_space.into(),
             num_samples: options.num_samples,
-            padding: 0,
+            compositing: compositing as u32,
             clip_normal: region.normal.into(),
             clip_offset: region.offset,
+            volume_min: bounds.min.into(),
+            padding_0: 0,
+            volume_max: bounds.max.into(),
+            padding_1: 0,
         }
     }
 }

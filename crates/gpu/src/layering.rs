@@ -153,7 +153,7 @@ impl FrameTarget {
 
     /// Marches the sample of rays and sets the threshold that their joins ask for.
     fn choose_threshold(&self, gpu: &Gpu, scene: &SceneOnGpu) {
-        let kernel = Kernel::Generate(scene.kind, self.layering, self.k);
+        let kernel = Kernel::Generate(scene.kind, scene.mode, self.layering, self.k);
         let [sample, choose] = ["sample_budget", "choose_threshold"].map(|entry| gpu.pipeline(kernel, entry));
         let mut clear = encoder(gpu);
         clear.clear_buffer(&self.budget, 0, None);
@@ -192,7 +192,7 @@ impl FrameTarget {
     /// Generates and compacts band by band. `false` if the frame is no longer wanted, which is asked when a band but the
     /// last is done.
     fn fill_planes(&self, gpu: &Gpu, scene: &SceneOnGpu, wanted: Wanted<'_>) -> Result<bool, GpuError> {
-        let march = gpu.pipeline(Kernel::Generate(scene.kind, self.layering, self.k), "generate");
+        let march = gpu.pipeline(Kernel::Generate(scene.kind, scene.mode, self.layering, self.k), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
         let asked_at = self.width * self.height.div_ceil(BANDS_AT_LEAST);

@@ -62,7 +62,7 @@ impl GpuRenderer {
         }
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
-            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, Extent::Opaque), "render");
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, Extent::Opaque), "render");
             picture.draw_rows(gpu, &pipeline, &on_gpu.bind_group, &camera.into(), rows)
         })
     }
@@ -83,7 +83,7 @@ impl GpuRenderer {
     fn render_to(&mut self, view: &View, extent: Extent) -> Result<Picture, GpuError> {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
-            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, extent), "render");
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, extent), "render");
             picture.draw(gpu, &pipeline, &on_gpu.bind_group, view)
         })
     }
@@ -102,11 +102,13 @@ impl GpuRenderer {
     ) -> Result<Option<LayeredFrame>, GpuError> {
         let Self { gpu, on_gpu, frame, .. } = self;
         gpu.attempt("generating a layered frame", || {
+            let mode = on_gpu.mode;
+            let layering = if mode.is_projection() { layering.of_projection() } else { layering };
             let target = match frame.take().filter(|target| target.fits(&header, layering)) {
                 Some(target) => frame.insert(target),
                 None => frame.insert(FrameTarget::new(gpu, &header, layering)?),
             };
-            target.generate(gpu, on_gpu, header, wanted)
+            target.generate(gpu, on_gpu, FrameHeader { mode, ..header }, wanted)
         })
     }
 }

@@ -7,6 +7,7 @@ use isinglass_core::kernels::empty_space::{DEPTH_CELLS, TILE};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_core::mode::Compositing;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 
@@ -33,6 +34,7 @@ pub(crate) struct FrameOnGpu {
     options: CastOptions,
     /// The camera of the frame and the box of its volume.
     seen_by: Option<(Camera, Aabb)>,
+    compositing: Compositing,
     buffers: Buffers,
     /// Group 0 of `one_frame.wgsl`, made for exactly these buffers.
     pub(crate) bind_group: wgpu::BindGroup,
@@ -63,7 +65,18 @@ impl FrameOnGpu {
         let (bind_group, build_group) = buffers.bind(device, layout, &builder, &caster);
         let uniform = bytemuck::Zeroable::zeroed();
         let options = CastOptions::default();
-        Self { builder, caster, uniform, options, seen_by: None, buffers, bind_group, build_group }
+        let compositing = Compositing::Over;
+        Self {
+            builder,
+            caster,
+            uniform,
+            options,
+            seen_by: None,
+            compositing,
+            buffers,
+            bind_group,
+            build_group,
+        }
     }
 
     /// Replaces the frame. `bounds` is the box of the volume that it was made of. A frame that is refused leaves the
@@ -104,7 +117,8 @@ impl FrameOnGpu {
                 Ok((buffers, groups))
             })?;
         }
-        self.uniform = Raycaster::of(&frame.header.camera, bounds, &self.options);
+        self.compositing = frame.header.mode.compositing();
+        self.uniform = Raycaster::of(&frame.header.camera, bounds, self.compositing, &self.options);
         let is_written = scoped(device, "writing a layered frame", || {
             for (plane, words) in written {
                 let Plane { buffer, start, .. } = self.buffers.planes[plane];
@@ -138,7 +152,7 @@ impl FrameOnGpu {
         }
         self.options = *options;
         if let Some((camera, bounds)) = &self.seen_by {
-            self.uniform = Raycaster::of(camera, bounds, options);
+            self.uniform = Raycaster::of(camera, bounds, self.compositing, options);
             self.write_uniform(queue);
         }
     }

@@ -3,7 +3,10 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
 use isinglass_core::kernels::march;
+use isinglass_core::kernels::march::modes::{Surface, key_limit};
+use isinglass_core::mode::{MAX_ISOS, Mode};
 use isinglass_core::volume::{Lit, Volume, Voxels};
 
 use crate::device::{Gpu, bind};
@@ -22,6 +25,8 @@ pub(crate) struct SceneOnGpu {
     occupancy: wgpu::Buffer,
     /// How the kernels must read the voxels.
     pub(crate) kind: TexelKind,
+    /// What they make of them.
+    pub(crate) mode: Mode,
     /// Group 0 of the marching kernels.
     pub(crate) bind_group: wgpu::BindGroup,
 }
@@ -40,7 +45,8 @@ impl SceneOnGpu {
             let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &lit]);
             let volume = Arc::clone(&scene.volume);
             let lit = scene.illumination.lit().cloned();
-            let on_gpu = Self { volume, lit, voxels, uniform, table, occupancy, kind, bind_group };
+            let mode = scene.settings.mode;
+            let on_gpu = Self { volume, lit, voxels, uniform, table, occupancy, kind, mode, bind_group };
             on_gpu.write_look(gpu, scene);
             Ok(on_gpu)
         })
@@ -63,6 +69,7 @@ impl SceneOnGpu {
                 self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &lit]);
                 self.lit = scene.illumination.lit().cloned();
             }
+            self.mode = scene.settings.mode;
             self.write_look(gpu, scene);
             Ok(())
         })
@@ -99,7 +106,15 @@ fn bind_scene(
 
 /// The table in the order of `TransferTable` in `shaders/shared/types.wgsl`.
 fn table_words(scene: &march::Scene) -> Vec<f32> {
-    scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect()
+    let mut words: Vec<f32> =
+        scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect();
+    let unused = Surface { x: 0.0, color: Vec3::ZERO, tau: 0.0 };
+    for Surface { x, color, tau } in scene.surfaces.iter().chain(std::iter::repeat(&unused)).take(MAX_ISOS) {
+        words.extend([color.x, color.y, color.z, *tau, *x, 0.0, 0.0, 0.0]);
+    }
+    let key_limit = key_limit(scene.settings.mode, &scene.table);
+    words.extend([f32::from_bits(scene.surfaces.len() as u32), key_limit, 0.0, 0.0]);
+    words
 }
 
 /// Integer voxels keep their integers (exact on every device, and 16 bits need no optional feature).

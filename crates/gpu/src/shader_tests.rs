@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::layer::MAX_K;
+use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{BLOCK, Band, Basis, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE};
@@ -68,9 +69,13 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             is_nearest,
             skips_empty_space,
             num_samples,
-            padding,
+            compositing,
             clip_normal,
-            clip_offset
+            clip_offset,
+            volume_min,
+            padding_0,
+            volume_max,
+            padding_1
         }),
         layout!(Combination {
             casters,
@@ -94,10 +99,13 @@ fn all_kernels() -> Vec<Kernel> {
         kernels.extend([Kernel::RaycastCompute(frames), Kernel::RaycastView(frames)]);
     }
     for kind in [TexelKind::Uint, TexelKind::Float] {
-        kernels.extend([Extent::Opaque, Extent::Through].map(|extent| Kernel::Render(kind, extent)));
-        for layering in Layering::ALL {
-            // K is a number in the text: the ends of its range stand for all of it.
-            kernels.extend([1, 2, MAX_K as u8].map(|k| Kernel::Generate(kind, layering, k)));
+        for mode in Mode::ALL {
+            let extents = [Extent::Opaque, Extent::Through];
+            kernels.extend(extents.map(|extent| Kernel::Render(kind, mode, extent)));
+            for layering in Layering::ALL {
+                // K is a number in the text: the ends of its range stand for all of it.
+                kernels.extend([1, 2, MAX_K as u8].map(|k| Kernel::Generate(kind, mode, layering, k)));
+            }
         }
     }
     kernels
@@ -161,20 +169,25 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 21] = [
+const TWINS: [&str; 26] = [
+    include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
     include_str!("../../core/src/volume/bricks.rs"),
     include_str!("../../core/src/volume/lit.rs"),
     include_str!("../../core/src/kernels/march.rs"),
+    include_str!("../../core/src/kernels/march/modes.rs"),
+    include_str!("../../core/src/kernels/march/surfaces.rs"),
     include_str!("../../core/src/kernels/empty_space.rs"),
     include_str!("../../core/src/kernels/raycast.rs"),
     include_str!("../../core/src/kernels/raycast/line.rs"),
     include_str!("../../core/src/kernels/raycast/pieces.rs"),
+    include_str!("../../core/src/kernels/raycast/projected.rs"),
     include_str!("../../core/src/kernels/subsample.rs"),
     include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
+    include_str!("../../core/src/kernels/layering/projection.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge/gather.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
@@ -186,7 +199,15 @@ const TWINS: [&str; 21] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 16] = [
+const SHADER_ONLY: [&str; 24] = [
+    "NUM_CUTS",
+    "IS_POINT",
+    "IS_MEAN",
+    "IS_LEAST",
+    "X_LEAST",
+    "X_GREATEST",
+    "NO_STEP",
+    "UNBOUNDED",
     "K",
     "STOP_AT",
     "MEAN_K",
@@ -213,8 +234,9 @@ fn every_concatenation_is_valid() {
         }
     }
     // Negative control: a call of a function that a missing part would define.
-    let without_sink =
-        Kernel::Render(TexelKind::Uint, Extent::Opaque).source().replace("fn sink_step", "fn other_step");
+    let without_sink = Kernel::Render(TexelKind::Uint, Mode::Composite, Extent::Opaque)
+        .source()
+        .replace("fn sink_step", "fn other_step");
     assert!(check(&without_sink).is_err());
 }
 
@@ -242,7 +264,7 @@ fn shared_structs_have_the_layout_of_their_mirrors() {
 
 #[test]
 fn a_shifted_or_renamed_field_is_noticed() {
-    let source = Kernel::Render(TexelKind::Uint, Extent::Opaque).source();
+    let source = Kernel::Render(TexelKind::Uint, Mode::Composite, Extent::Opaque).source();
     let layouts = rust_layouts();
     for (from, to) in [
         ("    x_scale: f32,\n    bounds_max: vec3f,\n", "    bounds_max: vec3f,\n    x_scale: f32,\n"),
@@ -277,6 +299,9 @@ fn shared_constants_have_the_values_of_the_twins() {
     // The numbers of the representatives are those of the enum.
     for representative in Representative::ALL {
         twin.insert(format!("{representative:?}").to_uppercase(), f64::from(representative as u32));
+    }
+    for compositing in [Compositing::Over, Compositing::Greatest, Compositing::Mean] {
+        twin.insert(format!("BY_{compositing:?}").to_uppercase(), f64::from(compositing as u32));
     }
     let mut compared = 0;
     for kernel in all_kernels() {

@@ -2,6 +2,7 @@
 
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
+use isinglass_core::mode::Mode;
 
 /// How the voxels are stored, as far as a shader can tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,10 +35,10 @@ pub(crate) enum Frames {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
     /// Entry point `render`.
-    Render(TexelKind, Extent),
-    /// Entry point `generate`: rule and K. With [`Layering::VisibilityMerge`] also `sample_budget` and
+    Render(TexelKind, Mode, Extent),
+    /// Entry point `generate`: mode, rule and K. With [`Layering::VisibilityMerge`] also `sample_budget` and
     /// `choose_threshold`.
-    Generate(TexelKind, Layering, u8),
+    Generate(TexelKind, Mode, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
     /// Entry point `empty_space`.
@@ -54,39 +55,68 @@ impl Kernel {
     /// The whole WGSL text.
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
-            Self::Render(kind, extent) => &[TYPES, SPACE, LAYER, kind.part(), MARCH, extent.part(), RENDER],
-            Self::Generate(kind, layering, k) => {
+            Self::Render(kind, mode, extent) => {
+                let [generated, takes] = mode_parts(mode);
+                let crossings = if mode == Mode::Iso { BARE } else { "" };
+                let [extent, seen] = match mode {
+                    Mode::Composite | Mode::Iso => [extent.part(), SEEN_OVER],
+                    Mode::Mip | Mode::MinIp => ["", SEEN_GREATEST],
+                    Mode::Average => ["", SEEN_MEAN],
+                };
+                let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
+                return [&march[..], &[extent, seen, RENDER]].concat().concat();
+            }
+            Self::Generate(kind, mode, layering, k) => {
                 let header;
                 let k = usize::from(k).clamp(1, MAX_K);
                 // Segments open at once.
                 let mut open = k;
-                let [shared, rule] = match layering {
+                let [generated, takes] = mode_parts(mode);
+                let crossings = if mode == Mode::Iso { SURFACES } else { "" };
+                let [shared, budget, rule, last] = match layering {
+                    _ if mode.is_projection() => {
+                        open = MAX_K;
+                        let [is_point, is_mean] =
+                            [matches!(layering, Layering::SingleDepth(_)), mode == Mode::Average];
+                        let num_cuts = match layering {
+                            Layering::EqualLength => k,
+                            _ => is_point.into(),
+                        };
+                        header = format!(
+                            "const MEAN_K: u32 = {k}u;\nconst NUM_CUTS: u32 = {num_cuts}u;\n\
+                             const IS_POINT: bool = {is_point};\nconst IS_MEAN: bool = {is_mean};\n"
+                        );
+                        let last = if is_mean { PROJECTION_MEAN } else { PROJECTION_KEYS };
+                        [&header, BUDGET, PROJECTION, last]
+                    }
                     Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
                         open = MAX_K;
                         header = format!("const MEAN_K: u32 = {k}u;\n");
-                        [&header, VISIBILITY_MERGE]
+                        [&header, BUDGET, VISIBILITY_MERGE, ""]
                     }
-                    Layering::EqualTransmittance => ["", EQUAL_TRANSMITTANCE],
-                    Layering::EqualLength => [CUTS, EQUAL_LENGTH],
-                    Layering::Homogeneity => ["", HOMOGENEITY],
+                    Layering::EqualTransmittance => ["", "", EQUAL_TRANSMITTANCE, ""],
+                    Layering::EqualLength => [CUTS, "", EQUAL_LENGTH, ""],
+                    Layering::Homogeneity => ["", "", HOMOGENEITY, ""],
                     Layering::SingleDepth(r) => {
                         header = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
-                        [&header, SINGLE_DEPTH]
+                        [&header, "", SINGLE_DEPTH, ""]
                     }
-                    Layering::Slabs => [CUTS, SLABS],
+                    Layering::Slabs => [CUTS, "", SLABS, ""],
                 };
                 let longest = layering.longest_list(k as u8);
                 let k = format!("const K: u32 = {longest}u;\nconst OPEN: u32 = {open}u;\n");
-                return [TYPES, SPACE, LAYER, kind.part(), MARCH, &k, GENERATE, shared, rule].concat();
+                let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
+                return [&march[..], &[&k, GENERATE, shared, budget, rule, last]].concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
-            Self::EmptySpace => &[TYPES, LAYER, EMPTY_SPACE, EMPTY_SPACE_BUILD],
+            Self::EmptySpace => &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, EMPTY_SPACE_BUILD],
             Self::RaycastCompute(frames) => &[
                 TYPES,
                 SPACE,
                 LAYER,
                 EMPTY_SPACE,
+                WAY,
                 RAYCAST,
                 frames.part(),
                 frames.sampling(),
@@ -94,10 +124,21 @@ impl Kernel {
             ],
             Self::RaycastView(frames) => {
                 let [part, sampling] = [frames.part(), frames.sampling()];
-                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, RAYCAST, part, sampling, RAYCAST_VIEW]
+                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, WAY, RAYCAST, part, sampling, RAYCAST_VIEW]
             }
         };
         parts.concat()
+    }
+}
+
+/// What a march makes of two samples in a mode: generated lines, and the part.
+fn mode_parts(mode: Mode) -> [&'static str; 2] {
+    match mode {
+        Mode::Composite => ["", ABSORPTION],
+        Mode::Mip => ["const IS_LEAST: bool = false;\n", KEYS],
+        Mode::MinIp => ["const IS_LEAST: bool = true;\n", KEYS],
+        Mode::Average => ["", MEAN],
+        Mode::Iso => ["", CROSSINGS],
     }
 }
 
@@ -143,6 +184,20 @@ const PICTURE: &str = include_str!("../../../shaders/shared/picture.wgsl");
 const TEXELS_UINT: &str = include_str!("../../../shaders/shared/texels_uint.wgsl");
 const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wgsl");
 const MARCH: &str = include_str!("../../../shaders/march.wgsl");
+const ABSORPTION: &str = include_str!("../../../shaders/march/absorption.wgsl");
+const KEYS: &str = include_str!("../../../shaders/march/keys.wgsl");
+const MEAN: &str = include_str!("../../../shaders/march/mean.wgsl");
+const CROSSINGS: &str = include_str!("../../../shaders/march/crossings.wgsl");
+const SURFACES: &str = include_str!("../../../shaders/march/surfaces.wgsl");
+const BARE: &str = include_str!("../../../shaders/march/bare.wgsl");
+const SEEN_OVER: &str = include_str!("../../../shaders/render/over.wgsl");
+const SEEN_GREATEST: &str = include_str!("../../../shaders/render/greatest.wgsl");
+const SEEN_MEAN: &str = include_str!("../../../shaders/render/mean.wgsl");
+const WAY: &str = include_str!("../../../shaders/shared/way.wgsl");
+const BUDGET: &str = include_str!("../../../shaders/layering/budget.wgsl");
+const PROJECTION: &str = include_str!("../../../shaders/layering/projection.wgsl");
+const PROJECTION_KEYS: &str = include_str!("../../../shaders/layering/projection_keys.wgsl");
+const PROJECTION_MEAN: &str = include_str!("../../../shaders/layering/projection_mean.wgsl");
 const RENDER: &str = include_str!("../../../shaders/render.wgsl");
 const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
 const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");

@@ -48,7 +48,14 @@ fn a_lost_device_is_an_error() {
     let bounds = scene.volume.bounds();
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 4 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 4,
+        mode: Default::default(),
+    };
     let frame = layering::generate(&scene, header, Layering::VisibilityMerge);
     let mut renderer = GpuRenderer::new(&gpu, scene.clone()).unwrap();
     let mut reprojector = GpuReprojector::new(&gpu, &frame, &bounds).unwrap();

@@ -17,6 +17,7 @@ use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::{DEFAULT_K, Look};
+use isinglass_core::mode::{Isos, Mode as RenderMode};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
@@ -208,6 +209,13 @@ pub(crate) struct LookArgs {
     /// Whether gradients shade the colours
     #[arg(long, value_enum, default_value_t = Switch::On)]
     pub(crate) shading: Switch,
+    /// What a pixel tells of its ray: composite, mip, minip, average or iso [default: composite, with --iso iso]
+    #[arg(long, value_name = "MODE")]
+    mode: Option<RenderMode>,
+    /// Values of the surfaces of --mode iso, each with an opacity if it is not opaque [default: the value that parts the
+    /// histogram best]
+    #[arg(long, value_name = "V[:OPACITY],…", allow_hyphen_values = true)]
+    iso: Option<Isos>,
     #[command(flatten)]
     pub(crate) clip: ClipArgs,
 }
@@ -227,10 +235,35 @@ impl LookArgs {
         self.shading == Switch::On
     }
 
+    /// The mode, and its surfaces.
+    pub(crate) fn mode(&self) -> Result<(RenderMode, Isos)> {
+        let isos = self.iso.unwrap_or_default();
+        match (self.mode, self.iso) {
+            (None, Some(_)) => Ok((RenderMode::Iso, isos)),
+            (Some(mode), Some(_)) if mode != RenderMode::Iso => {
+                bail!("--iso: found --mode {mode}, expected --mode iso")
+            }
+            (mode, _) => Ok((mode.unwrap_or_default(), isos)),
+        }
+    }
+
+    /// How the volume is marched.
+    pub(crate) fn march_settings(&self, lighting: Lighting) -> Result<MarchSettings> {
+        let (mode, isos) = self.mode()?;
+        Ok(MarchSettings {
+            clip: self.clip.clip(),
+            mode,
+            isos,
+            ..MarchSettings::of(self.is_shaded(), lighting)
+        })
+    }
+
     /// What is asked for, of a volume whose transfer function is `transfer`.
-    pub(crate) fn look(&self, transfer: TransferFunction, layering: &LayeringArgs) -> Look {
+    pub(crate) fn look(&self, transfer: TransferFunction, layering: &LayeringArgs) -> Result<Look> {
         let LayeringArgs { layering, k } = *layering;
-        Look { shaded: self.is_shaded(), layering, k, clip: self.clip.clip(), ..Look::new(transfer) }
+        let (mode, isos) = self.mode()?;
+        let clip = self.clip.clip();
+        Ok(Look { shaded: self.is_shaded(), layering, k, clip, mode, isos, ..Look::new(transfer) })
     }
 }
 
@@ -431,7 +464,7 @@ impl LinkArgs {
 
 /// Opens a volume with its look; large files show their progress.
 pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighting) -> Result<OpenedScene> {
-    let settings = MarchSettings { clip: look.clip.clip(), ..MarchSettings::of(look.is_shaded(), lighting) };
+    let settings = look.march_settings(lighting)?;
     let source = volume.source()?;
     let before = outline(source, &volume.options())?;
     let opened = show_progress(&before, |progress| {

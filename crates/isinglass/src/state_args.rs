@@ -97,7 +97,7 @@ impl Seen {
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
         self.note_difference(&opened.scene.volume);
-        let wanted = self.look(opened.transfer.clone(), look, lighting, layering);
+        let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
         if self.state.look.is_some() {
             opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
             opened.transfer = wanted.transfer.clone();
@@ -116,7 +116,7 @@ impl Seen {
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
         self.note_difference(&opened.volume);
-        let wanted = self.look(opened.transfer.clone(), look, lighting, layering);
+        let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
         Ok((opened, wanted))
     }
 
@@ -132,18 +132,18 @@ impl Seen {
         look: &LookArgs,
         lighting: Lighting,
         layering: &LayeringArgs,
-    ) -> Look {
-        let of_flags = Look { lighting, ..look.look(transfer, layering) };
-        match self.state.look.clone() {
+    ) -> Result<Look> {
+        let of_flags = Look { lighting, ..look.look(transfer, layering)? };
+        Ok(match self.state.look.clone() {
             Some(saved) => self.merged(saved, of_flags),
             None => of_flags,
-        }
+        })
     }
 
     /// The state's look with those fields of `flags` that were given.
     fn merged(&self, saved: Look, flags: Look) -> Look {
         // Whoever adds a field says here which flag sets it.
-        let Look { transfer, shaded, lighting, layering, k, clip } = flags;
+        let Look { transfer, shaded, lighting, layering, k, clip, mode, isos } = flags;
         let mut look = saved;
         let has = |field| self.given.has(field);
         if has("tf") {
@@ -173,6 +173,12 @@ impl Seen {
         }
         if has("k") {
             look.k = k;
+        }
+        if has("mode") || has("iso") {
+            look.mode = mode;
+        }
+        if has("iso") {
+            look.isos = isos;
         }
         if has("clip_box") {
             look.clip.bounds = clip.bounds;

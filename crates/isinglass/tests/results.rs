@@ -1,6 +1,5 @@
 //! Does each command do what it says, and do its JSON objects have the fields that other programs read?
 
-#[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
 #[cfg(unix)]
@@ -87,6 +86,42 @@ fn clips_and_parallel_rays_are_the_same_in_a_picture_and_in_a_frame() {
     bench.ok("reproject a.iglf --orthographic -o b.png --backend cpu");
     let dssim = |a: &str| bench.json(&format!("compare {a} flat.png --json"))["dssim"].as_f64().unwrap();
     assert!(dssim("b.png") < 0.6 * dssim("whole.png"), "{} {}", dssim("b.png"), dssim("whole.png"));
+}
+
+/// Each mode is its own picture, and a stored frame knows its mode.
+#[test]
+fn a_stored_frame_of_any_mode_gives_back_its_picture() {
+    let bench = Bench::new();
+    let volume = "builtin:cloud@40 --orbit 25,-15";
+    bench.ok(&format!("render {volume} -o composite.png {RENDER}"));
+    for mode in ["mip", "minip", "average", "iso --iso 60:0.4,120"] {
+        let name = mode.split(' ').next().unwrap();
+        let facts = bench.json(&format!("render {volume} -o a.png --mode {mode} --json {RENDER}"));
+        assert_eq!(facts["mode"], name);
+        let error = bench.json("compare a.png composite.png --json");
+        assert!(error["max_abs_255"].as_u64() > Some(8), "{mode}: {error}");
+        let facts = bench.json(&format!("layers {volume} -o a.iglf --mode {mode} --json {RENDER}"));
+        assert_eq!(facts["mode"], name);
+        assert_eq!(bench.json("info a.iglf --json")["mode"], name);
+        assert!(bench.ok("info a.iglf").contains(&format!("mode         {name}")));
+        bench.ok("reproject a.iglf -o b.png --backend cpu");
+        let error = bench.json("compare a.png b.png --json");
+        assert!(error["max_abs_255"].as_u64() <= Some(1), "{mode}: {error}");
+    }
+    bench.ok(&format!("layers {volume} -o a.iglf --mode mip {RENDER}"));
+    bench.fails(
+        "reproject a.iglf --method point-warp -o c.png --backend cpu",
+        1,
+        &["point-warp", "mip", "layers"],
+    );
+    bench.fails(
+        &format!("layers {volume} -o c.iglf --mode mip --codec blocks {RENDER}"),
+        1,
+        &["blocks", "mip", "exact"],
+    );
+    bench.fails(&format!("render {volume} -o c.png --mode mip --iso 3 {RENDER}"), 1, &["--iso", "mip"]);
+    bench.fails(&format!("render {volume} -o c.png --mode xray {RENDER}"), 2, &["xray", "average"]);
+    bench.fails(&format!("render {volume} -o c.png --iso 1:2 {RENDER}"), 2, &["--iso", "opacity"]);
 }
 
 /// A frame seen from 90 and 180 degrees aside, from within the volume and in another size is a picture too.

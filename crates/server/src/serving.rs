@@ -374,6 +374,7 @@ impl Viewer {
             look: self.version,
             camera: Camera::new(request.pose, bounded(request.intrinsics, self.look.k), &self.present.bounds),
             k: self.look.k,
+            mode: Default::default(),
         };
         let generated = match self.generate(request, header).await {
             Some(Ok(generated)) => generated,
@@ -431,6 +432,7 @@ impl Viewer {
         } else {
             self.pilot.next(num_lists, reference.is_some())
         };
+        let coding = coding.for_mode(generated.frame.header.mode);
         let ticket = Ticket {
             request: *request,
             version: header.look,

@@ -31,6 +31,8 @@ fn options(codecs: &[&str]) -> CodecOptions {
         orbit: Orbit::default(),
         intrinsics: intrinsics(),
         shaded: true,
+        mode: Default::default(),
+        isos: Default::default(),
         backend: BackendChoice::Cpu,
     };
     CodecOptions {

@@ -19,6 +19,7 @@ use isinglass_core::clip::Clip;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::Look;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
@@ -52,6 +53,10 @@ pub struct DemoOptions {
     pub clip: Clip,
     /// Light, occlusion and shadows.
     pub lighting: Lighting,
+    /// What a pixel tells of its ray.
+    pub mode: Mode,
+    /// The surfaces of [`Mode::Iso`].
+    pub isos: Isos,
     /// Layering rule.
     pub layering: Layering,
     /// Longest list.
@@ -93,6 +98,8 @@ impl Default for DemoOptions {
             shaded: true,
             clip: Clip::default(),
             lighting: Lighting::default(),
+            mode: Mode::default(),
+            isos: Isos::default(),
             layering: Layering::default(),
             k: 8,
             method: Method::default(),
@@ -125,8 +132,8 @@ pub struct Outcome {
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
     let &DemoOptions { raw, selection, spacing, .. } = options;
     let open = OpenOptions { raw, selection, spacing, ..OpenOptions::default() };
-    let settings =
-        MarchSettings { clip: options.clip, ..MarchSettings::of(options.shaded, options.lighting) };
+    let (clip, mode, isos) = (options.clip, options.mode, options.isos);
+    let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(options.shaded, options.lighting) };
     let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
@@ -174,6 +181,8 @@ fn serve_and_play(
         lighting: options.lighting,
         layering: options.layering,
         k: options.k,
+        mode: options.mode,
+        isos: options.isos,
         ..Look::new(opened.transfer.clone())
     };
     let serve = ServeOptions {

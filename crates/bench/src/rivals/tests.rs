@@ -53,8 +53,14 @@ fn thin(share: f32, color: Vec3, tau: f32) -> Segment {
 }
 
 fn frame(list: impl Fn(u32, u32) -> Vec<Segment>) -> Arc<LayeredFrame> {
-    let header =
-        FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera: camera(), k: K };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera: camera(),
+        k: K,
+        mode: Default::default(),
+    };
     let mut frame = LayeredFrame::empty(header);
     frame.offsets.truncate(1);
     for i in 0..SIDE * SIDE {
@@ -348,7 +354,14 @@ fn frames_of_slabs_are_not_cut_again() {
     let bounds = scene.volume.bounds();
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0 * bounds.radius()), intrinsics, &bounds);
-    let header = FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k: 6 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(1),
+        camera,
+        k: 6,
+        mode: Default::default(),
+    };
     let count = |rule: Layering| {
         let frame = isinglass_core::kernels::layering::generate(&scene, header, rule);
         let slabs = Slabs::new(&frame, &bounds);

@@ -11,6 +11,7 @@ mod tasks;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
@@ -49,6 +50,10 @@ pub struct SpeedOptions {
     pub frame_sizes: Vec<[u32; 2]>,
     /// Whether gradients shade.
     pub shaded: bool,
+    /// What a pixel tells of its ray.
+    pub mode: Mode,
+    /// The surfaces of [`Mode::Iso`].
+    pub isos: Isos,
     /// Rounds of which the least time counts, after one that does not.
     pub repeats: u32,
     /// Frame rates to be held by a coarser cast.

@@ -8,6 +8,7 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::empty_space::EmptySpace;
+use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
@@ -98,7 +99,8 @@ impl<'a> Tasks<'a> {
         options: &'a SpeedOptions,
         source: &SceneSource,
     ) -> Result<Self, BenchError> {
-        let settings = march_settings(options.shaded);
+        let (mode, isos) = (options.mode, options.isos);
+        let settings = MarchSettings { mode, isos, ..march_settings(options.shaded) };
         let transfer = options.transfer.as_deref();
         let opened = open_scene(&source.source, transfer, settings, &OpenOptions::default())?;
         let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());

@@ -12,6 +12,7 @@ use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
+use isinglass_core::mode::Mode;
 use isinglass_core::session::client::FrameTimes;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{ProbeRequest, Probed, Token, VolumeDescription, Welcome};
@@ -81,6 +82,7 @@ impl HereSource {
             look: self.look.0,
             camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
             k: self.look.1.k,
+            mode: Default::default(),
         };
         let frame = generate(&self.scene, header, self.look.1.layering);
         let times = FrameTimes::default();
@@ -356,6 +358,36 @@ fn keys_switch_what_they_say() {
     let before = pose(&w);
     drag(&mut w, egui::pos2(300.0, 300.0), vec2(60.0, 40.0), Modifiers::NONE);
     assert_ne!(pose(&w), before, "a drag over the picture turns it");
+}
+
+#[test]
+fn the_key_m_goes_through_the_modes_and_surfaces_have_their_values_in_the_panel() {
+    let mut w = window([900.0, 700.0]);
+    let first = picture(&w);
+    let mut seen = vec![first.clone()];
+    for mode in Mode::ALL.into_iter().cycle().skip(1).take(4) {
+        press(&mut w, Modifiers::NONE, Key::M);
+        assert_eq!(w.state().viewing.look().unwrap().mode, mode);
+        let now = picture(&w);
+        assert!(!seen.contains(&now), "{mode} looks like another mode");
+        seen.push(now);
+    }
+    // The last one is that of surfaces, which has a value where nobody has chosen any.
+    let isos = |w: &Harness<'_, ViewerApp<HereSource>>| w.state().viewing.look().unwrap().isos;
+    let (lo, hi) = w.state().value_scale().unwrap().range;
+    let value = isos(&w).as_slice()[0].value;
+    assert!(isos(&w).as_slice().len() == 1 && lo < value && value < hi, "{value}");
+    open_panel(&mut w);
+    assert!(w.query_by_label("value of surface 1").is_some());
+    w.get_by_label("add a surface").click();
+    rest(&mut w);
+    assert!(isos(&w).as_slice().len() == 2 && isos(&w).as_slice()[0].opacity < 1.0);
+    assert_ne!(&picture(&w), seen.last().unwrap());
+    w.get_by_label("remove surface 1").click();
+    rest(&mut w);
+    assert_eq!(isos(&w).as_slice().len(), 1);
+    press(&mut w, Modifiers::NONE, Key::M);
+    assert_eq!(picture(&w), first);
 }
 
 #[test]

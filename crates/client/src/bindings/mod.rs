@@ -42,6 +42,8 @@ pub enum Action {
     Picture,
     /// The dialog for a picture of another size, or for a turntable.
     PictureDialog,
+    /// The next mode.
+    Mode,
     /// One edit of the transfer function back.
     Undo,
     /// One edit of the transfer function forward.
@@ -403,6 +405,7 @@ const TABLE: &[Line] = &[
         "picture of another size, turntable",
         &[("picture-dialog", Deed::Act(Action::PictureDialog), &["ctrl+shift+s"])],
     ),
+    keys("mode: composite, MIP, MinIP, average, isosurface", &[("mode", Deed::Act(Action::Mode), &["m"])]),
     keys(
         "undo and redo edits of the transfer function",
         &[

@@ -20,7 +20,7 @@ use files::{Files, Outcome};
 use history::History;
 use plot::{Grip, LEAST_WINDOW};
 pub(crate) use scale::ValueScale;
-use scale::format_value;
+pub(crate) use scale::format_value;
 
 use crate::panels::named;
 

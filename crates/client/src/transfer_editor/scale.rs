@@ -38,6 +38,11 @@ impl ValueScale {
         self.range.1
     }
 
+    /// The value that parts the histogram best, as far as the bins tell.
+    pub(crate) fn parting_value(&self) -> f32 {
+        isinglass_core::volume::parting_value(&self.counts, self.range)
+    }
+
     /// The two values that a domain stands for, ascending and apart.
     pub(crate) fn domain(&self, domain: &Domain) -> (f32, f32) {
         match *domain {

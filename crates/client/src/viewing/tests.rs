@@ -98,6 +98,7 @@ impl FakeSource {
             look: self.look.as_ref().map_or(LookVersion(0), |l| l.0),
             camera: Camera::new(at, intrinsics, &BOUNDS),
             k: 4,
+            mode: Default::default(),
         };
         let micros = pose_set.as_micros() as u64;
         let times =

@@ -57,8 +57,13 @@ impl Bound {
             Ok((encoded, coding, misfit))
         };
         let in_blocks = |quality| attempt(Coding::Blocks(blocks::Settings { quality, is_split: false }));
-        let mut best = in_blocks(MAX_QUALITY)?;
-        if self.holds(&best.2) {
+        let mut best = match in_blocks(MAX_QUALITY) {
+            Err(CodecError::Projection(_)) => {
+                attempt(Coding::Exact(Settings { color_bits: 8, num_groups: 1 }))?
+            }
+            best => best?,
+        };
+        if self.holds(&best.2) && matches!(best.1, Coding::Blocks(_)) {
             // Least qualities that may hold, and the least that is known to.
             let (mut least, mut known) = (0, MAX_QUALITY);
             while least < known {
@@ -115,7 +120,11 @@ mod tests {
         let distance = bounds.radius() * intrinsics.fit_distance();
         let camera = Camera::new(Pose::orbit(glam::Vec3::ZERO, 0.5, 0.3, distance), intrinsics, &bounds);
         let (frame, pose, look) = (FrameId(1), PoseId(1), LookVersion(1));
-        generate(&scene, FrameHeader { frame, pose, look, camera, k: 12 }, Layering::VisibilityMerge)
+        generate(
+            &scene,
+            FrameHeader { frame, pose, look, camera, k: 12, mode: Default::default() },
+            Layering::VisibilityMerge,
+        )
     }
 
     /// What is encoded is decoded anew and measured anew, and what costs fewer bytes would not have kept the bound.

@@ -8,6 +8,7 @@ use super::{CodecError, MAX_BANDS, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, TILE, at_mo
 use crate::camera::{Camera, Intrinsics, Pose, Projection};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, MAX_K};
+use crate::mode::Mode;
 
 /// What a chunk says of itself and of its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,7 +71,7 @@ impl ChunkHeader {
         let mut w = Writer { bytes: [0; HEADER_BYTES], at: 0 };
         let camera = &self.frame.camera;
         w.put(MAGIC);
-        w.put([VERSION, self.frame.k, self.color_bits, self.band]);
+        w.put([VERSION, self.frame.k, self.color_bits, self.band | (self.frame.mode as u8) << MODE_SHIFT]);
         w.put(self.index.0.to_le_bytes());
         w.put([self.num_chunks, self.num_base]);
         w.put(self.frame.frame.0.to_le_bytes());
@@ -107,7 +108,8 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     if magic != MAGIC {
         return Err(CodecError::Magic(magic));
     }
-    let [version, k, color_bits, band] = r.take();
+    let [version, k, color_bits, band_and_mode] = r.take();
+    let (band, mode) = (band_and_mode & BAND_MASK, band_and_mode >> MODE_SHIFT);
     if version != VERSION {
         return Err(CodecError::Version(version));
     }
@@ -145,7 +147,16 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     in_range("chunk index", index.0.into(), 0, usize::from(num_chunks) - 1)?;
     in_range("band", band.into(), 0, usize::from(num_base) - 1)?;
     in_range("payload length", payload_bytes as usize, 0, MAX_CHUNK_BYTES - HEADER_BYTES)?;
-    let frame = FrameHeader { frame, pose, look, camera, k };
+    in_range("mode", mode.into(), 0, Mode::ALL.len() - 1)?;
+    let mode = Mode::ALL[usize::from(mode)];
+    if color_bits == 0 && mode.is_projection() {
+        return Err(CodecError::Header {
+            what: "mode of a frame in blocks",
+            found: mode.to_string(),
+            expected: "composite or iso".into(),
+        });
+    }
+    let frame = FrameHeader { frame, pose, look, camera, k, mode };
     Ok(ChunkHeader { frame, color_bits, index, num_chunks, num_base, band, payload_bytes })
 }
 
@@ -205,3 +216,6 @@ pub const HEADER_BYTES: usize = 72;
 
 pub(super) const MAGIC: [u8; 4] = *b"IGLC";
 pub(super) const VERSION: u8 = 2;
+/// The mode stands above the band.
+const MODE_SHIFT: u8 = 4;
+const BAND_MASK: u8 = 15;

@@ -33,6 +33,7 @@ use rayon::prelude::*;
 
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+use crate::mode::{Compositing, Mode};
 use crate::wanted::{ALWAYS, Wanted};
 use blocks::{Reference, References};
 
@@ -71,6 +72,17 @@ impl Default for Coding {
 }
 
 impl Coding {
+    /// This, or the one that stands for it in frames of a mode: of projections only the exact lists, and of means all of
+    /// them at once, as the picture of some would be too dark.
+    pub fn for_mode(self, mode: Mode) -> Self {
+        let num_groups = match (mode.compositing(), self) {
+            (Compositing::Over, _) | (Compositing::Greatest, Self::Exact(_)) => return self,
+            (Compositing::Greatest, Self::Blocks(_)) => 2,
+            (Compositing::Mean, _) => 1,
+        };
+        Self::Exact(Settings { num_groups, ..Settings::default() })
+    }
+
     /// Encodes a frame, which must be valid; one in blocks is predicted from the reference, if there is one, which the
     /// receiver must have, and can be the reference of later ones.
     pub fn encode(
@@ -91,6 +103,9 @@ impl Coding {
     ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
         match self {
             Self::Exact(settings) => Ok((encode_while(frame, settings, wanted)?, None)),
+            Self::Blocks(_) if frame.header.mode.is_projection() => {
+                Err(CodecError::Projection(frame.header.mode))
+            }
             Self::Blocks(settings) => blocks::encode_while(frame, settings, reference, wanted)
                 .map(|(encoded, reference)| (encoded, Some(Arc::new(reference)))),
         }
@@ -196,6 +211,9 @@ pub enum CodecError {
     /// No coding is as good as was asked for.
     #[error("the exact coding is off by {0}/255 or too far in depth, expected within the bound")]
     Bound(u8),
+    /// Blocks correct their picture by *over*.
+    #[error("a frame of mode {0} in blocks, expected the exact coding")]
+    Projection(Mode),
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {

@@ -8,11 +8,15 @@
 //! [`CLOSED_LOOP_LEAST`]: nothing behind is seen from here.
 //!
 //! On a frame that was decoded every correction is exactly zero, so its codes are found again.
+//!
+//! In a projection of the greatest key colours are coded as they are, and the segment that has that key keeps a greater
+//! code than all others of its list. Of a mean, the sum of colours is what must not drift.
 
 use std::ops::Range;
 
 use super::scale::Scale;
 use crate::layer::{LayeredFrame, MAX_K};
+use crate::mode::Compositing;
 
 /// One quantised segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,7 +54,11 @@ pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>, base_k: usize, sca
     for list in lists {
         let segments = frame.list(list);
         let quantized = &mut quantized[..segments.len().min(MAX_K)];
-        quantize_list(frame, segments.start, scale, quantized);
+        match frame.header.mode.compositing() {
+            Compositing::Over => quantize_list(frame, segments.start, scale, quantized),
+            Compositing::Greatest => quantize_keys(frame, segments.start, scale, quantized),
+            Compositing::Mean => quantize_sum(frame, segments.start, scale, quantized),
+        }
         let base = base_of(quantized, base_k);
         for group in &mut groups {
             group.lists.counts.push(0);
@@ -117,6 +125,50 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Q
         };
         kappa *= (-s.tau).exp();
         kappa_coded *= transmittance;
+    }
+}
+
+/// Of a projection of the greatest key.
+fn quantize_keys(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Quantized]) {
+    let (mut greatest, mut winner) = (0.0, 0);
+    for (i, out) in out.iter_mut().enumerate() {
+        let s = frame.segment(first + i);
+        let c = s.c.to_array().map(|c| scale.color_code(c));
+        let tau = scale.tau_code(s.tau).max(1);
+        let code = Code { front: s.front, back: s.back, c, tau };
+        *out = Quantized { code, visible: brightness(&code, scale), rank: 0.0 };
+        if s.tau > greatest {
+            (greatest, winner) = (s.tau, i);
+        }
+    }
+    let below = out.get(winner).map_or(1, |q| q.code.tau.saturating_sub(1).max(1));
+    for (i, q) in out.iter_mut().enumerate() {
+        if i != winner {
+            q.code.tau = q.code.tau.min(below);
+        }
+        // Of what is coded, so that a decoded frame has the same base.
+        q.rank = scale.tau[usize::from(q.code.tau)];
+    }
+}
+
+/// The greatest channel of what is coded.
+fn brightness(code: &Code, scale: &Scale) -> f32 {
+    scale.color[usize::from(code.c.into_iter().max().unwrap_or(0))]
+}
+
+/// Of a projection of the mean.
+fn quantize_sum(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Quantized]) {
+    let mut missing = [0f32; 3];
+    for (i, out) in out.iter_mut().enumerate() {
+        let s = frame.segment(first + i);
+        let mut code = Code { front: s.front, back: s.back, c: [0; 3], tau: 0 };
+        for (ch, c) in s.c.to_array().into_iter().enumerate() {
+            let want = (c + missing[ch]).clamp(c * (1.0 - GIVE), c * (1.0 + GIVE));
+            code.c[ch] = scale.color_code(want);
+            missing[ch] += c - scale.color[usize::from(code.c[ch])];
+        }
+        let visible = brightness(&code, scale);
+        *out = Quantized { code, visible, rank: visible };
     }
 }
 

@@ -39,7 +39,14 @@ fn header(width: u32, height: u32, k: u8) -> FrameHeader {
     let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, bounds.radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &bounds);
-    FrameHeader { frame: FrameId(7), pose: PoseId(8), look: LookVersion(9), camera, k }
+    FrameHeader {
+        frame: FrameId(7),
+        pose: PoseId(8),
+        look: LookVersion(9),
+        camera,
+        k,
+        mode: Default::default(),
+    }
 }
 
 /// Lists of every length, contiguous and with gaps, thin and thick, τ from 1e-4 to 1000 and colours up to one. A

@@ -11,6 +11,8 @@
 //!
 //!   τ = Σ w_n·τ_n,  C = Σ w_n·τ_n·E_n / τ · (1 − e^−τ).
 //!
+//! In a projection the greatest key wins over all pieces, or colours add, and in the band colours and keys are weighted.
+//!
 //! The newest frame's band is no wider than what the picture shows beyond its border. So from its own pose, and as long
 //! as it sees all of the picture, the picture is that of the newest frame alone; and a camera that turns away from
 //! it makes the band grow from nothing.
@@ -22,7 +24,8 @@ use super::march::TRANSMITTANCE_MIN;
 use super::raycast::{CastOptions, MARGIN_UNITS, Raycaster, clip_by_planes, frustum_planes};
 use crate::camera::{Basis, Camera, PixelLine};
 use crate::clip::{Clip, Region};
-use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
+use crate::layer::{DEPTH_UNITS, LayeredFrame, Over, Projected};
+use crate::mode::Compositing;
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
 
@@ -57,6 +60,25 @@ struct Parts {
     outer: (f32, f32),
     /// Where its coverage is 1.
     inner: (f32, f32),
+}
+
+/// What was seen of a ray: by *over*, or in a projection.
+struct Acc {
+    compositing: Compositing,
+    over: Over,
+    projected: Projected,
+}
+
+impl Acc {
+    /// Puts something behind what is there.
+    fn put(&mut self, seen: &Over) {
+        self.over.c += seen.c * self.over.transmittance;
+        self.over.transmittance *= seen.transmittance;
+    }
+
+    fn collect(&mut self, collected: &Projected) {
+        self.projected.add(self.compositing, collected.c, collected.key);
+    }
 }
 
 /// What is cast from one cut of a ray to another.
@@ -121,10 +143,15 @@ impl Combiner {
         if older.is_empty() || newest.view.clip(&line, newest.band, all) == all {
             return newest.caster.cast(ray, &self.options);
         }
-        self.cast_pieces(ray, all)
+        let acc = self.cast_pieces(ray, all, newest.caster.compositing);
+        if newest.caster.compositing == Compositing::Over {
+            acc.over
+        } else {
+            newest.caster.shown(&acc.projected, ray)
+        }
     }
 
-    fn cast_pieces(&self, ray: &Ray, all: (f32, f32)) -> Over {
+    fn cast_pieces(&self, ray: &Ray, all: (f32, f32), compositing: Compositing) -> Acc {
         let mut cuts = [all.1; 4 * MAX_FRAMES + 2];
         cuts[0] = all.0;
         let parts: [Option<Parts>; MAX_FRAMES] = std::array::from_fn(|n| {
@@ -142,7 +169,7 @@ impl Combiner {
             Some(Parts { line, outer, inner })
         });
         cuts.sort_unstable_by(f32::total_cmp);
-        let mut acc = Over::default();
+        let mut acc = Acc { compositing, over: Over::default(), projected: Projected::default() };
         // A frame that is alone from one cut to the next is cast over both pieces at once.
         let mut pending: Option<(Piece, (f32, f32))> = None;
         for pair in cuts.windows(2) {
@@ -150,7 +177,7 @@ impl Combiner {
             if to <= from {
                 continue;
             }
-            if acc.transmittance < TRANSMITTANCE_MIN {
+            if acc.over.transmittance < TRANSMITTANCE_MIN {
                 return acc;
             }
             let middle = 0.5 * (from + to);
@@ -180,16 +207,19 @@ impl Combiner {
     /// Puts a piece behind what is there: of one frame, or mixed, in steps of about a list.
     fn add(
         &self,
-        acc: &mut Over,
+        acc: &mut Acc,
         ray: &Ray,
         parts: &[Option<Parts>; MAX_FRAMES],
         piece: Piece,
         within: (f32, f32),
     ) {
+        let project = |n: usize, within| self.layers[n].caster.project_between(ray, within, &self.options);
         if let Piece::Alone(n) = piece {
-            let seen = self.layers[n].caster.cast_between(ray, within, &self.options);
-            acc.c += seen.c * acc.transmittance;
-            acc.transmittance *= seen.transmittance;
+            if acc.compositing == Compositing::Over {
+                acc.put(&self.layers[n].caster.cast_between(ray, within, &self.options));
+            } else {
+                acc.collect(&project(n, within));
+            }
             return;
         }
         let insets = |s: f32| -> [f32; MAX_FRAMES] {
@@ -223,8 +253,19 @@ impl Combiner {
             if sum <= 0.0 {
                 continue;
             }
+            let weights = weights.into_iter().enumerate().filter(|(_, w)| *w > LEAST_WEIGHT);
+            if acc.compositing != Compositing::Over {
+                let mut mixture = Projected::default();
+                for (n, weight) in weights {
+                    let collected = project(n, (from, to));
+                    mixture.c += collected.c * (weight / sum);
+                    mixture.key += collected.key * (weight / sum);
+                }
+                acc.collect(&mixture);
+                continue;
+            }
             let (mut tau, mut light) = (0.0, Vec3::ZERO);
-            for (n, weight) in weights.into_iter().enumerate().filter(|(_, w)| *w > LEAST_WEIGHT) {
+            for (n, weight) in weights {
                 let seen = self.layers[n].caster.cast_between(ray, (from, to), &self.options);
                 // Where nothing can be seen through, casting stops: how much more there is was not looked at.
                 let tau_n = -seen.transmittance.max(TRANSMITTANCE_MIN).ln();
@@ -235,8 +276,7 @@ impl Combiner {
             }
             if tau > 0.0 {
                 let transmittance = (-tau).exp();
-                acc.c += light * (acc.transmittance * (1.0 - transmittance) / tau);
-                acc.transmittance *= transmittance;
+                acc.put(&Over { c: light * ((1.0 - transmittance) / tau), transmittance });
             }
         }
     }

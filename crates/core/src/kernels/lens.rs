@@ -18,7 +18,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::march::{Marcher, OverSink, Scene, Texels, with_texels};
+use super::march::{Marcher, Scene, TRANSMITTANCE_MIN, Texels, with_texels};
 use super::raycast::{CastOptions, Raycaster};
 use crate::camera::{Basis, Camera, MAX_SIDE, Pose};
 use crate::layer::LayeredFrame;
@@ -150,17 +150,13 @@ pub fn mean_of_casts(caster: &Raycaster, views: &[View]) -> Picture {
 
 /// The mean over `views` of full volume renderings: what [`raycast_mean`] is held against.
 pub fn render_mean(scene: &Scene, views: &[View]) -> Picture {
-    with_texels!(scene, texels => render_mean_with(scene, &Marcher::new(scene, texels), views))
+    with_texels!(scene, texels => render_mean_with(&Marcher::new(scene, texels), views))
 }
 
-fn render_mean_with<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, views: &[View]) -> Picture {
+fn render_mean_with<T: Texels>(marcher: &Marcher<'_, T>, views: &[View]) -> Picture {
     mean_of(views, |view, x, y| {
         let (ray, s_per_depth) = view.basis.ray(x, y);
-        let mut sink = OverSink::default();
-        if let Some(lattice) = scene.lattice(&ray, view.near * s_per_depth) {
-            marcher.march(&ray, lattice, &mut sink);
-        }
-        sink.over.rgba()
+        marcher.seen(&ray, view.near * s_per_depth, TRANSMITTANCE_MIN)
     })
 }
 

@@ -10,6 +10,8 @@
 //! with and without skipping is the same.
 
 mod grid;
+pub mod modes;
+mod surfaces;
 #[cfg(test)]
 mod whole_marches;
 
@@ -21,9 +23,12 @@ use rayon::prelude::*;
 
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
+use self::modes::{Between, SURFACES, Shown, Surface};
+use self::surfaces::Thicken;
 use crate::camera::Camera;
 use crate::clip::{Clip, Region};
 use crate::layer::Over;
+use crate::mode::{Isos, Mode};
 use crate::picture::Picture;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
@@ -46,13 +51,18 @@ pub struct MarchSettings {
     pub lighting: Lighting,
     /// How finely they are worked out.
     pub detail: Detail,
+    /// What a ray collects.
+    pub mode: Mode,
+    /// The surfaces of [`Mode::Iso`].
+    pub isos: Isos,
 }
 
 impl Default for MarchSettings {
     fn default() -> Self {
         let (lighting, detail) = (Lighting::default(), Detail::Final);
-        let clip = Clip::default();
-        Self { step_in_voxels: 0.5, shading: Some(Shading::default()), clip, lighting, detail }
+        let (clip, mode, isos) = (Clip::default(), Mode::default(), Isos::default());
+        let shading = Some(Shading::default());
+        Self { step_in_voxels: 0.5, shading, clip, lighting, detail, mode, isos }
     }
 }
 
@@ -73,9 +83,11 @@ pub struct Scene {
     pub bricks: Arc<Bricks>,
     /// Their histogram.
     pub histogram: Arc<Histogram>,
-    /// Classification.
+    /// Classification; in a projection what is shown of a value ([`TransferFunction::shown_table`]).
     pub table: TransferTable,
-    /// Bricks that `table` leaves visible.
+    /// The surfaces of [`Mode::Iso`], by ascending position.
+    pub surfaces: Vec<Surface>,
+    /// Bricks that the mode leaves visible.
     pub occupancy: Occupancy,
     /// Brightness of the voxels, if `settings` ask for shading or lighting.
     pub illumination: Illumination,
@@ -88,18 +100,20 @@ impl Scene {
     pub fn new(volume: Arc<Volume>, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let bricks = Arc::new(Bricks::of(&volume));
         let histogram = Arc::new(Histogram::of(&volume));
-        let table = transfer.table(&volume, &histogram);
-        let occupancy = bricks.occupancy(&table);
+        let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
+        let occupancy =
+            bricks.occupancy_by(|lo, hi| modes::is_visible(settings.mode, &table, &surfaces, lo, hi));
         let illumination = illuminate(&volume, &table, settings, None);
-        Self { volume, bricks, histogram, table, occupancy, illumination, settings }
+        Self { volume, bricks, histogram, table, surfaces, occupancy, illumination, settings }
     }
 
     /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
-        let table = transfer.table(&self.volume, &self.histogram);
-        let occupancy = self.bricks.occupancy(&table);
+        let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
+        let occupancy =
+            self.bricks.occupancy_by(|lo, hi| modes::is_visible(settings.mode, &table, &surfaces, lo, hi));
         let illumination = illuminate(&self.volume, &table, settings, Some(&self.illumination));
-        Self { table, occupancy, illumination, settings, ..self.clone() }
+        Self { table, surfaces, occupancy, illumination, settings, ..self.clone() }
     }
 
     /// What is left of the volume.
@@ -120,13 +134,35 @@ impl Scene {
     }
 }
 
+/// The table and the surfaces of a mode.
+fn classify(
+    volume: &Volume,
+    histogram: &Histogram,
+    transfer: &TransferFunction,
+    settings: &MarchSettings,
+) -> (TransferTable, Vec<Surface>) {
+    if settings.mode.is_projection() {
+        return (transfer.shown_table(volume, histogram), Vec::new());
+    }
+    let table = transfer.table(volume, histogram);
+    let surfaces = if settings.mode == Mode::Iso {
+        modes::surfaces(transfer, &table, volume, histogram, &settings.isos)
+    } else {
+        Vec::new()
+    };
+    (table, surfaces)
+}
+
 fn illuminate(
     volume: &Volume,
     table: &TransferTable,
     settings: MarchSettings,
     before: Option<&Illumination>,
 ) -> Illumination {
-    let MarchSettings { shading, lighting, detail, clip, .. } = settings;
+    let MarchSettings { mut shading, mut lighting, detail, clip, mode, .. } = settings;
+    if mode.is_projection() {
+        (shading, lighting) = (None, Lighting::default());
+    }
     let region = clip.region(&volume.bounds());
     Illumination::of(volume, table, shading, &region, lighting, detail, before)
 }
@@ -213,6 +249,8 @@ pub struct Marcher<'a, T> {
     voxels: Grid<T>,
     lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
     visible_bins: VisibleBins,
+    /// See [`modes::key_limit`].
+    key_limit: f32,
     voxel_from_world: Vec3,
     half_dims: Vec3,
     max_brick: Vec3,
@@ -230,6 +268,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             voxels: Grid::new(texels, dims),
             lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
             visible_bins: VisibleBins::of(&scene.table),
+            key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
             half_dims: scene.volume.dims_f32() * 0.5,
             max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
@@ -237,31 +276,50 @@ impl<'a, T: Texels> Marcher<'a, T> {
         }
     }
 
-    /// Marches the lattice of one ray; stops when the sink says so.
+    /// Marches the lattice of one ray in a mode that composites with *over*; stops when the sink says so. Surfaces have
+    /// thickness, see [`surfaces`].
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        if self.scene.settings.mode != Mode::Iso {
+            return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
+        }
+        let mut thicken = Thicken::new(sink, lattice, self.scene.volume.spacing().min_element());
+        self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut thicken);
+        thicken.finish();
+    }
+
+    /// The same in a projection, with steps as [`modes::Values`] has them.
+    pub fn project(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        match self.scene.settings.mode {
+            Mode::Mip => self.march_mode::<{ Mode::Mip as u8 }>(ray, lattice, sink),
+            Mode::MinIp => self.march_mode::<{ Mode::MinIp as u8 }>(ray, lattice, sink),
+            _ => self.march_mode::<{ Mode::Average as u8 }>(ray, lattice, sink),
+        }
+    }
+
+    fn march_mode<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         #[cfg(target_arch = "x86_64")]
         if self.has_avx2 {
             #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
             // SAFETY: this processor has them.
             unsafe {
-                self.march_avx2(ray, lattice, sink);
+                self.march_avx2::<MODE>(ray, lattice, sink);
             }
             return;
         }
-        self.march_lanes(ray, lattice, sink);
+        self.march_lanes::<MODE>(ray, lattice, sink);
     }
 
     /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn march_avx2(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
-        self.march_lanes(ray, lattice, sink);
+    fn march_avx2<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        self.march_lanes::<MODE>(ray, lattice, sink);
     }
 
     /// The shader takes step after step. Here [`LANES`] steps are sampled at once, whether they will be needed or not,
     /// and then taken in order.
     #[inline(always)]
-    fn march_lanes(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+    fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let dir = safe_dir(ray.dir) * self.voxel_from_world;
@@ -288,25 +346,27 @@ impl<'a, T: Texels> Marcher<'a, T> {
             let s_first = s0 + i as f32 * h;
             let mut x1 = self.voxels.sample_lanes(origin, dir, &s_back);
             for x in &mut x1 {
-                *x = self.domain(*x);
+                *x = self.domain::<MODE>(*x);
             }
-            let x_first = x_front.unwrap_or_else(|| self.domain(self.voxels.sample(origin + dir * s_first)));
+            let x_first =
+                x_front.unwrap_or_else(|| self.domain::<MODE>(self.voxels.sample(origin + dir * s_first)));
             let (s_front, x0) = (behind(s_first, &s_back), behind(x_first, &x1));
-            let mut steps = self.visible_bins.between(&x0, &x1);
+            let mut steps = self.visible_steps::<MODE>(&x0, &x1);
             let num_steps = (n - i).div_ceil(stride);
             if num_steps < LANES as u32 {
                 steps &= (1 << num_steps) - 1;
             }
             if steps != 0 {
-                let brightness = self.shade_lanes(origin, dir, &s_front, &s_back);
+                let brightness = if MODE == Mode::Composite as u8 {
+                    self.shade_lanes(origin, dir, &s_front, &s_back)
+                } else {
+                    [1.0; LANES]
+                };
                 while steps != 0 {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
-                    let (color, tau) = self.classify(x0[m], x1[m], s_back[m] - s_front[m]);
-                    if tau > TAU_MIN {
-                        let alpha = opacity(tau);
-                        let c = color * (brightness[m] * alpha);
-                        let pace = sink.step(Step { s0: s_front[m], s1: s_back[m], c, tau, alpha });
+                    let between = Between { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
+                    if let Some(pace) = self.take::<MODE>(&between, brightness[m], (origin, dir), sink) {
                         let next_stride = match pace {
                             Pace::Stop => return,
                             Pace::Step => 1,
@@ -324,6 +384,25 @@ impl<'a, T: Texels> Marcher<'a, T> {
             i = (i + stride * LANES as u32).min(n);
             x_front = Some(x1[LANES - 1]);
         }
+    }
+
+    /// Premultiplied colour and opacity seen along a ray from the distance `near` on, until no more than `stop_at` of what is
+    /// behind can be seen.
+    pub(crate) fn seen(&self, ray: &Ray, near: f32, stop_at: f32) -> [f32; 4] {
+        let Some(lattice) = self.scene.lattice(ray, near) else { return [0.0; 4] };
+        if self.scene.settings.mode.is_projection() {
+            let mut shown = Shown::new(self.scene);
+            self.project(ray, lattice, &mut shown);
+            return shown.rgba(lattice);
+        }
+        let mut sink = OverSink { over: Over::default(), stop_at };
+        // A picture needs no thickness.
+        if self.scene.settings.mode == Mode::Iso {
+            self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut sink);
+        } else {
+            self.march(ray, lattice, &mut sink);
+        }
+        sink.over.rgba()
     }
 
     /// Colour (not premultiplied) and optical depth of a step of length `h` between the domain positions `x0`, `x1`.
@@ -349,10 +428,13 @@ impl<'a, T: Texels> Marcher<'a, T> {
         (color.max(Vec3::ZERO).min(Vec3::ONE), h * d_t / dx)
     }
 
-    /// A stored number as a position in the transfer function's domain.
+    /// A stored number as a position in the transfer function's domain; surfaces may be of values outside of it.
     #[inline(always)]
-    fn domain(&self, stored: f32) -> f32 {
+    fn domain<const MODE: u8>(&self, stored: f32) -> f32 {
         let x = stored * self.scene.table.x_scale + self.scene.table.x_offset;
+        if MODE == SURFACES {
+            return x.clamp(-modes::FARTHEST, modes::FARTHEST);
+        }
         let x = if x > 0.0 { x } else { 0.0 };
         if x < 1.0 { x } else { 1.0 }
     }
@@ -493,15 +575,9 @@ impl VisibleBins {
 }
 
 /// Composites steps front to back until no more than `stop_at` of what is behind can be seen.
-pub(crate) struct OverSink {
-    pub(crate) over: Over,
+struct OverSink {
+    over: Over,
     stop_at: f32,
-}
-
-impl Default for OverSink {
-    fn default() -> Self {
-        Self { over: Over::default(), stop_at: TRANSMITTANCE_MIN }
-    }
 }
 
 impl Sink for OverSink {
@@ -546,11 +622,7 @@ fn render_with<T: Texels>(
         for (x, pixel) in row.iter_mut().enumerate() {
             let row = rows.start as usize + y;
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, row as f32 + 0.5);
-            let mut sink = OverSink { over: Over::default(), stop_at };
-            if let Some(lattice) = marcher.scene.lattice(&ray, camera.near * s_per_depth) {
-                marcher.march(&ray, lattice, &mut sink);
-            }
-            *pixel = sink.over.rgba();
+            *pixel = marcher.seen(&ray, camera.near * s_per_depth, stop_at);
         }
     });
     picture

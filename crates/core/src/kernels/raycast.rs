@@ -26,6 +26,7 @@
 mod line;
 mod media;
 mod pieces;
+mod projected;
 mod reach;
 
 use glam::Vec3;
@@ -37,12 +38,14 @@ pub(super) use self::media::Medium;
 use self::media::{list_cells, unpack};
 use self::pieces::{Crossing, Pieces, Sum};
 pub(crate) use self::pieces::{opacity, transmittance};
+use self::projected::Way;
 use self::reach::Reach;
 use super::empty_space::{EmptySpace, TILE, cell_bits, cell_of_depth};
 use super::march::{TRANSMITTANCE_MIN, has_avx2};
 use crate::camera::{Basis, Camera, PixelLine};
 use crate::clip::{Clip, Region};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
+use crate::mode::Compositing;
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
 
@@ -101,6 +104,8 @@ pub struct Raycaster {
     margin: f32,
     near: f32,
     units_per_depth: f32,
+    pub(super) compositing: Compositing,
+    way: Way,
     has_avx2: bool,
 }
 
@@ -133,7 +138,8 @@ impl Raycaster {
         let weight = basis.forward * basis.perspective;
         let longest = frame.offsets.windows(2).map(|o| o[1] - o[0]).max().unwrap_or(0) as usize;
         let row_length = [ROW_8, ROW_16, ROW_32].into_iter().find(|n| longest <= *n).unwrap_or(0);
-        let (backs, occupied, media) = unpack(frame, &basis, depth_per_unit, row_length);
+        let way = Way::new(bounds);
+        let (backs, occupied, media) = unpack(frame, &basis, depth_per_unit, row_length, &way);
         Self {
             offsets: frame.offsets.clone(),
             media,
@@ -149,6 +155,8 @@ impl Raycaster {
             margin: MARGIN_UNITS * depth_per_unit,
             near: camera.near,
             units_per_depth: depth_per_unit.recip(),
+            compositing: frame.header.mode.compositing(),
+            way,
             has_avx2: has_avx2(),
         }
     }
@@ -172,7 +180,7 @@ impl Raycaster {
     pub fn cast_between(&self, ray: &Ray, within: (f32, f32), options: &CastOptions) -> Over {
         match self.clip(ray, within, &self.region(&options.clip)) {
             None => Over::default(),
-            Some(line) => self.cast_line(&line, options, &mut Pieces::new()),
+            Some(line) => self.cast_line(&line, ray, options, &mut Pieces::new()),
         }
     }
 
@@ -203,7 +211,7 @@ impl Raycaster {
                         if let Some(mut line) = self.clip(&ray, (0.0, f32::INFINITY), &region)
                             && line.narrow(depths.map(|depth| depth * s_per_depth))
                         {
-                            *pixel = self.cast_line(&line, options, &mut pieces).rgba();
+                            *pixel = self.cast_line(&line, &ray, options, &mut pieces).rgba();
                         }
                     }
                 }
@@ -212,7 +220,10 @@ impl Raycaster {
         picture
     }
 
-    fn cast_line(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn cast_line(&self, line: &Line, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
+        if self.compositing != Compositing::Over {
+            return self.shown(&self.project_line(line, options), ray);
+        }
         if options.num_samples > 0 {
             return self.sample(line, options.reconstruction, options.num_samples);
         }
@@ -526,6 +537,7 @@ mod tests {
             look: LookVersion(1),
             camera: camera(0.3),
             k: 6,
+            mode: Default::default(),
         };
         let mut caster = Raycaster::new(&generate(&scene, header, Layering::VisibilityMerge), &bounds);
         let options = CastOptions::default();

@@ -13,7 +13,8 @@ use glam::Vec4;
 use super::empty_space::{DEPTH_CELLS, TILE, cell_of_depth};
 use super::march::TRANSMITTANCE_MIN;
 use super::raycast::{AXIS_BIAS, Columns, Line, Raycaster, Reconstruction, greater, lesser, opacity};
-use crate::layer::Over;
+use crate::layer::{Over, Projected};
+use crate::mode::Compositing;
 
 /// The part of a line inside of one column of tiles.
 struct TileStretch {
@@ -73,15 +74,45 @@ impl Iterator for TileWalk<'_> {
 impl Raycaster {
     /// Premultiplied colour and opacity along a line by `num_samples` samples.
     pub(super) fn sample(&self, line: &Line, reconstruction: Reconstruction, num_samples: u32) -> Over {
+        let (mut color, mut transmittance) = (Vec4::ZERO, 1.0);
+        self.for_samples(line, reconstruction, num_samples, |sample| {
+            color += sample * transmittance;
+            transmittance *= 1.0 - sample.w;
+            transmittance >= TRANSMITTANCE_MIN
+        });
+        Over { c: color.truncate(), transmittance }
+    }
+
+    /// What a projection collects along a line by `num_samples` samples.
+    pub(super) fn sample_projected(
+        &self,
+        line: &Line,
+        reconstruction: Reconstruction,
+        num_samples: u32,
+    ) -> Projected {
+        let mut collected = Projected::default();
+        self.for_samples(line, reconstruction, num_samples, |sample| {
+            collected.add(self.compositing, sample.truncate(), sample.w);
+            true
+        });
+        collected
+    }
+
+    /// Calls `take` with each sample, until it says no and the stretch ends.
+    fn for_samples(
+        &self,
+        line: &Line,
+        reconstruction: Reconstruction,
+        num_samples: u32,
+        mut take: impl FnMut(Vec4) -> bool,
+    ) {
         let along = usize::from(line.d[0].abs() + AXIS_BIAS < line.d[1].abs());
         let mut total = 0.0;
         for stretch in TileWalk::new(self, line, along) {
             total += stretch.count * (stretch.ends[1] - stretch.ends[0]);
         }
-        let mut color = Vec4::ZERO;
-        let mut transmittance = 1.0;
         if total <= 0.0 {
-            return Over::default();
+            return;
         }
         let samples_per_weight = num_samples as f32 / total;
         let (mut weight, mut num_before, mut length_before) = (0.0, 0.0, 0.0);
@@ -101,18 +132,16 @@ impl Raycaster {
             let part = length / num_here;
             // What was handed on is spread evenly.
             let stands_for = (length_before + length) / num_here;
+            let mut goes_on = true;
             for i in 0..num_here as u32 {
                 let at = stretch.ends[0] + part * (i as f32 + 0.5);
-                let sample = self.sample_at(line, at, stands_for, &stretch, along, reconstruction);
-                color += sample * transmittance;
-                transmittance *= 1.0 - sample.w;
+                goes_on = take(self.sample_at(line, at, stands_for, &stretch, along, reconstruction));
             }
-            if transmittance < TRANSMITTANCE_MIN {
+            if !goes_on {
                 break;
             }
             (num_before, length_before) = (num, 0.0);
         }
-        Over { c: color.truncate(), transmittance }
     }
 
     /// Colour and opacity of the matter at a distance along the line, for a length of it.
@@ -141,13 +170,17 @@ impl Raycaster {
         }
     }
 
-    /// Colour and opacity of a length of the segment of a list that holds a depth.
+    /// Colour and opacity of a length of the segment of a list that holds a depth; in a projection, colour and key.
     fn look_up(&self, column: i32, row: i32, depth: f32, length: f32, along: usize) -> Vec4 {
         let media = self.list(column, row, along);
         let first = media.partition_point(|medium| medium.back() <= depth);
         match media.get(first).filter(|medium| medium.front() <= depth) {
             None => Vec4::ZERO,
-            Some(medium) => medium.e() * opacity(medium.sigma * length),
+            Some(medium) => match self.compositing {
+                Compositing::Over => medium.e() * opacity(medium.sigma * length),
+                Compositing::Greatest => medium.e().truncate().extend(medium.sigma),
+                Compositing::Mean => medium.e() * (medium.sigma * length),
+            },
         }
     }
 

@@ -38,7 +38,12 @@ impl Bricks {
 
     /// The bricks that `table` leaves visible.
     pub fn occupancy(&self, table: &TransferTable) -> Occupancy {
-        let visible = self.ranges.iter().map(|&(lo, hi)| table.is_visible(lo, hi));
+        self.occupancy_by(|lo, hi| table.is_visible(lo, hi))
+    }
+
+    /// The bricks of which `is_visible` says so, given their least and greatest stored number.
+    pub fn occupancy_by(&self, is_visible: impl Fn(f32, f32) -> bool) -> Occupancy {
+        let visible = self.ranges.iter().map(|&(lo, hi)| is_visible(lo, hi));
         Occupancy::of(self.dims, visible)
     }
 }

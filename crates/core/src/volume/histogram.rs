@@ -56,6 +56,38 @@ impl Histogram {
         }
         self.hi
     }
+
+    /// The value that parts the voxels best into lower and higher ones: the greatest variance between the two (Otsu 1979).
+    pub fn parting_value(&self) -> f32 {
+        parting_value(&self.counts, (self.lo, self.hi))
+    }
+}
+
+/// See [`Histogram::parting_value`]; `counts` are those of equal bins over `range`.
+pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
+    let total: f64 = counts.iter().map(|&n| n as f64).sum();
+    let moment: f64 = counts.iter().enumerate().map(|(i, &n)| i as f64 * n as f64).sum();
+    let (mut below, mut moment_below) = (0.0, 0.0);
+    let (mut greatest, mut first, mut last) = (0.0, 0, 0);
+    for (i, &n) in counts.iter().enumerate() {
+        below += n as f64;
+        moment_below += i as f64 * n as f64;
+        let above = total - below;
+        if below <= 0.0 || above <= 0.0 {
+            continue;
+        }
+        let apart = moment_below / below - (moment - moment_below) / above;
+        let between = below * above * apart * apart;
+        if between > greatest {
+            (greatest, first) = (between, i);
+        }
+        // Over a gap without voxels it stays: the middle of that is as far from both.
+        if between >= greatest {
+            last = i;
+        }
+    }
+    let at = (0.5 * (first + last) as f64 + 1.0) / counts.len().max(1) as f64;
+    (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * at) as f32
 }
 
 #[cfg(test)]
@@ -73,6 +105,18 @@ mod tests {
         let histogram = Histogram::of(&volume.unwrap());
         assert_eq!(histogram.counts.iter().sum::<u64>(), 4);
         [0.0, 50.0, 100.0].map(|p| histogram.percentile(p))
+    }
+
+    #[test]
+    fn the_parting_value_lies_between_two_heaps() {
+        let heaps = |x: usize| u64::from(x % 60 < 5) * 100;
+        let counts: Vec<u64> = (0..100).map(heaps).collect();
+        // Bins 0 to 4 and 60 to 64 of a hundred over 0 to 1: the gap is .05 to .60.
+        let at = parting_value(&counts, (0.0, 1.0));
+        assert!((at - 0.325).abs() < 0.011, "{at}");
+        assert_eq!(parting_value(&[7], (2.0, 2.0)), 2.0);
+        assert!(parting_value(&[], (0.0, 1.0)).is_finite());
+        assert!((-MAX..=MAX).contains(&parting_value(&[3, 1, 4], (-MAX, MAX))));
     }
 
     #[test]

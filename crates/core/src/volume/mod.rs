@@ -15,7 +15,7 @@ mod shade;
 pub use bricks::{BRICK, Bricks, Occupancy};
 pub use extinction::Detail;
 pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
-pub use histogram::Histogram;
+pub use histogram::{Histogram, parting_value};
 pub use illumination::Illumination;
 pub use lighting::{
     Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES,

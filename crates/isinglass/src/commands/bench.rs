@@ -91,6 +91,7 @@ impl CommonArgs {
 
     /// What is looked at.
     fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>, backend: BackendChoice) -> Result<Subject> {
+        let (mode, isos) = self.look.mode()?;
         Ok(Subject {
             scenes: self.select()?,
             transfer: self.look.tf.clone(),
@@ -99,6 +100,8 @@ impl CommonArgs {
             orbit: self.orbit,
             intrinsics: self.intrinsics(),
             shaded: self.look.is_shaded(),
+            mode,
+            isos,
             backend,
         })
     }
@@ -309,6 +312,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
             backends.push(BackendChoice::Gpu);
         }
     }
+    let (mode, isos) = common.look.mode()?;
     let report = speed::run(&speed::SpeedOptions {
         scenes,
         transfer: common.look.tf.clone(),
@@ -322,6 +326,8 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         intrinsics: common.intrinsics(),
         frame_sizes: if args.frame_size.is_empty() { vec![common.size] } else { args.frame_size },
         shaded: common.look.is_shaded(),
+        mode,
+        isos,
         repeats: args.repeats,
         target_fps: args.target_fps,
     })?;
@@ -330,6 +336,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
 
 fn run_latency(args: LatencyArgs) -> Result<()> {
     let common = args.common;
+    let (mode, isos) = common.look.mode()?;
     let report = latency::run(&latency::LatencyOptions {
         scenes: common.select()?,
         methods: args.method,
@@ -339,6 +346,8 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
         demo: DemoOptions {
             transfer: common.look.tf.clone(),
             shaded: common.look.is_shaded(),
+            mode,
+            isos,
             layering: args.layering.layering,
             k: args.layering.k,
             orbit: common.orbit,

@@ -119,6 +119,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
             "--state: found a demonstration without a window, which plays a path; expected `render --state` for a picture"
         );
     }
+    let (mode, isos) = args.look.mode()?;
     let mut options = DemoOptions {
         raw: args.raw.shape(),
         selection: args.part.selection(),
@@ -127,6 +128,8 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         shaded: args.look.is_shaded(),
         clip: args.look.clip.clip(),
         lighting: args.light.lighting(),
+        mode,
+        isos,
         layering: args.layering.layering,
         k: args.layering.k,
         method: args.method.method,

@@ -60,6 +60,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
             "near": camera.near,
             "far": camera.far,
             "k": header.k,
+            "mode": header.mode.name(),
             "lists": num_lists,
             "lists_filled": num_filled,
             "segments": segments,
@@ -78,6 +79,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
     }
     print(&format!(
         "{}\n  size         {} × {}, field of view {fov_deg:.1}°\n  eye          {} {} {}\n  depth        {} to {}\n  \
+         mode         {}\n  \
          segments     {segments} in {num_filled} of {num_lists} lists, at most {} a list\n{}",
         path.display(),
         size[0],
@@ -87,6 +89,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
         eye[2],
         camera.near,
         camera.far,
+        header.mode,
         header.k,
         spent.table(segments),
     ))

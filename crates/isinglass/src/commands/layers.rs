@@ -71,6 +71,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             "size": [camera.intrinsics.width, camera.intrinsics.height],
             "backend": backend.description(),
             "tf": opened.transfer.name,
+            "mode": frame.header.mode.name(),
             "layering": look.layering.name(),
             "k": look.k,
             "segments": frame.num_segments(),
@@ -102,6 +103,9 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
     }
     let in_blocks = |quality| Coding::Blocks(blocks::Settings { quality, is_split: false });
     let coding = match (args.codec, args.bytes) {
+        (CodecChoice::Blocks, _) if frame.header.mode.is_projection() => {
+            bail!("--codec blocks: found --mode {}, expected --codec exact with it", frame.header.mode)
+        }
         (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
         // Nobody waits for a part of a file.
         (CodecChoice::Exact, None) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),

@@ -63,6 +63,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;
     let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
+    let mode = opened.scene.settings.mode;
     let num_pictures = args.turntable.unwrap_or(1);
     let names = Names::of(args);
     if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
@@ -96,6 +97,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
             "lens": lens,
             "backend": backend.description(),
             "tf": opened.transfer.name,
+            "mode": mode.name(),
             "render_ms": render_ms,
         }))?;
     }

@@ -82,6 +82,9 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     if method != Method::Layers && (is_parallel(&camera) || is_parallel(&header.camera)) {
         bail!("--method {method}: goes between perspective views only, expected layers with parallel rays");
     }
+    if method != Method::Layers && header.mode.is_projection() {
+        bail!("--method {method}: composites with over, expected layers for a frame of mode {}", header.mode);
+    }
     let backend = args.backend.open()?;
     let start = Instant::now();
     let mut views = method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
@@ -97,6 +100,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
             "output": args.output.display().to_string(),
             "size": [picture.width, picture.height],
             "method": method.name(),
+            "mode": header.mode.name(),
             "lens": plan.json,
             "backend": backend.description(),
             "novel_view_ms": novel_view_ms,

@@ -23,6 +23,7 @@ fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> Lay
         look: LookVersion(9),
         camera: camera(intrinsics, degrees),
         k: 12,
+        mode: Default::default(),
     };
     generate(scene, header, Layering::VisibilityMerge)
 }

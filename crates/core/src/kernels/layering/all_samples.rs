@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use super::{MIN_UNITS, close_segment, gather_rows};
 use crate::kernels::march::{Marcher, Pace, Scene, Sink, Step, Texels, with_texels};
 use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K};
+use crate::mode::Mode;
 
 /// Why not every sample can be kept.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -16,6 +17,9 @@ pub enum AllSamplesError {
     /// Too much memory.
     #[error("the frame has more than {0} samples; expected a smaller picture or volume")]
     TooMany(usize),
+    /// A projection has no samples to composite.
+    #[error("all samples of mode {0}, expected composite or iso")]
+    Projection(Mode),
     /// The 16 bits of a depth cannot tell steps apart.
     #[error("a step is {found:.1} depth units thick, expected at least {min}", min = MIN_UNITS + 1)]
     TooThin {
@@ -57,6 +61,10 @@ fn generate_with<T: Texels>(
     header: FrameHeader,
     limit: usize,
 ) -> Result<LayeredFrame, AllSamplesError> {
+    let mode = scene.settings.mode;
+    if mode.is_projection() {
+        return Err(AllSamplesError::Projection(mode));
+    }
     let camera = header.camera;
     let basis = camera.basis();
     let num_steps = AtomicUsize::new(0);
@@ -70,7 +78,7 @@ fn generate_with<T: Texels>(
     }
     // Nothing more is done for a frame that is refused.
     let is_within = || num_steps.load(Ordering::Relaxed) <= limit;
-    let frame = gather_rows(FrameHeader { k: u8::MAX, ..header }, &is_within, |y, row| {
+    let frame = gather_rows(FrameHeader { k: u8::MAX, mode, ..header }, &is_within, |y, row| {
         let mut all = All::default();
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
@@ -129,7 +137,14 @@ mod tests {
         let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
-        FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k }
+        FrameHeader {
+            frame: FrameId(1),
+            pose: PoseId(1),
+            look: LookVersion(1),
+            camera,
+            k,
+            mode: Default::default(),
+        }
     }
 
     /// Mean and greatest difference in 8-bit sRGB.

@@ -433,7 +433,8 @@ fn a_frame_that_is_given_up_is_left_at_the_next_row() {
     let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.2, scene.volume.bounds().radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &scene.volume.bounds());
     let (frame, pose) = (crate::ids::FrameId(1), crate::ids::PoseId(1));
-    let header = FrameHeader { frame, pose, look: crate::ids::LookVersion(1), camera, k: 8 };
+    let header =
+        FrameHeader { frame, pose, look: crate::ids::LookVersion(1), camera, k: 8, mode: Default::default() };
     let asked = AtomicUsize::new(0);
     let generate = |times: usize| {
         asked.store(0, Ordering::Relaxed);

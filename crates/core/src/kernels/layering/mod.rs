@@ -1,6 +1,8 @@
 //! Rules that turn the steps of a march into the segments of a layered frame: one file each.
 //!
-//! Every rule sees the same steps of the same lattice; only what becomes of them differs.
+//! Every rule sees the same steps of the same lattice; only what becomes of them differs. Projections have a rule of their
+//! own ([`projection`]), whichever is chosen; but `equal-length` and `single-depth` make simpler lists of them, too, to be
+//! compared with.
 
 pub mod all_samples;
 pub mod cuts;
@@ -9,6 +11,7 @@ pub mod equal_transmittance;
 pub mod homogeneity;
 #[cfg(test)]
 mod laws;
+pub mod projection;
 pub mod single_depth;
 pub mod slabs;
 pub mod visibility_merge;
@@ -88,6 +91,14 @@ impl Layering {
         let k = usize::from(k).clamp(1, MAX_K);
         let longest = if self == Self::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
         longest as u8
+    }
+
+    /// The rule that stands for this one in a projection.
+    pub fn of_projection(self) -> Self {
+        match self {
+            Self::EqualLength | Self::SingleDepth(_) | Self::VisibilityMergeFixed => self,
+            _ => Self::VisibilityMerge,
+        }
     }
 }
 
@@ -173,19 +184,34 @@ fn generate_with<T: Texels>(
     let camera = header.camera;
     let basis = camera.basis();
     let k = usize::from(header.k).clamp(1, MAX_K);
-    let header = FrameHeader { k: layering.longest_list(header.k), ..header };
+    let mode = scene.settings.mode;
+    let layering = if mode.is_projection() { layering.of_projection() } else { layering };
+    let header = FrameHeader { k: layering.longest_list(header.k), mode, ..header };
     let longest = usize::from(header.k);
-    let threshold = if layering == Layering::VisibilityMerge {
-        visibility_merge::threshold(scene, marcher, &camera, k)
-    } else {
-        0.0
+    let threshold = match layering {
+        Layering::VisibilityMerge if mode.is_projection() => {
+            projection::threshold(scene, marcher, &camera, k)
+        }
+        Layering::VisibilityMerge => visibility_merge::threshold(scene, marcher, &camera, k),
+        _ => 0.0,
     };
     gather_rows(header, wanted, |y, row| {
         let mut gather = visibility_merge::Gather::default();
+        let mut projected = projection::Gather::new(scene);
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
             let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-            let list = generate_list(scene, marcher, &of, k, layering, &mut gather);
+            let list = if mode.is_projection() {
+                match scene.lattice(&of.ray, of.near * s_per_depth) {
+                    Some(lattice) => {
+                        let lengths = (k, longest, threshold);
+                        projection::list(marcher, &of.ray, lattice, layering, lengths, &mut projected)
+                    }
+                    None => SegmentList::default(),
+                }
+            } else {
+                generate_list(scene, marcher, &of, k, layering, &mut gather)
+            };
             let mut last_back = 0;
             for segment in &list.segments[..list.len] {
                 let segment = close_segment(&camera, longest, segment, s_per_depth, last_back);

@@ -20,11 +20,11 @@ mod pieces;
 use rayon::prelude::*;
 
 pub use self::gather::Gather;
-use self::pieces::Pieces;
 use super::{OpenSegment, SegmentList};
 use crate::camera::Camera;
-use crate::kernels::march::{Marcher, Scene, Texels};
+use crate::kernels::march::{Lattice, Marcher, Scene, Texels};
 use crate::layer::MAX_K;
+use crate::space::Ray;
 
 /// The longest list of a frame with `k` segments a list on average.
 pub const fn longest_list(k: usize) -> usize {
@@ -47,6 +47,24 @@ pub const fn sample_stride(width: u32, height: u32) -> u32 {
 
 /// The cost at which rays stop joining, see the module.
 pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
+    threshold_by(scene, camera, k, Gather::default, |gather, ray, lattice, sample| {
+        gather.begin(lattice.h, 0.0);
+        marcher.march(ray, lattice, gather);
+        let pieces = gather.finish();
+        sample.add(pieces.len, |note| {
+            pieces.join(1, f32::INFINITY, note);
+        });
+    })
+}
+
+/// The same for any way of gathering: `gather` makes what rays are gathered in, `each` gathers one and joins its pieces.
+pub(super) fn threshold_by<G>(
+    scene: &Scene,
+    camera: &Camera,
+    k: usize,
+    gather: impl Fn() -> G + Sync,
+    each: impl Fn(&mut G, &Ray, Lattice, &mut Sample) + Sync,
+) -> f32 {
     let basis = camera.basis();
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let stride = sample_stride(width, height);
@@ -55,13 +73,11 @@ pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Ca
     let sample = rows
         .into_par_iter()
         .map(|y| {
-            let (mut sample, mut gather) = (Sample::default(), Gather::default());
+            let (mut sample, mut gather) = (Sample::default(), gather());
             for x in (first(width)..width).step_by(stride as usize) {
                 let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
                 if let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth) {
-                    gather.begin(lattice.h, 0.0);
-                    marcher.march(&ray, lattice, &mut gather);
-                    sample.add(&gather.finish());
+                    each(&mut gather, &ray, lattice, &mut sample);
                 }
             }
             sample
@@ -72,7 +88,7 @@ pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Ca
 
 /// What the joins of some rays cost.
 #[derive(Default)]
-struct Sample {
+pub(super) struct Sample {
     num_lists: u32,
     num_pieces: u32,
     /// Joins by the bin of their cost; empty before the first.
@@ -80,14 +96,15 @@ struct Sample {
 }
 
 impl Sample {
-    fn add(&mut self, pieces: &Pieces) {
-        if pieces.len == 0 {
+    /// A ray of so many pieces; `join` tells what it is given of each join.
+    pub(super) fn add(&mut self, num_pieces: usize, join: impl FnOnce(&mut dyn FnMut(usize, f32))) {
+        if num_pieces == 0 {
             return;
         }
         self.joins.resize(COST_BINS, 0);
         self.num_lists += 1;
-        self.num_pieces += pieces.len as u32;
-        pieces.join(1, f32::INFINITY, |_, cost| self.joins[bin(cost)] += 1);
+        self.num_pieces += num_pieces as u32;
+        join(&mut |_, cost| self.joins[bin(cost)] += 1);
     }
 
     fn sum(mut self, other: Self) -> Self {

@@ -4,10 +4,13 @@ use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::pieces::opacity;
+use super::projected::Way;
 use crate::camera::Basis;
-use crate::layer::{LayeredFrame, pack_halves};
+use crate::layer::{LayeredFrame, key_from_slot, pack_halves};
+use crate::mode::Compositing;
 
-/// A segment as a homogeneous medium, in 16 bytes: casting waits for memory as much as it computes.
+/// A segment as a homogeneous medium, in 16 bytes: casting waits for memory as much as it computes. In a projection it has
+/// the same fields with other numbers, see [`super::projected`].
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(16))]
 pub(in crate::kernels) struct Medium {
@@ -52,6 +55,7 @@ pub(super) fn unpack(
     basis: &Basis,
     depth_per_unit: f32,
     row_length: usize,
+    way: &Way,
 ) -> (Vec<u16>, Vec<u64>, Vec<Medium>) {
     let width = frame.header.camera.intrinsics.width as usize;
     let num_lists = frame.offsets.len() - 1;
@@ -76,6 +80,11 @@ pub(super) fn unpack(
             // World length of one depth unit along the centre of this list.
             let center = basis.direction(x as f32 + 0.5, y as f32 + 0.5);
             let length_per_unit = depth_per_unit * center.length();
+            let compositing = frame.header.mode.compositing();
+            let parts_of_way = match compositing {
+                Compositing::Mean => way.parts(&basis.ray(x as f32 + 0.5, y as f32 + 0.5).0),
+                _ => 1.0,
+            };
             for (i, index) in frame.list(y * width + x).enumerate() {
                 let segment = frame.segment(index);
                 if row_length > 0 {
@@ -83,12 +92,17 @@ pub(super) fn unpack(
                 }
                 *occupied |= list_cells(segment.front, segment.back.saturating_sub(1));
                 let alpha = opacity(segment.tau);
-                let e = if alpha > 0.0 { segment.c / alpha } else { Vec3::ZERO };
                 let length = f32::from(segment.back.saturating_sub(segment.front)) * length_per_unit;
+                let (e, sigma) = match compositing {
+                    Compositing::Over if alpha > 0.0 => (segment.c / alpha, segment.tau / length),
+                    Compositing::Over => (Vec3::ZERO, segment.tau / length),
+                    Compositing::Greatest => (segment.c, key_from_slot(segment.tau)),
+                    Compositing::Mean => (segment.c * parts_of_way, 1.0 / length),
+                };
                 let (rg, b1) = (pack_halves(e.x, e.y), pack_halves(e.z, 1.0));
                 media[index - start_of_row] = Medium {
                     depth: frame.depth[index],
-                    sigma: segment.tau / length,
+                    sigma,
                     e: [rg as u16, (rg >> 16) as u16, b1 as u16, (b1 >> 16) as u16],
                 };
             }

@@ -12,8 +12,14 @@ fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
     let intrinsics = Intrinsics::perspective(BLOCK as u32, BLOCK as u32, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0);
     let camera = Camera::new(pose, intrinsics, &bounds);
-    let header =
-        FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(0), camera, k: MAX_LAYERS as u8 };
+    let header = FrameHeader {
+        frame: FrameId(1),
+        pose: PoseId(1),
+        look: LookVersion(0),
+        camera,
+        k: MAX_LAYERS as u8,
+        mode: Default::default(),
+    };
     let mut frame = LayeredFrame::empty(header);
     for i in 0..BLOCK_LISTS {
         for segment in list(i) {

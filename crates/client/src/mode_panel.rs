@@ -1,0 +1,99 @@
+//! What a pixel tells of its ray, in the look panel: the mode, and the surfaces of its values.
+
+use egui::{DragValue, Slider, SliderClamping, Ui};
+use isinglass_core::look::Look;
+use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
+
+use crate::transfer_editor::{ValueScale, format_value};
+
+/// The rows of the panel.
+pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
+    ui.horizontal(|ui| {
+        let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
+        let combo = egui::ComboBox::from_id_salt("mode").selected_text(text(look.mode));
+        let mut mode = look.mode;
+        let combo = combo.show_ui(ui, |ui| {
+            for each in Mode::ALL {
+                ui.selectable_value(&mut mode, each, text(each));
+            }
+        });
+        combo.response.labelled_by(label.id);
+        set_mode(look, mode, scale);
+    });
+    if look.mode == Mode::Iso {
+        surfaces(ui, look, scale);
+    }
+}
+
+/// Chooses a mode. Surfaces that nobody has chosen yet get the value that parts the histogram best.
+pub(crate) fn set_mode(look: &mut Look, mode: Mode, scale: &ValueScale) {
+    look.mode = mode;
+    if mode == Mode::Iso && look.isos.as_slice().is_empty() {
+        look.isos = Isos::one(scale.parting_value());
+    }
+}
+
+/// One line for each surface, and one to add another.
+fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
+    let mut isos = look.isos.as_slice().to_vec();
+    let mut removed = None;
+    let (lo, hi) = scale.range;
+    let num = isos.len();
+    for (i, iso) in isos.iter_mut().enumerate() {
+        ui.horizontal(|ui| {
+            ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
+            let slider = Slider::new(&mut iso.value, lo..=hi).clamping(SliderClamping::Never);
+            let slider = ui.add(slider.custom_formatter(|v, _| format_value(v as f32)));
+            let name = format!("value of surface {}", i + 1);
+            slider.widget_info(|| egui::WidgetInfo {
+                value: Some(f64::from(iso.value)),
+                ..egui::WidgetInfo::labeled(egui::Role::Slider, true, &name)
+            });
+            slider.on_hover_text(name.clone());
+            let mut percent = iso.opacity * 100.0;
+            let drag = DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %");
+            let drag = ui.add(drag.max_decimals(0));
+            let name = format!("opacity of surface {}", i + 1);
+            drag.widget_info(|| egui::WidgetInfo {
+                value: Some(f64::from(percent)),
+                ..egui::WidgetInfo::labeled(egui::Role::SpinButton, true, &name)
+            });
+            if drag.on_hover_text(name.clone()).changed() {
+                iso.opacity = percent / 100.0;
+            }
+            let remove = ui.add_enabled(num > 1, egui::Button::new("−").small());
+            let name = format!("remove surface {}", i + 1);
+            remove.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, num > 1, &name));
+            if remove.on_hover_text(name.clone()).clicked() {
+                removed = Some(i);
+            }
+        });
+    }
+    if let Some(i) = removed {
+        isos.remove(i);
+    }
+    let add = ui.add_enabled(isos.len() < MAX_ISOS, egui::Button::new("add a surface").small());
+    if add.clicked() {
+        // Half way up from the highest there is, and what is around is seen through.
+        let highest = isos.iter().map(|iso| iso.value).fold(lo, f32::max).min(hi);
+        for iso in &mut isos {
+            iso.opacity = iso.opacity.min(OUTER_OPACITY);
+        }
+        isos.push(Iso { value: 0.5 * (highest + hi), opacity: 1.0 });
+    }
+    // Numbers that somebody wrote may be no surface.
+    look.isos = Isos::new(&isos).unwrap_or(look.isos);
+}
+
+fn text(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Composite => "composite",
+        Mode::Mip => "MIP: greatest value",
+        Mode::MinIp => "MinIP: least value",
+        Mode::Average => "average (X-ray)",
+        Mode::Iso => "isosurface",
+    }
+}
+
+/// Opacity of surfaces that another one is seen through.
+const OUTER_OPACITY: f32 = 0.3;

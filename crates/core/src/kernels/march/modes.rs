@@ -1,0 +1,265 @@
+//! What each mode makes of a step: a piece of an absorbing medium, of a projection, or surfaces. Twin of
+//! `shaders/march/*.wgsl`.
+//!
+//! In a projection a step is handed on as what it holds, in the fields of [`Step`]: see [`Values`] for the greatest and
+//! the least value; of the average `c` is the integral of what is shown over the step. Keys stand for values: the
+//! position x for the greatest, 1 − x for the least, so that the greatest key wins either way.
+
+use glam::Vec3;
+
+use super::grid::Lanes;
+use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup, opacity};
+use crate::mode::{Iso, Isos, Mode};
+use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
+use crate::volume::{Histogram, LIT_MAX, Volume};
+
+/// A surface of one value, as the march finds it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Position in the transfer function's domain, not clamped.
+    pub x: f32,
+    /// Linear colour, not premultiplied: the transfer function's at that value.
+    pub color: Vec3,
+    /// Optical depth of a crossing.
+    pub tau: f32,
+}
+
+/// The surfaces by ascending position; the value that parts the histogram best if none are given.
+pub(super) fn surfaces(
+    transfer: &TransferFunction,
+    table: &TransferTable,
+    volume: &Volume,
+    histogram: &Histogram,
+    isos: &Isos,
+) -> Vec<Surface> {
+    let parting = [Iso { value: histogram.parting_value(), ..Iso::default() }];
+    let isos = if isos.as_slice().is_empty() { &parting } else { isos.as_slice() };
+    let (scale, offset) = volume.value_map();
+    let each = isos.iter().map(|iso| {
+        // In double precision, as the map of positions is made.
+        let stored = (f64::from(iso.value) - f64::from(offset)) / f64::from(scale);
+        let x = (stored * f64::from(table.x_scale) + f64::from(table.x_offset)) as f32;
+        let (color, _) = transfer.at(x.clamp(0.0, 1.0));
+        let tau = -(1.0 - iso.opacity.min(MAX_OPACITY)).ln();
+        Surface { x: x.clamp(-0.5 * FARTHEST, 0.5 * FARTHEST), color: color.into(), tau }
+    });
+    let mut surfaces: Vec<Surface> = each.filter(|s| s.tau > TAU_MIN).collect();
+    surfaces.sort_by(|a, b| a.x.total_cmp(&b.x));
+    surfaces
+}
+
+/// Whether a sample between two stored numbers may show. Errs on the side of yes.
+pub(super) fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
+    let (a, b) = table.positions(lo, hi);
+    let clamped = |x: f32| x.clamp(0.0, 1.0);
+    match mode {
+        Mode::Composite | Mode::Average => table.is_visible(lo, hi),
+        // What only dark values are as dark as does neither show nor hide.
+        Mode::Mip => table.has_any(0.0, clamped(b)),
+        Mode::MinIp => table.has_any(clamped(a), 1.0),
+        Mode::Iso => {
+            let rounding = POSITION_ROUNDING * (a.abs() + b.abs());
+            surfaces.iter().any(|s| a - rounding <= s.x && s.x <= b + rounding)
+        }
+    }
+}
+
+/// Steps whose greatest key is not above this neither show in a projection nor hide anything: everything below is black.
+pub fn key_limit(mode: Mode, table: &TransferTable) -> f32 {
+    let is_black = |node: &[f32; 4]| node[3] <= 0.0;
+    let black = match mode {
+        Mode::Mip => table.density.iter().take_while(|n| is_black(n)).count(),
+        Mode::MinIp => table.density.iter().rev().take_while(|n| is_black(n)).count(),
+        _ => 0,
+    };
+    if black == 0 { -1.0 } else { (black - 1) as f32 / TABLE_BINS as f32 }
+}
+
+/// Linear colour that is shown of a key.
+pub fn shown_of_key(table: &TransferTable, is_least: bool, key: f32) -> Vec3 {
+    let key = key.clamp(0.0, 1.0);
+    let shown = lookup(&table.density, if is_least { 1.0 - key } else { key });
+    Vec3::new(shown[0], shown[1], shown[2])
+}
+
+/// The keys of a step in a projection of the greatest or the least value, in the fields of a [`Step`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Values {
+    /// Greatest key.
+    pub peak: f32,
+    /// Mean key.
+    pub mean: f32,
+    /// Mean of the key's square.
+    pub square: f32,
+}
+
+impl Values {
+    /// Of a step between whose ends the key is linear.
+    fn between(y0: f32, y1: f32) -> Self {
+        let square = (y0 * y0 + y0 * y1 + y1 * y1) * (1.0 / 3.0);
+        Self { peak: if y0 > y1 { y0 } else { y1 }, mean: 0.5 * (y0 + y1), square }
+    }
+
+    /// Out of a step.
+    pub fn of(step: &Step) -> Self {
+        Self { peak: step.tau, mean: step.alpha, square: step.c.x }
+    }
+
+    fn step(self, s0: f32, s1: f32) -> Step {
+        Step { s0, s1, c: Vec3::new(self.square, 0.0, 0.0), tau: self.peak, alpha: self.mean }
+    }
+}
+
+/// Two neighbouring samples of a march.
+pub(super) struct Between {
+    /// Positions in the domain.
+    pub(super) x0: f32,
+    pub(super) x1: f32,
+    /// World distances.
+    pub(super) s0: f32,
+    pub(super) s1: f32,
+}
+
+impl<T: Texels> Marcher<'_, T> {
+    /// One bit a step, set where it may show.
+    #[inline(always)]
+    pub(super) fn visible_steps<const MODE: u8>(&self, x0: &Lanes, x1: &Lanes) -> u32 {
+        let mut bits = 0;
+        if MODE == SURFACES {
+            for surface in &self.scene.surfaces {
+                for (m, (a, b)) in x0.iter().zip(x1).enumerate() {
+                    bits |= u32::from((*a < surface.x) != (*b < surface.x)) << m;
+                }
+            }
+        } else if MODE == GREATEST || MODE == LEAST {
+            for (m, (a, b)) in x0.iter().zip(x1).enumerate() {
+                let (a, b) = if MODE == LEAST { (1.0 - a, 1.0 - b) } else { (*a, *b) };
+                bits |= u32::from((a > self.key_limit) | (b > self.key_limit)) << m;
+            }
+        } else {
+            bits = self.visible_bins.between(x0, x1);
+        }
+        bits
+    }
+
+    /// Hands what is between two samples to the sink; none if that is nothing.
+    #[inline(always)]
+    pub(super) fn take<const MODE: u8>(
+        &self,
+        &Between { x0, x1, s0, s1 }: &Between,
+        brightness: f32,
+        (origin, dir): (Vec3, Vec3),
+        sink: &mut impl Sink,
+    ) -> Option<Pace> {
+        if MODE == SURFACES {
+            return self.cross(&Between { x0, x1, s0, s1 }, origin, dir, sink);
+        }
+        if MODE == GREATEST {
+            return Some(sink.step(Values::between(x0, x1).step(s0, s1)));
+        }
+        if MODE == LEAST {
+            return Some(sink.step(Values::between(1.0 - x0, 1.0 - x1).step(s0, s1)));
+        }
+        let (color, tau) = self.classify(x0, x1, s1 - s0);
+        if MODE == MEAN {
+            // In the table of a projection the place of extinction has the greatest channel, and colour is that which is
+            // multiplied by it.
+            let step = Step { s0, s1, c: color * tau, tau: 0.0, alpha: 0.0 };
+            return (tau > 0.0).then(|| sink.step(step));
+        }
+        (tau > TAU_MIN).then(|| {
+            let alpha = opacity(tau);
+            sink.step(Step { s0, s1, c: color * (brightness * alpha), tau, alpha })
+        })
+    }
+
+    /// The surfaces that lie between two samples. A step that the surface's matter lies behind begins at the crossing and
+    /// ends behind it, one that leaves matter ends in front of it; [`super::surfaces`] makes segments of these.
+    fn cross(&self, ends: &Between, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Pace> {
+        let mut pace = None;
+        let enters = ends.x1 > ends.x0;
+        let num = self.scene.surfaces.len();
+        let mut last = ends.s0;
+        for i in 0..num {
+            let surface = &self.scene.surfaces[if enters { i } else { num - 1 - i }];
+            if (ends.x0 < surface.x) == (ends.x1 < surface.x) {
+                continue;
+            }
+            // On the chord, and twice on the chord of the part that still passes the value.
+            let (mut a, mut b) = ((ends.s0, ends.x0), (ends.s1, ends.x1));
+            let chord = |a: (f32, f32), b: (f32, f32)| {
+                (a.0 + (b.0 - a.0) * ((surface.x - a.1) / (b.1 - a.1))).clamp(a.0, b.0)
+            };
+            let mut s = chord(a, b);
+            for _ in 0..REFINEMENTS {
+                let x = self.domain::<SURFACES>(self.voxels.sample(origin + dir * s));
+                if (x < surface.x) == (ends.x0 < surface.x) {
+                    a = (s, x);
+                } else {
+                    b = (s, x);
+                }
+                s = chord(a, b);
+            }
+            s = s.max(last);
+            last = s;
+            let brightness = self.lit.as_ref().map_or(1.0, |(lit, shading)| {
+                shading.ambient + shading.diffuse * (lit.sample(origin + dir * s) * (1.0 / LIT_MAX))
+            });
+            let alpha = opacity(surface.tau);
+            let c = surface.color * (brightness * alpha);
+            let s1 = if enters { f32::INFINITY } else { f32::NEG_INFINITY };
+            let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
+            pace = Some(next);
+            if next == Pace::Stop {
+                break;
+            }
+        }
+        pace
+    }
+}
+
+/// What a projection shows of a ray.
+pub(super) struct Shown<'a> {
+    scene: &'a Scene,
+    /// Greatest key; below any without a step.
+    key: f32,
+    /// Integral of what is shown.
+    integral: Vec3,
+}
+
+impl<'a> Shown<'a> {
+    pub(super) fn new(scene: &'a Scene) -> Self {
+        Self { scene, key: -1.0, integral: Vec3::ZERO }
+    }
+
+    /// Colour, and as opacity its greatest channel.
+    pub(super) fn rgba(&self, lattice: Lattice) -> [f32; 4] {
+        let c = match self.scene.settings.mode {
+            Mode::Average => self.integral / (lattice.h * lattice.n as f32),
+            _ if self.key < 0.0 => Vec3::ZERO,
+            mode => shown_of_key(&self.scene.table, mode == Mode::MinIp, self.key),
+        };
+        [c.x, c.y, c.z, c.max_element().min(1.0)]
+    }
+}
+
+impl Sink for Shown<'_> {
+    #[inline(always)]
+    fn step(&mut self, step: Step) -> Pace {
+        self.key = if step.tau > self.key { step.tau } else { self.key };
+        self.integral += step.c;
+        Pace::Step
+    }
+}
+
+const GREATEST: u8 = Mode::Mip as u8;
+const LEAST: u8 = Mode::MinIp as u8;
+const MEAN: u8 = Mode::Average as u8;
+/// [`Mode::Iso`] as the parameter of a march.
+pub(super) const SURFACES: u8 = Mode::Iso as u8;
+/// Positions beyond count as this: their differences are finite.
+pub(super) const FARTHEST: f32 = 1e30;
+/// How often the place of a crossing is looked for again: the field is nearly linear within half a voxel.
+const REFINEMENTS: usize = 2;
+/// Of a position that is interpolated between others.
+const POSITION_ROUNDING: f32 = 1e-5;

@@ -1,0 +1,87 @@
+//! Surfaces with thickness. Twin of the same functions in `shaders/march/surfaces.wgsl`.
+//!
+//! A surface has none, but in a layered frame it needs some: a new ray passes from list to list, and where the surface
+//! lies deeper in one list than in the next by more than it is thick, the ray slips through. What an opaque surface
+//! encloses is seen from nowhere outside, so its crossings are filled up with its own matter: from where a ray enters half
+//! way to where it leaves, with the colour of the front, and from there on with that of the back. A ray has the same
+//! colours as without. A translucent surface is [`THICKNESS_IN_VOXELS`] thick, on the side of the greater values, and no
+//! thicker than half the way to the next crossing.
+
+use super::{Lattice, Pace, Sink, Step, opacity};
+
+/// Hands crossings on as segments that do not overlap.
+pub(super) struct Thicken<'a, S> {
+    sink: &'a mut S,
+    /// The last crossing; its matter begins at `s0`, and its place is `place`.
+    pending: Option<Pending>,
+    lattice: Lattice,
+    voxel: f32,
+    has_stopped: bool,
+}
+
+struct Pending {
+    step: Step,
+    place: f32,
+    /// Whether the matter is behind the place.
+    enters: bool,
+}
+
+impl<'a, S: Sink> Thicken<'a, S> {
+    /// `voxel` is the least spacing.
+    pub(super) fn new(sink: &'a mut S, lattice: Lattice, voxel: f32) -> Self {
+        Self { sink, pending: None, lattice, voxel, has_stopped: false }
+    }
+
+    /// Hands on the last crossing, too.
+    pub(super) fn finish(mut self) {
+        let end = self.lattice.s0 + self.lattice.h * self.lattice.n as f32;
+        if let Some(pending) = self.pending.take().filter(|_| !self.has_stopped) {
+            self.hand_on(&pending, end);
+        }
+    }
+
+    /// How far a crossing's matter may reach.
+    fn reach(&self, step: &Step) -> f32 {
+        if step.tau > OPAQUE_TAU { f32::INFINITY } else { THICKNESS_IN_VOXELS * self.voxel }
+    }
+
+    /// `most` bounds what is behind the place.
+    fn hand_on(&mut self, pending: &Pending, most: f32) -> Pace {
+        let mut step = pending.step;
+        let back = if pending.enters { pending.place + self.reach(&step) } else { pending.place };
+        step.s1 = back.min(most).max(step.s0);
+        if step.tau > OPAQUE_TAU {
+            // So dense that a voxel of it is opaque.
+            let denser = ((step.s1 - step.s0) / self.voxel).max(1.0);
+            let alpha = opacity(step.tau * denser);
+            step.c *= alpha / step.alpha;
+            (step.tau, step.alpha) = (step.tau * denser, alpha);
+        }
+        self.sink.step(step)
+    }
+}
+
+impl<S: Sink> Sink for Thicken<'_, S> {
+    fn step(&mut self, step: Step) -> Pace {
+        let (place, enters) = (step.s0, step.s1 > step.s0);
+        let mut pace = Pace::Step;
+        // An opaque body that the ray begins in would hide what is in it.
+        let mut before = place - self.reach(&step).min(THICKNESS_IN_VOXELS * self.voxel);
+        before = before.max(self.lattice.s0);
+        if let Some(pending) = self.pending.take() {
+            let both = pending.enters && !enters;
+            let border = if both { 0.5 * (pending.place + place) } else { place };
+            pace = self.hand_on(&pending, border);
+            before = (place - self.reach(&step)).max(if both { border } else { pending.place });
+        }
+        let s0 = if enters { place } else { before };
+        self.pending = Some(Pending { step: Step { s0, ..step }, place, enters });
+        self.has_stopped = pace == Pace::Stop;
+        pace
+    }
+}
+
+/// Optical depth above which a crossing is opaque, half way between opacities of 0.999 and 0.9999.
+const OPAQUE_TAU: f32 = 8.0;
+/// At two, surfaces at 60° to the lists have no gaps.
+const THICKNESS_IN_VOXELS: f32 = 2.0;

@@ -1,0 +1,82 @@
+// One cost at which all rays of a frame stop joining: crates/core/src/kernels/layering/visibility_merge.rs derives it.
+//
+// Before this part stands a generated line: const MEAN_K: u32, the segments a list may have on average; it has K at most.
+// The part after it gathers a ray in pieces, says how many there are, and joins them:
+//   fn gather(ray: Ray, lattice: Lattice, tolerance: f32)
+//   fn num_gathered() -> u32
+//   fn join(most: u32, threshold: f32, is_sample: bool)
+
+struct Budget {
+    num_lists: atomic<u32>,
+    num_pieces: atomic<u32>,
+    threshold: f32,
+    // Joins of the sample by the bin of their cost.
+    joins: array<atomic<u32>, COST_BINS>,
+}
+
+@group(1) @binding(4) var<storage, read_write> budget: Budget;
+
+// The cost up to which steps are merged at once, where rays stop joining at `threshold`.
+fn tolerance_from(threshold: f32) -> f32 {
+    if MEAN_K < TOLERANT_K {
+        return 0.0;
+    }
+    return threshold * TOLERANCE_SHARE;
+}
+
+// A join of a ray of the sample.
+fn count_join(cost: f32) {
+    atomicAdd(&budget.joins[bitcast<u32>(cost) >> BIN_SHIFT], 1u);
+}
+
+// One pixel of 4² or, of a large frame, 8²: what the joins cost.
+@compute @workgroup_size(8, 8)
+fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
+    let width = u32(camera.width);
+    let height = u32(camera.height);
+    let stride = select(4u, 8u, width * height >= LARGE_FRAME);
+    let x = id.x * stride + min(stride / 2u, width / 2u);
+    let y = (band.first_row + id.y) * stride + min(stride / 2u, height / 2u);
+    if (x >= width || y >= height || id.y >= band.num_rows) {
+        return;
+    }
+    let from_camera = basis_ray(camera, f32(x) + 0.5, f32(y) + 0.5);
+    let lattice = scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth);
+    if (lattice.n == 0u) {
+        return;
+    }
+    gather(from_camera.ray, lattice, 0.0);
+    if (num_gathered() == 0u) {
+        return;
+    }
+    atomicAdd(&budget.num_lists, 1u);
+    atomicAdd(&budget.num_pieces, num_gathered());
+    join(1u, INFINITE_COST, true);
+}
+
+// The least lower end of a bin such that joins below it leave at most MEAN_K segments a list.
+@compute @workgroup_size(1)
+fn choose_threshold() {
+    let allowed = atomicLoad(&budget.num_lists) * MEAN_K;
+    var left = atomicLoad(&budget.num_pieces);
+    var bin = 0u;
+    while (left > allowed && bin < COST_BINS) {
+        left -= atomicLoad(&budget.joins[bin]);
+        bin += 1u;
+    }
+    budget.threshold = bitcast<f32>(bin << BIN_SHIFT);
+}
+
+// Costs below this are equal.
+const COST_LEAST: f32 = 1e-20;
+// More than any cost: WGSL has no infinity.
+const INFINITE_COST: f32 = 3.4e38;
+// Lists of a frame of which one ray in 64 says enough.
+const LARGE_FRAME: u32 = 131072;
+// Bits of a float left out in the number of its bin: 1/32 of an octave each.
+const BIN_SHIFT: u32 = 18;
+// Bins of all finite costs.
+const COST_BINS: u32 = 8192;
+// See tolerance_from.
+const TOLERANCE_SHARE: f32 = 0.1;
+const TOLERANT_K: u32 = 12u;

@@ -1,0 +1,19 @@
+// Emission and absorption. Twin of `take` in crates/core/src/kernels/march/modes.rs.
+
+fn take(between: Between) -> u32 {
+    let classified = classify(between.x0, between.x1, between.s1 - between.s0);
+    let tau = classified.w;
+    if (tau <= TAU_MIN) {
+        return NO_STEP;
+    }
+    let alpha = opacity(tau);
+    let brightness = shade(between.origin + between.dir * (0.5 * (between.s0 + between.s1)));
+    return sink_step(Step(classified.xyz * (brightness * alpha), tau, between.s0, between.s1, alpha));
+}
+
+fn end_march(lattice: Lattice) {
+}
+
+// Positions are clamped to the domain.
+const X_LEAST: f32 = 0.0;
+const X_GREATEST: f32 = 1.0;

@@ -1,0 +1,8 @@
+// A rendering composites surfaces without thickness.
+
+fn crossing(step: Step, enters: bool, lattice: Lattice) -> u32 {
+    return sink_step(step);
+}
+
+fn end_march(lattice: Lattice) {
+}

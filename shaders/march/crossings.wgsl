@@ -1,0 +1,49 @@
+// Where the values pass those of surfaces. Twin of `cross` in crates/core/src/kernels/march/modes.rs. The part behind this
+// one says what becomes of a crossing:
+//   fn crossing(step: Step, enters: bool, lattice: Lattice) -> u32
+
+fn take(between: Between) -> u32 {
+    var pace = NO_STEP;
+    let enters = between.x1 > between.x0;
+    let num = table.num_surfaces;
+    var last = between.s0;
+    for (var n = 0u; n < num; n++) {
+        let surface = table.surfaces[select(num - 1u - n, n, enters)];
+        let is_before = between.x0 < surface.x;
+        if (is_before == (between.x1 < surface.x)) {
+            continue;
+        }
+        // On the chord, and twice on the chord of the part that still passes the value.
+        var a = vec2f(between.s0, between.x0);
+        var b = vec2f(between.s1, between.x1);
+        var s = chord(a, b, surface.x);
+        for (var i = 0u; i < REFINEMENTS; i++) {
+            let x = domain_at(between.origin + between.dir * s);
+            if ((x < surface.x) == is_before) {
+                a = vec2f(s, x);
+            } else {
+                b = vec2f(s, x);
+            }
+            s = chord(a, b, surface.x);
+        }
+        s = max(s, last);
+        last = s;
+        let alpha = opacity(surface.tau);
+        let c = surface.color * (shade(between.origin + between.dir * s) * alpha);
+        pace = crossing(Step(c, surface.tau, s, s, alpha), enters, between.lattice);
+        if (pace == 0u) {
+            break;
+        }
+    }
+    return pace;
+}
+
+fn chord(a: vec2f, b: vec2f, x: f32) -> f32 {
+    return clamp(a.x + (b.x - a.x) * ((x - a.y) / (b.y - a.y)), a.x, b.x);
+}
+
+// How often the place of a crossing is looked for again.
+const REFINEMENTS: u32 = 2;
+// Surfaces may be of values outside of the domain.
+const X_LEAST: f32 = -1e30;
+const X_GREATEST: f32 = 1e30;

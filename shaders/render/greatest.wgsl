@@ -1,0 +1,17 @@
+// What a projection shows of a ray: the greatest key. Twin of Shown in crates/core/src/kernels/march/modes.rs.
+
+var<private> greatest: f32;
+
+fn sink_step(step: Step) -> u32 {
+    greatest = max(greatest, step.tau);
+    return 1u;
+}
+
+fn seen(ray: Ray, lattice: Lattice) -> vec4f {
+    greatest = -1.0;
+    march(ray, lattice);
+    if (greatest < 0.0) {
+        return vec4f(0.0);
+    }
+    return projected_rgba(shown_of_key(greatest));
+}

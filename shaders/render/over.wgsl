@@ -1,0 +1,17 @@
+// What is seen along a ray with over. Twin of OverSink in crates/core/src/kernels/march.rs.
+//
+// The part before this one defines STOP_AT: the march stops when no more than that of what is behind can be seen.
+
+var<private> over_sink: Over;
+
+fn sink_step(step: Step) -> u32 {
+    over_sink.c += step.c * over_sink.transmittance;
+    over_sink.transmittance *= 1.0 - step.alpha;
+    return select(0u, 1u, over_sink.transmittance > STOP_AT);
+}
+
+fn seen(ray: Ray, lattice: Lattice) -> vec4f {
+    over_sink = over_identity();
+    march(ray, lattice);
+    return over_rgba(over_sink);
+}
