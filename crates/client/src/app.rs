@@ -15,6 +15,7 @@ use isinglass_core::wire::ClientStats;
 use isinglass_formats::{SavedState, Selection};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
+pub(crate) use self::state::theme_preference;
 use crate::bindings::{Action, Focus, Step};
 use crate::camera_controls::{CameraControls, ControlInput, ZOOM_PER_NOTCH};
 use crate::clip_editor::{self, ClipEditor};

@@ -7,7 +7,7 @@ use std::time::Duration;
 use isinglass_formats::{SavedState, Selection};
 use isinglass_net::{Clock, Link};
 
-use crate::app::ViewerApp;
+use crate::app::{ViewerApp, theme_preference};
 use crate::bindings::Bindings;
 use crate::camera_controls::InitialOrbit;
 use crate::camera_path::CameraPath;
@@ -222,7 +222,9 @@ fn open_window(
     let opened = was_open.clone();
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
         opened.store(true, Ordering::Relaxed);
-        cc.egui_ctx.set_theme(egui::Theme::Dark);
+        // The rest of a state waits for a volume.
+        let theme = options.state.as_ref().and_then(|state| state.view.theme);
+        cc.egui_ctx.set_theme(theme.map_or(egui::ThemePreference::Dark, theme_preference));
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let status = picture::install(state).map_err(ViewerError::Device)?;
         let ctx = cc.egui_ctx.clone();
