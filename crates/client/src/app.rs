@@ -1,14 +1,14 @@
 //! The window's application: at each refresh input to camera, camera to wish, newest frame to picture.
 
+mod actions;
+mod sections;
 mod state;
 
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use egui::PointerButton;
-use isinglass_core::camera::{Camera, Intrinsics};
-use isinglass_core::clip::Clip;
-use isinglass_core::look::Look;
+use isinglass_core::camera::Intrinsics;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
@@ -16,26 +16,23 @@ use isinglass_formats::{SavedState, Selection};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
 pub(crate) use self::state::theme_preference;
-use crate::bindings::{Action, Focus, Step};
-use crate::camera_controls::{CameraControls, ControlInput, ZOOM_PER_NOTCH};
+use crate::bindings::{Action, Focus};
+use crate::camera_controls::{CameraControls, ControlInput};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
-use crate::light_panel;
-use crate::look_panel::{self, Settings};
 use crate::meters::RefreshMeter;
-use crate::mode_panel;
 use crate::novel_view::{NovelViews, Shown};
 use crate::orientation::Orientation;
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
-use crate::parts_bar::{PartsBar, PartsWish};
+use crate::parts_bar::PartsBar;
 use crate::pick::visible_point;
 use crate::picture::{PicturePaint, PictureStatus};
 use crate::pointer::Pointer;
-use crate::probe::{self, ValueProbe};
+use crate::probe::ValueProbe;
 use crate::quality_control::QualityControl;
-use crate::shots::{Shots, Subject};
-use crate::state_files::{StateFiles, StateWish};
+use crate::shots::Shots;
+use crate::state_files::StateFiles;
 use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::{self, ViewAids, pixel_at};
@@ -213,97 +210,6 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_mut()
     }
 
-    /// Does what the keys say; what they are to the camera.
-    fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
-        let focus = match ctx.memory(|m| m.focused()) {
-            _ if ctx.text_edit_focused() => Focus::Text,
-            Some(id) if id != panels::picture_id() => Focus::Widget,
-            _ => Focus::Picture,
-        };
-        let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
-        let mut input = ControlInput::default();
-        for action in actions {
-            match action {
-                Action::FirstView => input.reset = true,
-                Action::Step(step) => add_step(&mut input, step, picture),
-                Action::StandardView(side, opposite) => {
-                    let (from, up) = self.orientation().standard_view(side, opposite);
-                    if let Some((_, controls)) = self.controls(picture) {
-                        controls.look_from(from, up);
-                    }
-                }
-                Action::Numbers => self.shows_overlay = !self.shows_overlay,
-                Action::LookPanel => self.is_look_open = !self.is_look_open,
-                Action::Box => self.aids.shows_box = !self.aids.shows_box,
-                Action::Clip => self.toggle_clip(now),
-                Action::Projection => self.is_orthographic = !self.is_orthographic,
-                Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
-                Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
-                Action::Probe => self.probe.toggle(),
-                Action::Picture => self.wants_picture = true,
-                Action::PictureDialog => self.shots.toggle_dialog(),
-                Action::Mode => self.next_modes += 1,
-                Action::Undo | Action::Redo => {
-                    let Some(scale) = self.value_scale() else { continue };
-                    match action {
-                        Action::Undo => self.editor.undo(&scale),
-                        _ => self.editor.redo(&scale),
-                    }
-                }
-                Action::Start => self.wants_start = true,
-                Action::StepTime(by) => {
-                    let source = self.viewing.source();
-                    let (parts, load) = (source.parts(), source.load());
-                    let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
-                    self.do_part(wish);
-                }
-                Action::SaveState => self.do_state(ctx, now, StateWish::Save),
-                Action::OpenState => {
-                    self.is_look_open = true;
-                    self.state_files.ask_for_path();
-                }
-                Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
-                Action::Help => self.shows_help = !self.shows_help,
-                Action::CloseHelp => self.shows_help = false,
-                Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
-            }
-        }
-        input
-    }
-
-    /// A clip that leaves nothing of another volume is no longer wished for.
-    fn drop_empty_clip(&mut self, now: Duration) {
-        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
-        if self.clip_bounds.replace(*bounds) != Some(*bounds) && look.clip.region(bounds).is_empty() {
-            self.set_clip(now, Clip::default());
-        }
-    }
-
-    fn toggle_clip(&mut self, now: Duration) {
-        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
-        let mut clip = look.clip;
-        self.clip_editor.toggle(&mut clip, bounds);
-        self.set_clip(now, clip);
-    }
-
-    fn set_clip(&mut self, now: Duration, clip: Clip) {
-        if let Some(look) = self.viewing.look().filter(|look| look.clip != clip) {
-            self.viewing.set_look(now, Look { clip, ..(*look).clone() });
-        }
-    }
-
-    /// Handles take what is meant for them, before the camera does.
-    fn drag_clip(&mut self, ctx: &egui::Context, now: Duration, events: &mut Vec<egui::Event>) {
-        let (Some(view), Some(look)) = (self.clip_view, self.viewing.look()) else { return };
-        if let Some(clip) = self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, at)) {
-            self.set_clip(now, clip);
-            ctx.request_repaint();
-        }
-        if self.clip_editor.is_busy() {
-            ctx.set_cursor_icon(egui::CursorIcon::Grab);
-        }
-    }
-
     fn orientation(&self) -> Orientation {
         let description = self.viewing.source().description();
         Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
@@ -384,145 +290,6 @@ impl<S: FrameSource> ViewerApp<S> {
             new_frames_per_second: stats.frames_per_second,
             refreshes_per_second: interval.filter(|i| !i.is_zero()).map(|i| i.as_secs_f64().recip()),
         }
-    }
-
-    /// What a picture to keep shows: what is seen, whatever the projection.
-    fn subject(&self, camera: &Camera) -> Option<Subject> {
-        let (_, controls) = self.controls.as_ref()?;
-        Some(Subject {
-            name: self.viewing.source().description()?.volume.name.clone(),
-            pose: camera.pose,
-            intrinsics: camera.intrinsics,
-            background: self.aids.background,
-            center: controls.center(),
-            up: self.orientation().up(),
-        })
-    }
-
-    /// Goes on with pictures to keep, and shows their dialog and progress.
-    fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
-        let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
-        if std::mem::take(&mut self.wants_picture)
-            && let Some(subject) = subject.clone()
-        {
-            self.shots.take(subject);
-        }
-        // A look that waits goes first: the picture is to be made with it.
-        let is_ready = self.viewing.look_due().is_none();
-        let source = self.viewing.source_mut();
-        let done = self.shots.poll(source, is_ready, ctx);
-        if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {
-            self.notice = Some((notice, now));
-            ctx.request_repaint();
-        }
-    }
-
-    /// Asks for the value under the pointer, and shows what is known of it.
-    fn show_probe(&mut self, ctx: &egui::Context, now: Duration, rect: egui::Rect, refresh: &Refresh) {
-        if !self.probe.is_on() || !self.stereo().is_mono() {
-            return;
-        }
-        let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
-        let point = at.zip(refresh.frame.as_ref()).and_then(|(at, frame)| {
-            let pixel = pixel_at(rect, &refresh.camera, at);
-            let region = refresh.clip.region(&refresh.bounds);
-            visible_point(&frame.frame, &region, &refresh.camera, pixel)
-        });
-        if let Some(due) = self.probe.point_at(now, point) {
-            self.viewing.source_mut().probe(due);
-        }
-        if let Some(due) = self.probe.due() {
-            ctx.request_repaint_after(due.saturating_sub(now));
-        }
-        let source = self.viewing.source();
-        if let (Some(at), Some(point), Some(description)) = (at, point, source.description()) {
-            probe::show(ctx, at, &probe::lines(point, source.probed().as_ref(), &description.volume));
-        }
-    }
-
-    fn world_from_view(&self) -> glam::Quat {
-        self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
-    }
-
-    /// A drag over the picture moves the light.
-    fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
-        let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
-        let lighting =
-            light_panel::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
-        self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
-    }
-
-    fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
-        let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
-        self.editor.follow(&look.transfer, &scale);
-        let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
-            return;
-        };
-        let world_from_view = self.world_from_view();
-        let mut settings = Settings {
-            look: (*look).clone(),
-            frame_size: self.viewing.frame_size,
-            methods: &self.novel_views.names,
-            method: self.novel_views.selected,
-            stereo: self.stereo,
-            aids: self.aids,
-            is_orthographic: self.is_orthographic,
-            clip_editor: &mut self.clip_editor,
-            bounds,
-            forward,
-            bindings: &self.options.bindings,
-            world_from_view,
-        };
-        let files = &mut self.state_files;
-        let wish =
-            look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
-        let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
-        let shown = (
-            self.novel_views.selected,
-            self.viewing.frame_size,
-            self.stereo,
-            self.aids,
-            self.is_orthographic,
-        );
-        if (method, frame_size, stereo, aids, is_orthographic) != shown {
-            // The picture beneath has been drawn already.
-            ctx.request_repaint();
-        }
-        self.novel_views.selected = method;
-        self.viewing.frame_size = frame_size;
-        (self.stereo, self.aids, self.is_orthographic) = (stereo, aids, is_orthographic);
-        let edit = self.editor.take_edit(ctx);
-        if let Some(transfer) = edit.transfer {
-            wanted.transfer = transfer;
-        }
-        wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
-        for _ in 0..std::mem::take(&mut self.next_modes) {
-            let next = wanted.mode.next();
-            mode_panel::set_mode(&mut wanted, next, &scale);
-        }
-        if wanted != *look {
-            self.viewing.set_look(now, wanted);
-            // The picture is to say that it is older, and the pace may hold the look back.
-            ctx.request_repaint();
-        }
-        if let Some(wish) = wish {
-            self.do_state(ctx, now, wish);
-        }
-    }
-
-    fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
-        let source = self.viewing.source();
-        let (parts, load) = (source.parts(), source.load());
-        let wish = self.parts_bar.show(ctx, now, parts.as_deref(), load.as_ref());
-        self.do_part(wish);
-    }
-
-    fn do_part(&mut self, wish: Option<PartsWish>) {
-        let Some(wish) = wish else { return };
-        self.viewing.source_mut().open_part(match wish {
-            PartsWish::Open(part) => Some(part),
-            PartsWish::Cancel => None,
-        });
     }
 
     fn run_script(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
@@ -773,18 +540,6 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
-/// A step of the camera by a key, as a drag over a small part of the picture.
-fn add_step(input: &mut ControlInput, step: Step, picture: &Intrinsics) {
-    let side = picture.width.min(picture.height) as f32;
-    let pixels = |parts: i8| f32::from(parts) * side * KEY_STEP;
-    match step {
-        Step::Turn(x, y) => input.orbit = [input.orbit[0] + pixels(x), input.orbit[1] + pixels(y)],
-        Step::Pan(x, y) => input.pan = [input.pan[0] + pixels(x), input.pan[1] + pixels(y)],
-        Step::Roll(parts) => input.roll += f32::from(parts) * KEY_STEP * std::f32::consts::PI,
-        Step::Zoom(parts) => input.zoom += f32::from(parts) * ZOOM_PER_NOTCH,
-    }
-}
-
 /// Whether no panel lies at a point of the picture.
 fn is_free(ctx: &egui::Context, at: egui::Pos2) -> bool {
     ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
@@ -801,8 +556,6 @@ fn picture_intrinsics(rect: egui::Rect, pixels_per_point: f32, fov_y: f32) -> In
     Intrinsics::perspective(pixels(rect.width()), pixels(rect.height()), fov_y)
 }
 
-/// A step by a key, in parts of the picture's shorter side: five degrees of a turn.
-const KEY_STEP: f32 = 5.0 / 180.0;
 /// Refreshes of the numbers while nothing moves.
 const OVERLAY_PERIOD: Duration = Duration::from_millis(100);
 /// The same when the picture is the server's own.

@@ -1,5 +1,6 @@
 //! Clipping by hand and the projection, in the whole window.
 
+use isinglass_core::clip::Clip;
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster};
 
 use super::*;

@@ -6,6 +6,7 @@ use isinglass_core::kernels::layering::Layering;
 use isinglass_formats::{SavedState, read_state};
 
 use super::*;
+use crate::state_files::StateWish;
 
 /// A file of this test alone.
 fn path(name: &str) -> PathBuf {

@@ -1,0 +1,122 @@
+//! What keys, and drags of the handles on the volume, do to the window.
+
+use std::time::Duration;
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::clip::Clip;
+use isinglass_core::look::Look;
+
+use super::{ViewerApp, is_free};
+use crate::bindings::{Action, Focus, Step};
+use crate::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
+use crate::frame_source::FrameSource;
+use crate::panels;
+use crate::state_files::StateWish;
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// Does what the keys say; what they are to the camera.
+    pub(super) fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
+        let focus = match ctx.memory(|m| m.focused()) {
+            _ if ctx.text_edit_focused() => Focus::Text,
+            Some(id) if id != panels::picture_id() => Focus::Widget,
+            _ => Focus::Picture,
+        };
+        let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
+        let mut input = ControlInput::default();
+        for action in actions {
+            match action {
+                Action::FirstView => input.reset = true,
+                Action::Step(step) => add_step(&mut input, step, picture),
+                Action::StandardView(side, opposite) => {
+                    let (from, up) = self.orientation().standard_view(side, opposite);
+                    if let Some((_, controls)) = self.controls(picture) {
+                        controls.look_from(from, up);
+                    }
+                }
+                Action::Numbers => self.shows_overlay = !self.shows_overlay,
+                Action::LookPanel => self.is_look_open = !self.is_look_open,
+                Action::Box => self.aids.shows_box = !self.aids.shows_box,
+                Action::Clip => self.toggle_clip(now),
+                Action::Projection => self.is_orthographic = !self.is_orthographic,
+                Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
+                Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
+                Action::Probe => self.probe.toggle(),
+                Action::Picture => self.wants_picture = true,
+                Action::PictureDialog => self.shots.toggle_dialog(),
+                Action::Mode => self.next_modes += 1,
+                Action::Undo | Action::Redo => {
+                    let Some(scale) = self.value_scale() else { continue };
+                    match action {
+                        Action::Undo => self.editor.undo(&scale),
+                        _ => self.editor.redo(&scale),
+                    }
+                }
+                Action::Start => self.wants_start = true,
+                Action::StepTime(by) => {
+                    let source = self.viewing.source();
+                    let (parts, load) = (source.parts(), source.load());
+                    let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
+                    self.do_part(wish);
+                }
+                Action::SaveState => self.do_state(ctx, now, StateWish::Save),
+                Action::OpenState => {
+                    self.is_look_open = true;
+                    self.state_files.ask_for_path();
+                }
+                Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
+                Action::Help => self.shows_help = !self.shows_help,
+                Action::CloseHelp => self.shows_help = false,
+                Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            }
+        }
+        input
+    }
+
+    /// A clip that leaves nothing of another volume is no longer wished for.
+    pub(super) fn drop_empty_clip(&mut self, now: Duration) {
+        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
+        if self.clip_bounds.replace(*bounds) != Some(*bounds) && look.clip.region(bounds).is_empty() {
+            self.set_clip(now, Clip::default());
+        }
+    }
+
+    fn toggle_clip(&mut self, now: Duration) {
+        let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
+        let mut clip = look.clip;
+        self.clip_editor.toggle(&mut clip, bounds);
+        self.set_clip(now, clip);
+    }
+
+    fn set_clip(&mut self, now: Duration, clip: Clip) {
+        if let Some(look) = self.viewing.look().filter(|look| look.clip != clip) {
+            self.viewing.set_look(now, Look { clip, ..(*look).clone() });
+        }
+    }
+
+    /// Handles take what is meant for them, before the camera does.
+    pub(super) fn drag_clip(&mut self, ctx: &egui::Context, now: Duration, events: &mut Vec<egui::Event>) {
+        let (Some(view), Some(look)) = (self.clip_view, self.viewing.look()) else { return };
+        if let Some(clip) = self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, at)) {
+            self.set_clip(now, clip);
+            ctx.request_repaint();
+        }
+        if self.clip_editor.is_busy() {
+            ctx.set_cursor_icon(egui::CursorIcon::Grab);
+        }
+    }
+}
+
+/// A step of the camera by a key, as a drag over a small part of the picture.
+fn add_step(input: &mut ControlInput, step: Step, picture: &Intrinsics) {
+    let side = picture.width.min(picture.height) as f32;
+    let pixels = |parts: i8| f32::from(parts) * side * KEY_STEP;
+    match step {
+        Step::Turn(x, y) => input.orbit = [input.orbit[0] + pixels(x), input.orbit[1] + pixels(y)],
+        Step::Pan(x, y) => input.pan = [input.pan[0] + pixels(x), input.pan[1] + pixels(y)],
+        Step::Roll(parts) => input.roll += f32::from(parts) * KEY_STEP * std::f32::consts::PI,
+        Step::Zoom(parts) => input.zoom += f32::from(parts) * ZOOM_PER_NOTCH,
+    }
+}
+
+/// A step by a key, in parts of the picture's shorter side: five degrees of a turn.
+const KEY_STEP: f32 = 5.0 / 180.0;

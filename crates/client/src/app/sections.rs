@@ -1,0 +1,164 @@
+//! The panes of the window that ask for something: look, parts of the file, pictures to keep, the value under the pointer.
+
+use std::time::Duration;
+
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::look::Look;
+
+use super::{ViewerApp, is_free};
+use crate::frame_source::FrameSource;
+use crate::look_panel::{self, Settings};
+use crate::parts_bar::PartsWish;
+use crate::pick::visible_point;
+use crate::probe;
+use crate::shots::Subject;
+use crate::view_aids::pixel_at;
+use crate::viewing::Refresh;
+use crate::{light_panel, mode_panel};
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// What a picture to keep shows: what is seen, whatever the projection.
+    fn subject(&self, camera: &Camera) -> Option<Subject> {
+        let (_, controls) = self.controls.as_ref()?;
+        Some(Subject {
+            name: self.viewing.source().description()?.volume.name.clone(),
+            pose: camera.pose,
+            intrinsics: camera.intrinsics,
+            background: self.aids.background,
+            center: controls.center(),
+            up: self.orientation().up(),
+        })
+    }
+
+    /// Goes on with pictures to keep, and shows their dialog and progress.
+    pub(super) fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
+        let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
+        if std::mem::take(&mut self.wants_picture)
+            && let Some(subject) = subject.clone()
+        {
+            self.shots.take(subject);
+        }
+        // A look that waits goes first: the picture is to be made with it.
+        let is_ready = self.viewing.look_due().is_none();
+        let source = self.viewing.source_mut();
+        let done = self.shots.poll(source, is_ready, ctx);
+        if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {
+            self.notice = Some((notice, now));
+            ctx.request_repaint();
+        }
+    }
+
+    /// Asks for the value under the pointer, and shows what is known of it.
+    pub(super) fn show_probe(
+        &mut self,
+        ctx: &egui::Context,
+        now: Duration,
+        rect: egui::Rect,
+        refresh: &Refresh,
+    ) {
+        if !self.probe.is_on() || !self.stereo().is_mono() {
+            return;
+        }
+        let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
+        let point = at.zip(refresh.frame.as_ref()).and_then(|(at, frame)| {
+            let pixel = pixel_at(rect, &refresh.camera, at);
+            let region = refresh.clip.region(&refresh.bounds);
+            visible_point(&frame.frame, &region, &refresh.camera, pixel)
+        });
+        if let Some(due) = self.probe.point_at(now, point) {
+            self.viewing.source_mut().probe(due);
+        }
+        if let Some(due) = self.probe.due() {
+            ctx.request_repaint_after(due.saturating_sub(now));
+        }
+        let source = self.viewing.source();
+        if let (Some(at), Some(point), Some(description)) = (at, point, source.description()) {
+            probe::show(ctx, at, &probe::lines(point, source.probed().as_ref(), &description.volume));
+        }
+    }
+
+    fn world_from_view(&self) -> glam::Quat {
+        self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
+    }
+
+    /// A drag over the picture moves the light.
+    pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
+        let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
+        let lighting =
+            light_panel::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
+        self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
+    }
+
+    pub(super) fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
+        let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
+        self.editor.follow(&look.transfer, &scale);
+        let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
+            return;
+        };
+        let world_from_view = self.world_from_view();
+        let mut settings = Settings {
+            look: (*look).clone(),
+            frame_size: self.viewing.frame_size,
+            methods: &self.novel_views.names,
+            method: self.novel_views.selected,
+            stereo: self.stereo,
+            aids: self.aids,
+            is_orthographic: self.is_orthographic,
+            clip_editor: &mut self.clip_editor,
+            bounds,
+            forward,
+            bindings: &self.options.bindings,
+            world_from_view,
+        };
+        let files = &mut self.state_files;
+        let wish =
+            look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
+        let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
+        let shown = (
+            self.novel_views.selected,
+            self.viewing.frame_size,
+            self.stereo,
+            self.aids,
+            self.is_orthographic,
+        );
+        if (method, frame_size, stereo, aids, is_orthographic) != shown {
+            // The picture beneath has been drawn already.
+            ctx.request_repaint();
+        }
+        self.novel_views.selected = method;
+        self.viewing.frame_size = frame_size;
+        (self.stereo, self.aids, self.is_orthographic) = (stereo, aids, is_orthographic);
+        let edit = self.editor.take_edit(ctx);
+        if let Some(transfer) = edit.transfer {
+            wanted.transfer = transfer;
+        }
+        wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
+        for _ in 0..std::mem::take(&mut self.next_modes) {
+            let next = wanted.mode.next();
+            mode_panel::set_mode(&mut wanted, next, &scale);
+        }
+        if wanted != *look {
+            self.viewing.set_look(now, wanted);
+            // The picture is to say that it is older, and the pace may hold the look back.
+            ctx.request_repaint();
+        }
+        if let Some(wish) = wish {
+            self.do_state(ctx, now, wish);
+        }
+    }
+
+    pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
+        let source = self.viewing.source();
+        let (parts, load) = (source.parts(), source.load());
+        let wish = self.parts_bar.show(ctx, now, parts.as_deref(), load.as_ref());
+        self.do_part(wish);
+    }
+
+    pub(super) fn do_part(&mut self, wish: Option<PartsWish>) {
+        let Some(wish) = wish else { return };
+        self.viewing.source_mut().open_part(match wish {
+            PartsWish::Open(part) => Some(part),
+            PartsWish::Cancel => None,
+        });
+    }
+}
