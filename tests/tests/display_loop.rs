@@ -45,8 +45,9 @@ fn main() {
     println!("{seen:?}");
     assert!(seen.states.contains(&"connected") && seen.states.contains(&"reconnecting"), "{seen:?}");
     assert!(seen.num_frames > 3 && seen.num_looks > 3, "{seen:?}");
-    // The allocator's and the graphics driver's own locks are the system's, and rare.
-    assert!(seen.waits.waited * 50 <= seen.waits.refreshes, "a refresh waits: {seen:?}");
+    // Rare waits are the system's: for the map of memory, while a driver in software puts new code there, or in the
+    // allocator. Up to 7 of 121 were seen; a lock of ours that is held for long is met at every refresh.
+    assert!(seen.waits.waited * 10 <= seen.waits.refreshes, "a refresh waits: {seen:?}");
     println!("ok: refreshes do not wait while frames come, looks change and the server goes away");
 
     // Negative control: a source that waits for its lock a thousandth of a second.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use isinglass_core::ids::ShotId;
 use isinglass_core::wire::control::hello;
 use isinglass_core::wire::{
-    ClientMessage, Refusal, ServerMessage, ShotRequest, Token, VolumeChange, Welcome,
+    ClientMessage, Part, Refusal, ServerMessage, ShotRequest, Token, VolumeChange, Welcome,
 };
 use quinn::{
     AsyncUdpSocket, Connection, ConnectionError, Endpoint, EndpointConfig, RecvStream, Runtime,
@@ -295,6 +295,10 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     let mut stop = shared.stop.subscribe();
     let stopped = async move { stop.wait_for(|s| *s).await.map(drop).unwrap_or_default() };
     tokio::pin!(stopped);
+    // Kept over connections: a wish made between a welcome and the first message after it is not lost, and one that was
+    // sent is not sent again.
+    let mut parts = shared.part.subscribe();
+    parts.mark_changed();
     let mut lost_at = None;
     let mut attempt = 1;
     loop {
@@ -309,7 +313,7 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                 let mut dialed = dialed;
                 let ended = tokio::select! {
                     () = &mut stopped => None,
-                    ended = drive(&shared, &mut dialed).instrument(span) => Some(ended),
+                    ended = drive(&shared, &mut dialed, &mut parts).instrument(span) => Some(ended),
                 };
                 let Some(ended) = ended else {
                     let _ = control_stream::send(&mut dialed.send, &ClientMessage::Bye).await;
@@ -362,6 +366,9 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     }
 }
 
+/// The newest wish for another part of the file; its inside is none where it is one for no other.
+type PartWishes = watch::Receiver<Option<Option<Part>>>;
+
 /// Why a connection is not driven any more.
 enum Ended {
     Connection,
@@ -369,13 +376,13 @@ enum Ended {
     Silence,
 }
 
-async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed) -> Ended {
+async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed, parts: &mut PartWishes) -> Ended {
     let Dialed { connection, send, recv, .. } = dialed;
     let number = shared.session().connection();
     tokio::select! {
         () = chunks::read_all(shared, connection, number) => Ended::Connection,
         ended = read_messages(shared, recv) => ended,
-        () = write_messages(shared, send) => Ended::Connection,
+        () = write_messages(shared, send, parts) => Ended::Connection,
         () = send_poses(shared, connection) => Ended::Connection,
         () = watch_link(shared, connection) => Ended::Silence,
     }
@@ -429,10 +436,9 @@ fn change_volume(shared: &Shared, change: VolumeChange) {
 }
 
 /// Looks, parts and reports, the newest of each.
-async fn write_messages(shared: &Shared, stream: &mut SendStream) {
+async fn write_messages(shared: &Shared, stream: &mut SendStream, parts: &mut PartWishes) {
     let mut looks = shared.look.subscribe();
     let mut reports = shared.report.subscribe();
-    let mut parts = shared.part.subscribe();
     let mut probes = shared.probe.subscribe();
     // Nor is a question forgotten that was asked without a connection.
     probes.mark_changed();
