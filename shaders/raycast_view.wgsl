@@ -22,7 +22,7 @@ fn view_vertex(@builtin(vertex_index) index: u32) -> Vertex {
 fn view_fragment(vertex: Vertex) -> @location(0) vec4f {
     let acc = cast_ray(basis_ray(view, vertex.pixel.x, vertex.pixel.y).ray);
     let linear = acc.c + display.background * acc.transmittance;
-    if (display.encode_srgb == 0u) {
+    if (display.encode_srgb == zero()) {
         return vec4f(linear, 1.0);
     }
     return vec4f(srgb_from_linear(linear.x), srgb_from_linear(linear.y), srgb_from_linear(linear.z), 1.0);
