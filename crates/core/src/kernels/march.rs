@@ -277,7 +277,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     }
 
     /// Marches the lattice of one ray in a mode that composites with *over*; stops when the sink says so. Surfaces have
-    /// thickness, see [`surfaces`].
+    /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);

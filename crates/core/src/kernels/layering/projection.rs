@@ -4,11 +4,11 @@
 //! Nothing hides anything here, so matter anywhere on a ray counts alike, and only what a segment gets wrong of its own
 //! piece of the way does. Steps are gathered to at most [`MAX_K`] pieces and these joined, cheapest first, as
 //! [`super::visibility_merge`] does it, with the same budget; but the error of a piece follows from a few sums over it
-//! ([`Piece::error`]), so that joins need not look at its steps again.
+//! (`Piece::error`), so that joins need not look at its steps again.
 //!
 //! *Greatest key.* A segment shows one key v wherever a turned ray crosses it. With y(s) the keys on its way, its error
 //! is the integral of (v − y)² over its length, weighted by the square of its peak: what is low is seldom the greatest on
-//! any ray. v is the mean of y and of the peak, by [`PEAK_SHARE`]: a turned ray crosses many segments and shows the greatest
+//! any ray. v is the mean of y and of the peak, by `PEAK_SHARE`: a turned ray crosses many segments and shows the greatest
 //! of their keys, so means are too low, by a tenth of the error, and peaks too high after large turns. The segment that holds the greatest key of its ray
 //! has that key, and all others a lower one, so the view from the same pose is exact.
 //!
