@@ -6,14 +6,16 @@
 #[path = "common/brute_force.rs"]
 mod brute_force;
 mod common;
+#[path = "common/frames.rs"]
+mod frames;
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::Clip;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
-use isinglass_core::kernels::layering::{Layering, Representative, generate};
-use isinglass_core::kernels::march::{Scene, render};
+use isinglass_core::kernels::layering::{Layering, Representative};
+use isinglass_core::kernels::march::render;
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
@@ -22,6 +24,7 @@ use isinglass_core::volume::procedural::Builtin;
 
 use self::brute_force::brute_force;
 use self::common::scene;
+use self::frames::{frame_of, max_difference};
 
 /// One of each kind; the representative depths differ in a number alone.
 const RULES: [Layering; 6] = [
@@ -35,25 +38,6 @@ const RULES: [Layering; 6] = [
 
 fn camera(pose: Pose, size: u32, bounds: &Aabb) -> Camera {
     Camera::new(pose, Intrinsics::perspective(size, size - 3, 0.8), bounds)
-}
-
-fn frame_of(scene: &Scene, camera: Camera, k: u8, layering: Layering) -> LayeredFrame {
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k,
-        mode: Default::default(),
-    };
-    let frame = generate(scene, header, layering);
-    frame.validate().unwrap();
-    frame
-}
-
-/// Greatest difference of any channel in 8-bit sRGB.
-fn max_difference(a: &Picture, b: &Picture) -> u8 {
-    a.to_srgb8([0.0; 3]).iter().zip(&b.to_srgb8([0.0; 3])).map(|(x, y)| x.abs_diff(*y)).max().unwrap()
 }
 
 #[test]

@@ -5,19 +5,19 @@
 #[path = "common/brute_force.rs"]
 mod brute_force;
 mod common;
+#[path = "common/frames.rs"]
+mod frames;
 
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::Clip;
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::combine::combine;
-use isinglass_core::kernels::layering::{Layering, Representative, generate};
+use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::lens::{View, render_mean};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{
@@ -28,6 +28,7 @@ use isinglass_core::volume::procedural::Builtin;
 
 use self::brute_force::brute_force;
 use self::common::scene;
+use self::frames::{frame_of, max_difference};
 
 fn perspective(azimuth: f32, distance: f32, side: u32, bounds: &Aabb) -> Camera {
     let intrinsics = Intrinsics::perspective(side, side - 3, 0.8);
@@ -36,25 +37,6 @@ fn perspective(azimuth: f32, distance: f32, side: u32, bounds: &Aabb) -> Camera 
 
 fn parallel(azimuth: f32, distance: f32, side: u32, bounds: &Aabb) -> Camera {
     perspective(azimuth, distance, side, bounds).to_orthographic(distance, bounds)
-}
-
-fn frame_of(scene: &Scene, camera: Camera, layering: Layering) -> LayeredFrame {
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k: 8,
-        mode: Default::default(),
-    };
-    let frame = generate(scene, header, layering);
-    frame.validate().unwrap();
-    frame
-}
-
-/// Greatest difference of any channel in 8-bit sRGB.
-fn max_difference(a: &Picture, b: &Picture) -> u8 {
-    a.to_srgb8([0.0; 3]).iter().zip(&b.to_srgb8([0.0; 3])).map(|(x, y)| x.abs_diff(*y)).max().unwrap()
 }
 
 /// Their mean.
@@ -157,17 +139,17 @@ fn own_pose_is_the_rendering() {
             let camera = parallel(azimuth, distance, 48, &bounds);
             let truth = render(&scene, &camera);
             for layering in rules {
-                let frame = frame_of(&scene, camera, layering);
+                let frame = frame_of(&scene, camera, 8, layering);
                 let at = format!("{} {layering} azimuth {azimuth}", builtin.name());
                 assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
                 assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
                 // A frame with a margin around the same picture is as exact.
                 let wide = Camera { intrinsics: camera.intrinsics.with_margin(16), ..camera };
-                let wide = raycast(&frame_of(&scene, wide, layering), &bounds, &camera);
+                let wide = raycast(&frame_of(&scene, wide, 8, layering), &bounds, &camera);
                 assert!(max_difference(&wide, &truth) <= 1, "with a margin: {at}");
             }
             // Negative control: a tenth to the side is not the rendering.
-            let frame = frame_of(&scene, camera, Layering::default());
+            let frame = frame_of(&scene, camera, 8, Layering::default());
             let mut beside = camera;
             beside.pose.eye += camera.pose.world_from_view * Vec3::X * 0.1 * distance;
             assert!(max_difference(&raycast(&frame, &bounds, &beside), &truth) > 8);
@@ -197,7 +179,7 @@ fn frames_of_one_projection_are_cast_right_into_the_other() {
             parallel(0.3, 0.7, 28, &bounds),
             perspective(0.3, 4.0, 28, &bounds),
         ] {
-            let frame = frame_of(&scene, old, Layering::default());
+            let frame = frame_of(&scene, old, 8, Layering::default());
             let caster = Raycaster::new(&frame, &bounds);
             let is_old_parallel = old.intrinsics.projection.is_orthographic();
             for new in
@@ -224,7 +206,7 @@ fn frames_of_one_projection_are_cast_right_into_the_other() {
                 parallel(0.35, 4.0, 48, &bounds)
             };
             if old.intrinsics == perspective(0.3, 4.0, 28, &bounds).intrinsics {
-                let fine = frame_of(&scene, perspective(0.3, 4.0, 96, &bounds), Layering::default());
+                let fine = frame_of(&scene, perspective(0.3, 4.0, 96, &bounds), 8, Layering::default());
                 let truth = render(&scene, &new);
                 let before = render(&scene, &perspective(0.3, 4.0, 48, &bounds));
                 let found = raycast(&fine, &bounds, &new);
@@ -243,7 +225,7 @@ fn frames_of_both_projections_are_one_picture() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let (newest, older) = (parallel(0.0, 1.2, 48, &bounds), perspective(0.2, 4.0, 96, &bounds));
-    let frames = [newest, older].map(|camera| frame_of(&scene, camera, Layering::default()));
+    let frames = [newest, older].map(|camera| frame_of(&scene, camera, 8, Layering::default()));
     let frames = frames.each_ref();
     let own = combine(&frames, &bounds, &newest);
     assert_eq!(own, raycast(frames[0], &bounds, &newest), "the newest sees all of its own picture");
