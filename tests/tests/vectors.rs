@@ -54,7 +54,7 @@ fn checksum(frame: &LayeredFrame) -> u64 {
 #[test]
 fn every_stored_stream_decodes_to_its_frame() {
     let found = VECTORS.map(|(name, _)| {
-        let frame = iglf::read(&path(name)).unwrap();
+        let frame = iglf::read(&path(name)).unwrap().frame;
         frame.validate().unwrap();
         (name, checksum(&frame))
     });
@@ -87,7 +87,7 @@ fn every_stored_stream_in_blocks_decodes_to_its_frame() {
 
 #[test]
 fn another_frame_has_another_checksum() {
-    let mut frame = iglf::read(&path(VECTORS[0].0)).unwrap();
+    let mut frame = iglf::read(&path(VECTORS[0].0)).unwrap().frame;
     let before = checksum(&frame);
     frame.c_rg[7] ^= 1;
     assert_ne!(checksum(&frame), before);
@@ -133,7 +133,7 @@ fn make_missing_vectors() {
     ] {
         let path = path(name);
         if !path.exists() {
-            iglf::write(&path, &encode(&frame, &settings).unwrap()).unwrap();
+            iglf::write(&path, &encode(&frame, &settings).unwrap(), None).unwrap();
         }
     }
     let mut references = References::default();
@@ -150,7 +150,7 @@ fn make_missing_vectors() {
         if !path.exists() {
             let before = before.and(references.newest()).cloned();
             let (encoded, _) = blocks::encode(&frame, &settings, before.as_deref()).unwrap();
-            iglf::write(&path, &encoded).unwrap();
+            iglf::write(&path, &encoded, None).unwrap();
         }
         references.insert(read_with(name, &references).unwrap().1);
     }

@@ -47,7 +47,7 @@ impl Subject {
     /// What holds for all of its rows.
     pub(crate) fn conditions(&self, backend: &Backend, threads: usize) -> SubjectConditions {
         let Intrinsics { width, height, .. } = self.intrinsics;
-        let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii } = self.orbit;
+        let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii, .. } = self.orbit;
         SubjectConditions {
             version: env!("CARGO_PKG_VERSION"),
             size: [width, height],

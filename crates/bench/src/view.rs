@@ -2,25 +2,32 @@
 
 use std::str::FromStr;
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::layer::FrameHeader;
-use isinglass_core::space::Aabb;
+use isinglass_core::space::{Aabb, world_from_upright};
 
 /// A place on a sphere around the volume's centre, looking at it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// Degrees; positive moves the eye towards +x.
+    /// Degrees; positive moves the eye towards +x of its space.
     pub azimuth_degrees: f32,
-    /// Degrees; positive moves the eye towards +y.
+    /// Degrees; positive moves the eye towards +y of its space.
     pub elevation_degrees: f32,
     /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
     pub distance_in_radii: Option<f32>,
+    /// From the space of the angles; the identity measures them in the volume's own axes.
+    pub world_from_angles: Quat,
 }
 
 impl Default for Orbit {
     fn default() -> Self {
-        Self { azimuth_degrees: 30.0, elevation_degrees: 20.0, distance_in_radii: None }
+        Self {
+            azimuth_degrees: 30.0,
+            elevation_degrees: 20.0,
+            distance_in_radii: None,
+            world_from_angles: Quat::IDENTITY,
+        }
     }
 }
 
@@ -28,6 +35,11 @@ impl Orbit {
     /// The same place, turned by `degrees` of azimuth.
     pub fn turned(self, degrees: f32) -> Self {
         Self { azimuth_degrees: self.azimuth_degrees + degrees, ..self }
+    }
+
+    /// The same angles in the upright space of a volume whose axes point to `letters`.
+    pub fn upright(self, letters: Option<&str>) -> Self {
+        Self { world_from_angles: world_from_upright(letters), ..self }
     }
 
     /// The camera there.
@@ -38,8 +50,17 @@ impl Orbit {
     /// The pose there.
     pub fn pose(&self, intrinsics: &Intrinsics, bounds: &Aabb) -> Pose {
         let distance = self.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance()) * bounds.radius();
+        self.pose_at(bounds.center(), distance)
+    }
+
+    fn pose_at(&self, center: Vec3, distance: f32) -> Pose {
         let (azimuth, elevation) = (self.azimuth_degrees.to_radians(), self.elevation_degrees.to_radians());
-        Pose::orbit(bounds.center(), azimuth, elevation, distance)
+        let upright = Pose::orbit(Vec3::ZERO, azimuth, elevation, distance);
+        let turn = self.world_from_angles;
+        Pose {
+            eye: center + turn * upright.eye,
+            world_from_view: (turn * upright.world_from_view).normalize(),
+        }
     }
 }
 
@@ -63,7 +84,7 @@ impl FromStr for Orbit {
                 "distance in {text:?} is out of range, expected 0 to {MAX_DISTANCE_IN_RADII} radii"
             ));
         }
-        Ok(Self { azimuth_degrees, elevation_degrees, distance_in_radii })
+        Ok(Self { azimuth_degrees, elevation_degrees, distance_in_radii, ..Self::default() })
     }
 }
 
@@ -89,9 +110,7 @@ pub fn bounds_from_header(header: &FrameHeader) -> Aabb {
 pub fn orbit_of_frame(orbit: &Orbit, intrinsics: Intrinsics, header: &FrameHeader) -> Camera {
     let radius = radius_from_header(header);
     let distance = orbit.distance_in_radii.map_or_else(|| header.camera.pose.eye.length(), |d| d * radius);
-    let (azimuth, elevation) = (orbit.azimuth_degrees.to_radians(), orbit.elevation_degrees.to_radians());
-    let pose = Pose::orbit(Vec3::ZERO, azimuth, elevation, distance);
-    Camera::new(pose, intrinsics, &sphere_box_from_header(header))
+    Camera::new(orbit.pose_at(Vec3::ZERO, distance), intrinsics, &sphere_box_from_header(header))
 }
 
 /// A box with the bounding sphere of the volume that a frame was made of: the cube inside it. The volume's own box may
@@ -113,7 +132,12 @@ mod tests {
     #[test]
     fn an_orbit_is_read_and_nonsense_is_refused() {
         let orbit = |s: &str| s.parse::<Orbit>();
-        let read = Orbit { azimuth_degrees: -30.5, elevation_degrees: 20.0, distance_in_radii: Some(2.5) };
+        let read = Orbit {
+            azimuth_degrees: -30.5,
+            elevation_degrees: 20.0,
+            distance_in_radii: Some(2.5),
+            ..Orbit::default()
+        };
         assert_eq!(orbit("-30.5,20,2.5"), Ok(read));
         assert_eq!(orbit("0, -90").unwrap().elevation_degrees, -90.0);
         for bad in ["", "1", "1,2,3,4", "a,b", "nan,0", "0,inf", "0,0,-1", "0,0,1e9", "1;2"] {
@@ -128,7 +152,8 @@ mod tests {
         let bounds = Aabb { min: Vec3::new(-1.0, -2.0, -0.5), max: Vec3::new(1.0, 2.0, 0.5) };
         let intrinsics = Intrinsics::perspective(40, 30, 0.6);
         for distance_in_radii in [None, Some(0.5), Some(0.0), Some(7.0)] {
-            let orbit = Orbit { azimuth_degrees: 33.0, elevation_degrees: -12.0, distance_in_radii };
+            let turned = Orbit { azimuth_degrees: 33.0, elevation_degrees: -12.0, ..Orbit::default() };
+            let orbit = Orbit { distance_in_radii, ..turned }.upright(Some("LPS"));
             let camera = orbit.camera(intrinsics, &bounds);
             let header = FrameHeader {
                 frame: FrameId(1),

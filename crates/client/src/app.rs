@@ -203,7 +203,8 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             Some(_) => {}
             None => {
-                let controls = CameraControls::new(self.options.initial_orbit, &bounds, picture);
+                let upright = self.orientation().world_from_upright();
+                let controls = CameraControls::new(self.options.initial_orbit, upright, &bounds, picture);
                 self.controls = Some((bounds, controls));
             }
         }

@@ -45,12 +45,12 @@ impl ControlInput {
     }
 }
 
-/// Where the view starts and where `r` returns to.
+/// Where the view starts and where `r` returns to, in upright space (`isinglass_core::space`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InitialOrbit {
-    /// Degrees; positive moves the eye towards +x.
+    /// Degrees; positive moves the eye to the right.
     pub azimuth_degrees: f32,
-    /// Degrees; positive moves the eye towards +y.
+    /// Degrees; positive moves the eye up.
     pub elevation_degrees: f32,
     /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
     pub distance_in_radii: Option<f32>,
@@ -66,6 +66,7 @@ impl Default for InitialOrbit {
 #[derive(Clone, Debug)]
 pub struct CameraControls {
     initial: InitialOrbit,
+    world_from_upright: Quat,
     /// Of the volume.
     middle: Vec3,
     /// What the camera turns about.
@@ -77,10 +78,16 @@ pub struct CameraControls {
 }
 
 impl CameraControls {
-    /// The first view of a volume in the box `bounds`.
-    pub fn new(initial: InitialOrbit, bounds: &Aabb, intrinsics: &Intrinsics) -> Self {
+    /// The first view of a volume in the box `bounds` that `world_from_upright` sets upright.
+    pub fn new(
+        initial: InitialOrbit,
+        world_from_upright: Quat,
+        bounds: &Aabb,
+        intrinsics: &Intrinsics,
+    ) -> Self {
         let mut controls = Self {
             initial,
+            world_from_upright,
             middle: bounds.center(),
             center: bounds.center(),
             radius: bounds.radius(),
@@ -95,13 +102,14 @@ impl CameraControls {
     pub fn reset(&mut self, intrinsics: &Intrinsics) {
         let distance = self.initial.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance());
         self.center = self.middle;
-        self.world_from_view = Pose::orbit(
+        let upright_from_view = Pose::orbit(
             Vec3::ZERO,
             self.initial.azimuth_degrees.to_radians(),
             self.initial.elevation_degrees.to_radians(),
             1.0,
         )
         .world_from_view;
+        self.world_from_view = (self.world_from_upright * upright_from_view).normalize();
         self.eye_from_center = Vec3::Z * self.bounded_depth(distance * self.radius);
     }
 
@@ -281,7 +289,7 @@ mod tests {
 
     /// Turned, shifted and zoomed, so that no law holds by symmetry.
     fn controls() -> CameraControls {
-        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let mut c = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         c.orbit([37.0, -81.0], &INTRINSICS);
         c.pan([20.0, 11.0], &INTRINSICS);
         c.zoom(0.3, [-50.0, 20.0], &INTRINSICS);
@@ -312,7 +320,7 @@ mod tests {
     fn the_first_view_is_the_orbit_that_was_asked_for() {
         let initial =
             InitialOrbit { azimuth_degrees: 50.0, elevation_degrees: -10.0, distance_in_radii: Some(3.0) };
-        let c = CameraControls::new(initial, &bounds(), &INTRINSICS);
+        let c = CameraControls::new(initial, Quat::IDENTITY, &bounds(), &INTRINSICS);
         let expect = Pose::orbit(
             bounds().center(),
             50f32.to_radians(),
@@ -320,7 +328,7 @@ mod tests {
             3.0 * bounds().radius(),
         );
         assert!(distance(&c.pose(), &expect) < WORLD_TOLERANCE);
-        let fit = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let fit = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         let d = (fit.pose().eye - bounds().center()).length();
         assert!((d - bounds().radius() * INTRINSICS.fit_distance()).abs() < WORLD_TOLERANCE);
     }
@@ -355,7 +363,7 @@ mod tests {
 
     #[test]
     fn zoom_magnifies_by_its_exponential() {
-        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let mut c = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         let tip = bounds().center() + c.world_from_view * Vec3::X;
         let before = pixel_of(&c, tip)[0] - 320.0;
         c.zoom(2f32.ln(), [0.0; 2], &INTRINSICS);
@@ -386,7 +394,7 @@ mod tests {
         c.orbit([123.0, -45.0], &INTRINSICS);
         assert_close(pixel_of(&c, bounds().center()), before, PIXEL_TOLERANCE);
 
-        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let mut c = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         let near_side = bounds().center() - c.pose().forward() * bounds().radius();
         c.orbit([5.0, 3.0], &INTRINSICS);
         let p = pixel_of(&c, near_side);
@@ -399,7 +407,7 @@ mod tests {
         let before = pixel_of(&c, bounds().center());
         c.roll(0.7);
         assert_close(pixel_of(&c, bounds().center()), before, PIXEL_TOLERANCE);
-        let mut c = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS);
+        let mut c = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         let right = bounds().center() + c.world_from_view * Vec3::X;
         let at = pixel_of(&c, right)[0] - 320.0;
         c.roll(std::f32::consts::FRAC_PI_2);
@@ -446,7 +454,8 @@ mod tests {
 
     #[test]
     fn reset_returns_to_the_first_view_exactly() {
-        let first = CameraControls::new(InitialOrbit::default(), &bounds(), &INTRINSICS).pose();
+        let first =
+            CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS).pose();
         let mut c = controls();
         assert_ne!(c.pose(), first);
         assert!(c.apply(&ControlInput { reset: true, ..Default::default() }, &INTRINSICS));
@@ -499,7 +508,7 @@ mod tests {
             assert_close(a, b, 10.0 * PIXEL_TOLERANCE);
         }
         c.reset(&INTRINSICS);
-        let first = CameraControls::new(InitialOrbit::default(), &other, &INTRINSICS);
+        let first = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &other, &INTRINSICS);
         assert!(distance(&c.pose(), &first.pose()) < WORLD_TOLERANCE);
     }
 }

@@ -1,6 +1,7 @@
 //! Which way the world's axes point, and the standard views that follow from it.
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
+use isinglass_core::space::world_from_upright;
 
 use crate::bindings::{Opposite, Side};
 
@@ -9,9 +10,8 @@ use crate::bindings::{Opposite, Side};
 pub(crate) struct Orientation {
     /// For x, y and z the letter at the positive end, and that at the negative one where the volume knows it.
     pub(crate) letters: [(char, Option<char>); 3],
-    front: Vec3,
-    up: Vec3,
-    /// What is up in the view from the top.
+    world_from_upright: Quat,
+    /// What is up in the view from the top, upright space.
     up_from_top: Vec3,
 }
 
@@ -20,8 +20,7 @@ impl Orientation {
     pub(crate) fn of(letters: Option<&str>) -> Self {
         letters.and_then(Self::of_patient).unwrap_or(Self {
             letters: [('x', None), ('y', None), ('z', None)],
-            front: Vec3::Z,
-            up: Vec3::Y,
+            world_from_upright: Quat::IDENTITY,
             up_from_top: Vec3::NEG_Z,
         })
     }
@@ -29,35 +28,37 @@ impl Orientation {
     fn of_patient(letters: &str) -> Option<Self> {
         let ends: Vec<char> = letters.chars().collect();
         let ends: [char; 3] = ends.try_into().ok()?;
-        let towards = |wanted: char| -> Option<Vec3> {
-            ends.iter().zip(Vec3::AXES).find_map(|(&end, axis)| match end {
-                end if end == wanted => Some(axis),
-                end if opposite(end)? == wanted => Some(-axis),
-                _ => None,
-            })
-        };
         // One of each pair, or the letters say nothing.
-        let (front, up) = (towards('A')?, towards('S')?);
-        towards('R')?;
-        let letters =
-            [(ends[0], opposite(ends[0])), (ends[1], opposite(ends[1])), (ends[2], opposite(ends[2]))];
-        // As radiologists have it: anterior is up when one looks along the body.
-        Some(Self { letters, front, up, up_from_top: front })
+        if ["RL", "AP", "SI"].iter().any(|pair| !ends.iter().any(|&end| pair.contains(end))) {
+            return None;
+        }
+        Some(Self {
+            letters: ends.map(|end| (end, opposite(end))),
+            world_from_upright: world_from_upright(Some(letters)),
+            // As radiologists have it: anterior is up when one looks along the body.
+            up_from_top: Vec3::Z,
+        })
+    }
+
+    /// From where the first view is told.
+    pub(crate) fn world_from_upright(&self) -> Quat {
+        self.world_from_upright
     }
 
     /// Towards the top of the volume.
     pub(crate) fn up(&self) -> Vec3 {
-        self.up
+        self.world_from_upright * Vec3::Y
     }
 
     /// From where a standard view looks at the centre, and what is up in it.
     pub(crate) fn standard_view(&self, side: Side, opposite: Opposite) -> (Vec3, Vec3) {
         let (from, up) = match side {
-            Side::Front => (self.front, self.up),
-            Side::Right => (self.up.cross(self.front), self.up),
-            Side::Top => (self.up, self.up_from_top),
+            Side::Front => (Vec3::Z, Vec3::Y),
+            Side::Right => (Vec3::X, Vec3::Y),
+            Side::Top => (Vec3::Y, self.up_from_top),
         };
-        (if opposite { -from } else { from }, up)
+        let in_world = |v: Vec3| (self.world_from_upright * v).round();
+        (in_world(if opposite { -from } else { from }), in_world(up))
     }
 }
 

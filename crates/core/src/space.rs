@@ -3,12 +3,14 @@
 //! - **voxel**: continuous; voxel `i` covers `[i, i+1)` and its centre is at `i + 0.5`. x runs fastest in memory.
 //! - **world**: physical length (the unit of the volume's spacing). Right-handed. The centre of the volume's box is
 //!   the origin; the axes are the volume's own.
+//! - **upright**: world space turned so that +y is up and +z to the front ([`world_from_upright`]): what angles of an orbit are
+//!   told in.
 //! - **view**: right-handed, +x right, +y up; the camera looks along −z. *Depth* is −z, positive in front.
 //! - **pixel**: continuous; pixel `i` covers `[i, i+1)`; x runs right, y runs *down*, row 0 is the top.
 //!
 //! Transforms are named `a_from_b`. Lengths named `s` are world distances along a ray with a unit direction.
 
-use glam::Vec3;
+use glam::{Mat3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// A ray in world space; `dir` has unit length.
@@ -25,6 +27,27 @@ impl Ray {
     pub fn at(&self, s: f32) -> Vec3 {
         self.origin + self.dir * s
     }
+}
+
+/// The rotation from upright to world space of a volume whose axes point to `letters`, such as `RAS`: a body's superior side is
+/// up and its anterior side in front. Without letters, or with some that do not name one end of each axis of a body, up is y
+/// and z points to the front.
+pub fn world_from_upright(letters: Option<&str>) -> Quat {
+    letters.and_then(upright_body).unwrap_or(Quat::IDENTITY)
+}
+
+fn upright_body(letters: &str) -> Option<Quat> {
+    let ends: [char; 3] = letters.chars().collect::<Vec<_>>().try_into().ok()?;
+    let towards = |positive: char, negative: char| {
+        ends.iter().zip(Vec3::AXES).find_map(|(&end, axis)| match end {
+            end if end == positive => Some(axis),
+            end if end == negative => Some(-axis),
+            _ => None,
+        })
+    };
+    towards('R', 'L')?;
+    let (front, up) = (towards('A', 'P')?, towards('S', 'I')?);
+    Some(Quat::from_mat3(&Mat3::from_cols(up.cross(front), up, front)).normalize())
 }
 
 /// An axis-aligned box in world space.
@@ -111,5 +134,29 @@ mod tests {
         assert_eq!(cube.clip(&along_x(Vec3::ZERO)), Some((0.0, 1.0)));
         assert_eq!(cube.clip(&along_x(Vec3::new(3.0, 0.0, 0.0))), None);
         assert_eq!(cube.clip(&along_x(Vec3::new(-3.0, 1.5, 0.0))), None);
+    }
+
+    #[test]
+    fn a_body_stands_upright_and_faces_the_front() {
+        let axis = |letters: &str, end: char| {
+            let opposite =
+                |c| "RLAPSI".chars().zip("LRPAIS".chars()).find_map(|(a, b)| (a == c).then_some(b));
+            let signs = letters.chars().map(|c| match c {
+                c if c == end => 1.0,
+                c if Some(c) == opposite(end) => -1.0,
+                _ => 0.0,
+            });
+            Vec3::from_slice(&signs.collect::<Vec<f32>>())
+        };
+        for letters in ["RAS", "LPS", "LIP", "ASR", "SRA"] {
+            let turn = world_from_upright(Some(letters));
+            assert!((turn * Vec3::Y - axis(letters, 'S')).length() < 1e-6, "{letters}");
+            assert!((turn * Vec3::Z - axis(letters, 'A')).length() < 1e-6, "{letters}");
+            // Whoever faces the viewer has the left hand at the viewer's right.
+            assert!((turn * Vec3::X - axis(letters, 'L')).length() < 1e-6, "{letters}");
+        }
+        for other in [None, Some(""), Some("RAX"), Some("RLS"), Some("RASA"), Some("räs")] {
+            assert_eq!(world_from_upright(other), Quat::IDENTITY, "{other:?}");
+        }
     }
 }

@@ -1,8 +1,8 @@
 //! Layered frames as files, `.iglf`: the chunks of the wire payload one after the other (`docs/PROTOCOL.md`,
 //! "Layered-frame payload").
 //!
-//! Little-endian: `IGLF`, version (`u16`), number of chunks (`u16`), then for each chunk its length (`u32`) and its
-//! bytes. Nothing follows.
+//! Little-endian: `IGLF`, version (`u16`), number of chunks (`u16`), from version 2 on the letters of the volume's axes (3
+//! bytes, zeros if it does not know them), then for each chunk its length (`u32`) and its bytes. Nothing follows.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -46,14 +46,23 @@ pub enum IglfError {
     },
 }
 
-/// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
-pub fn write(path: &Path, encoded: &EncodedFrame) -> Result<(), IglfError> {
+/// A frame that was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredFrame {
+    /// The frame.
+    pub frame: LayeredFrame,
+    /// Where the volume's axes point, such as `RAS`, if that is known.
+    pub orientation: Option<String>,
+}
+
+/// Writes a frame of a volume whose axes point to `orientation`, such as `RAS`. The file appears complete or, on an error, not at all; one that was there is replaced.
+pub fn write(path: &Path, encoded: &EncodedFrame, orientation: Option<&str>) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
     let mut temporary = OsString::from(path);
     temporary.push(format!(".{}.part", std::process::id()));
     let result = File::create(&temporary)
         .and_then(|mut file| {
-            file.write_all(&to_bytes(encoded))?;
+            file.write_all(&to_bytes(encoded, orientation))?;
             file.sync_all()
         })
         .and_then(|()| fs::rename(&temporary, path));
@@ -65,15 +74,22 @@ pub fn write(path: &Path, encoded: &EncodedFrame) -> Result<(), IglfError> {
 }
 
 /// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
-pub fn read(path: &Path) -> Result<LayeredFrame, IglfError> {
-    decode(&read_chunks(path)?).map_err(|cause| IglfError::Codec { path: path.display().to_string(), cause })
+pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
+    let (chunks, orientation) = read_parts(path)?;
+    let frame =
+        decode(&chunks).map_err(|cause| IglfError::Codec { path: path.display().to_string(), cause })?;
+    Ok(StoredFrame { frame, orientation })
 }
 
 /// Reads the chunks of a frame as they are, without looking into them.
 pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
+    Ok(read_parts(path)?.0)
+}
+
+fn read_parts(path: &Path) -> Result<Parts, IglfError> {
     let name = || path.display().to_string();
     let file = File::open(path).map_err(|cause| IglfError::Io { path: name(), cause })?;
-    chunks_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
+    parts_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
         Problem::Io(cause) => IglfError::Io { path: name(), cause },
         Problem::Malformed(what, found, expected) => {
             IglfError::Malformed { path: name(), what, found, expected }
@@ -81,11 +97,13 @@ pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
     })
 }
 
-fn to_bytes(encoded: &EncodedFrame) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(encoded.num_bytes() + 4 * encoded.chunks.len() + 8);
+fn to_bytes(encoded: &EncodedFrame, orientation: Option<&str>) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(encoded.num_bytes() + 4 * encoded.chunks.len() + 11);
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&VERSION.to_le_bytes());
     bytes.extend_from_slice(&(encoded.chunks.len() as u16).to_le_bytes());
+    let letters = orientation.and_then(|letters| letters.as_bytes().try_into().ok());
+    bytes.extend_from_slice(&letters.unwrap_or([0; 3]));
     for chunk in &encoded.chunks {
         bytes.extend_from_slice(&(chunk.bytes.len() as u32).to_le_bytes());
         bytes.extend_from_slice(&chunk.bytes);
@@ -99,19 +117,32 @@ enum Problem {
     Malformed(String, String, String),
 }
 
-fn chunks_from_reader(reader: &mut impl Read) -> Result<Vec<Vec<u8>>, Problem> {
+/// The chunks, and where the volume's axes point.
+type Parts = (Vec<Vec<u8>>, Option<String>);
+
+fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
     let magic: [u8; 4] = take(reader, "start of the file")?;
     if magic != MAGIC {
         return Err(malformed("start of the file", format!("{magic:02x?}"), format!("{MAGIC:02x?}")));
     }
     let version = u16::from_le_bytes(take(reader, "version")?);
-    if version != VERSION {
-        return Err(malformed("version", version, VERSION));
+    if !(1..=VERSION).contains(&version) {
+        return Err(malformed("version", version, format!("1 to {VERSION}")));
     }
     let count = usize::from(u16::from_le_bytes(take(reader, "number of chunks")?));
     if !(1..=MAX_CHUNKS).contains(&count) {
         return Err(malformed("number of chunks", count, format!("1 to {MAX_CHUNKS}")));
     }
+    let letters = if version == 1 { [0; 3] } else { take(reader, "letters of the axes")? };
+    let orientation = match letters {
+        [0, 0, 0] => None,
+        letters if letters.iter().all(u8::is_ascii_uppercase) => {
+            Some(letters.map(char::from).iter().collect())
+        }
+        letters => {
+            return Err(malformed("letters of the axes", format!("{letters:02x?}"), "capitals or zeros"));
+        }
+    };
     let mut chunks = Vec::with_capacity(count);
     for number in 0..count {
         let what = format!("length of chunk {number}");
@@ -129,7 +160,7 @@ fn chunks_from_reader(reader: &mut impl Read) -> Result<Vec<Vec<u8>>, Problem> {
         chunks.push(bytes);
     }
     match reader.read(&mut [0]).map_err(Problem::Io)? {
-        0 => Ok(chunks),
+        0 => Ok((chunks, orientation)),
         _ => Err(malformed("what follows the last chunk", "more bytes", "the end of the file")),
     }
 }
@@ -148,7 +179,7 @@ fn malformed(what: impl Into<String>, found: impl ToString, expected: impl ToStr
 }
 
 const MAGIC: [u8; 4] = *b"IGLF";
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 
 #[cfg(test)]
 mod tests {
@@ -198,12 +229,27 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
         let encoded = encode(&frame(), &Settings::default()).unwrap();
-        write(&path, &encoded).unwrap();
-        write(&path, &encoded).unwrap();
-        let decoded = read(&path).unwrap();
+        write(&path, &encoded, None).unwrap();
+        assert_eq!(read(&path).unwrap().orientation, None);
+        write(&path, &encoded, Some("LPS")).unwrap();
+        let StoredFrame { frame: decoded, orientation } = read(&path).unwrap();
+        assert_eq!(orientation.as_deref(), Some("LPS"));
         assert_eq!(decoded.depth, frame().depth);
         assert_eq!(encode(&decoded, &Settings::default()).unwrap(), encoded);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn files_of_the_first_version_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.iglf");
+        let mut bytes = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), Some("RAS"));
+        fs::write(&path, &bytes).unwrap();
+        let newest = read(&path).unwrap();
+        bytes[4] = 1;
+        bytes.drain(8..11);
+        fs::write(&path, &bytes).unwrap();
+        assert_eq!(read(&path).unwrap(), StoredFrame { orientation: None, ..newest });
     }
 
     #[test]
@@ -211,11 +257,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let encoded = encode(&frame(), &Settings::default()).unwrap();
         let missing = dir.path().join("no-such-directory").join("a.iglf");
-        assert!(matches!(write(&missing, &encoded), Err(IglfError::Io { .. })));
+        assert!(matches!(write(&missing, &encoded, None), Err(IglfError::Io { .. })));
         // A directory in the place of the file cannot be replaced.
         let taken = dir.path().join("b.iglf");
         fs::create_dir(&taken).unwrap();
-        assert!(matches!(write(&taken, &encoded), Err(IglfError::Io { .. })));
+        assert!(matches!(write(&taken, &encoded, None), Err(IglfError::Io { .. })));
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
@@ -224,26 +270,26 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
         assert!(matches!(read(&path), Err(IglfError::Io { .. })));
-        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap());
-        for len in (0..good.len()).step_by(97).chain(0..12) {
+        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), None);
+        for len in (0..good.len()).step_by(97).chain(0..15) {
             assert!(matches!(error(&path, &good[..len]), IglfError::Malformed { .. }), "{len}");
         }
         let mut longer = good.clone();
         longer.push(0);
         assert!(matches!(error(&path, &longer), IglfError::Malformed { .. }));
-        for (at, byte) in [(0, b'X'), (4, 9), (6, 0), (6, 200), (11, 0xff)] {
+        for (at, byte) in [(0, b'X'), (4, 9), (4, 0), (6, 0), (6, 200), (9, b'P'), (14, 0xff)] {
             let mut bytes = good.clone();
             bytes[at] = byte;
             assert!(matches!(error(&path, &bytes), IglfError::Malformed { .. }), "{at}");
         }
         let mut bytes = good.clone();
-        bytes[12] = b'X';
+        bytes[15] = b'X';
         assert!(matches!(error(&path, &bytes), IglfError::Codec { .. }));
         // One chunk fewer than the frame has.
         let mut encoded = encode(&frame(), &Settings::default()).unwrap();
         encoded.chunks.pop();
         assert!(matches!(
-            error(&path, &to_bytes(&encoded)),
+            error(&path, &to_bytes(&encoded, None)),
             IglfError::Codec { cause: CodecError::Incomplete { .. }, .. }
         ));
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use glam::Quat;
+use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::OpenedScene;
 use isinglass_bench::view::Orbit;
@@ -207,7 +207,11 @@ impl Seen {
         if self.given.has("orbit") {
             return around(intrinsics);
         }
-        let camera = Camera::new(turned(saved.pose(), degrees, bounds), intrinsics, bounds);
+        let camera = Camera::new(
+            turned(saved.pose(), orbit.world_from_angles * Vec3::Y, degrees, bounds),
+            intrinsics,
+            bounds,
+        );
         // As large as the viewer shows it: at the depth of what its camera turns about.
         let (_, eye_from_center) = saved.placement();
         if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
@@ -256,12 +260,12 @@ impl Seen {
     }
 }
 
-/// A pose as it is after a turn around the vertical through the volume's middle.
-fn turned(pose: Pose, degrees: f32, bounds: &Aabb) -> Pose {
+/// A pose as it is after a turn about `up` through the volume's middle.
+fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
     if degrees == 0.0 {
         return pose;
     }
-    let (turn, center) = (Quat::from_rotation_y(degrees.to_radians()), bounds.center());
+    let (turn, center) = (Quat::from_axis_angle(up, degrees.to_radians()), bounds.center());
     Pose {
         eye: center + turn * (pose.eye - center),
         world_from_view: (turn * pose.world_from_view).normalize(),

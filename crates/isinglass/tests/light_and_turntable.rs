@@ -37,6 +37,37 @@ fn shade_changes_the_picture_and_strengths_of_zero_do_not() {
     assert!(error("own.png", "bare.png") > 8, "negative control");
 }
 
+/// Angles are those of the body, in each command, and a turntable goes round its own upright.
+#[test]
+fn a_body_is_seen_upright_by_each_command() {
+    let bench = Bench::new();
+    let voxels: Vec<u8> =
+        (0..12 * 10 * 14).map(|i| if i % 12 < 5 && i / 120 > 8 { 200 } else { 90 }).collect();
+    for (file, space) in
+        [("body.nrrd", "space: right-anterior-superior\n"), ("bare.nrrd", "space dimension: 3\n")]
+    {
+        let header = format!(
+            "NRRD0004\ntype: uint8\ndimension: 3\n{space}sizes: 12 10 14\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
+             encoding: raw\n\n"
+        );
+        bench.write(file, [header.as_bytes(), &voxels].concat());
+    }
+    let error = |a: &str, b: &str| {
+        bench.json(&format!("compare {a} {b} --json"))["max_abs_255"].as_u64().unwrap_or_default()
+    };
+    let tf = "--tf ct";
+    bench.ok(&format!("render body.nrrd --orbit 20,10 -o body.png {tf} {RENDER}"));
+    bench.ok(&format!("render bare.nrrd --orbit 20,10 -o bare.png {tf} {RENDER}"));
+    assert!(error("body.png", "bare.png") > 8, "negative control");
+    bench.ok(&format!("layers body.nrrd --orbit -30,0 -o a.iglf {tf} {RENDER}"));
+    bench.ok("reproject a.iglf --orbit 20,10 -o novel.png --backend cpu");
+    assert!(error("novel.png", "body.png") < error("novel.png", "bare.png"));
+    bench.ok(&format!("render body.nrrd --orbit 20,10 --turntable 2 -o turn {tf} {RENDER}"));
+    bench.ok(&format!("render body.nrrd --orbit 200,10 -o behind.png {tf} {RENDER}"));
+    assert_eq!(error("turn/0001.png", "behind.png"), 0);
+    assert_eq!(error("turn/0000.png", "body.png"), 0);
+}
+
 #[test]
 fn a_turntable_is_so_many_pictures_and_each_is_that_of_render() {
     let bench = Bench::new();

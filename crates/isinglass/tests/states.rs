@@ -5,6 +5,7 @@
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
+use glam::Quat;
 use isinglass_client::camera_controls::{CameraControls, InitialOrbit};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
@@ -23,7 +24,7 @@ fn state() -> SavedState {
     let orbit =
         InitialOrbit { azimuth_degrees: 25.0, elevation_degrees: -15.0, distance_in_radii: Some(3.0) };
     let intrinsics = Intrinsics::perspective(64, 48, 35f32.to_radians());
-    let controls = CameraControls::new(orbit, &volume.bounds(), &intrinsics);
+    let controls = CameraControls::new(orbit, Quat::IDENTITY, &volume.bounds(), &intrinsics);
     let (lo, hi) = volume.value_range();
     let saved = SavedVolume {
         name: "cubus".into(),

@@ -135,6 +135,8 @@ pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome
     let (clip, mode, isos) = (options.clip, options.mode, options.isos);
     let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(options.shaded, options.lighting) };
     let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;
+    let orbit = options.orbit.upright(opened.scene.volume.info.orientation.as_deref());
+    let options = &DemoOptions { orbit, ..options.clone() };
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
     // Before playing: nobody wants to wait for a report that cannot be written.

@@ -19,6 +19,7 @@ use isinglass_core::wire::{ProbeRequest, Probed, Token, VolumeDescription, Welco
 use isinglass_net::{LinkStats, ReceivedShot};
 
 use super::*;
+use crate::camera_controls::InitialOrbit;
 use crate::novel_view::LAYERS;
 use crate::viewing::FrameSize;
 
@@ -174,6 +175,14 @@ impl FrameSource for HereSource {
 
 /// At rest: the first picture is there.
 fn window(size: [f32; 2]) -> Harness<'static, ViewerApp<HereSource>> {
+    window_on(HereSource::new(), InitialOrbit::default(), size)
+}
+
+fn window_on(
+    source: HereSource,
+    initial_orbit: InitialOrbit,
+    size: [f32; 2],
+) -> Harness<'static, ViewerApp<HereSource>> {
     let micros = Arc::new(AtomicU64::new(0));
     let clock = {
         let micros = micros.clone();
@@ -181,10 +190,11 @@ fn window(size: [f32; 2]) -> Harness<'static, ViewerApp<HereSource>> {
     };
     let options = WindowOptions {
         frame_size: FrameSize { max_width: 48, max_height: 48, ..FrameSize::default() },
+        initial_orbit,
         ..WindowOptions::default()
     };
     let views = NovelViews::new(Vec::new(), LAYERS, Arc::new(|| {}));
-    let app = ViewerApp::new(options, views, HereSource::new(), clock, Arc::default());
+    let app = ViewerApp::new(options, views, source, clock, Arc::default());
     // A display at 60 Hz.
     let show = move |ui: &mut egui::Ui, app: &mut ViewerApp<HereSource>| {
         micros.fetch_add(16_667, Ordering::Relaxed);
@@ -304,6 +314,22 @@ fn every_preset_in_the_panel_is_what_its_label_says() {
         let transfer = &w.state().viewing.source().look.1.transfer;
         assert_eq!(Some(transfer.clone()), isinglass_formats::preset(name));
     }
+}
+
+#[test]
+fn a_body_is_seen_upright_at_first() {
+    let first = |letters: Option<&str>| {
+        let orbit = InitialOrbit { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..Default::default() };
+        let source = HereSource { orientation: letters.map(Into::into), ..HereSource::new() };
+        pose(&window_on(source, orbit, [640.0, 480.0]))
+    };
+    for letters in [None, Some("RAS"), Some("LPS")] {
+        let (from, up) = Orientation::of(letters).standard_view(crate::bindings::Side::Front, false);
+        let pose = first(letters);
+        assert!((pose.forward() + from).length() < 1e-5, "{letters:?}");
+        assert!((pose.world_from_view * glam::Vec3::Y - up).length() < 1e-5, "{letters:?}");
+    }
+    assert_ne!(first(None), first(Some("RAS")), "negative control");
 }
 
 #[test]

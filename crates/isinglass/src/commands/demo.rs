@@ -60,7 +60,7 @@ pub(crate) struct DemoArgs {
     /// Parallel rays; in a window, to begin with (key 5)
     #[arg(long)]
     orthographic: bool,
-    /// Where the camera begins
+    /// Where the camera begins, see `render`
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     /// Speed of the headless camera, degrees a second

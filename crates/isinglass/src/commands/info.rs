@@ -10,7 +10,8 @@ use clap::Args;
 use isinglass_core::codec;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::{VolumeFacts, iglf};
+use isinglass_formats::VolumeFacts;
+use isinglass_formats::iglf::{self, StoredFrame};
 use serde_json::{Map, json};
 
 use crate::args::VolumeArgs;
@@ -43,7 +44,7 @@ fn is_stored_frame(path: &Path) -> bool {
 }
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {
-    let frame = iglf::read(path)?;
+    let StoredFrame { frame, orientation } = iglf::read(path)?;
     let spent = Spent::of(&iglf::read_chunks(path)?)?;
     let header = frame.header;
     let camera = header.camera;
@@ -56,6 +57,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
         return print_json(&json!({
             "size": size,
             "fov_deg": fov_deg,
+            "orientation": orientation,
             "eye": eye,
             "near": camera.near,
             "far": camera.far,

@@ -26,7 +26,8 @@ pub(crate) struct LayersArgs {
     volume: VolumeArgs,
     #[command(flatten)]
     state: StateArgs,
-    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
+    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the front, which is
+    /// a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     /// File to write, such as a.iglf
@@ -56,7 +57,9 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let seen = args.state.read(given)?;
     let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
     let backend = args.backend.open()?;
-    let camera = seen.camera(&args.orbit, 0.0, &args.view, &opened.scene.volume.bounds());
+    let orientation = opened.scene.volume.info.orientation.clone();
+    let orbit = args.orbit.upright(orientation.as_deref());
+    let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
     let frame = renderer.generate(header(camera, look.k), look.layering)?;
@@ -64,7 +67,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let start = Instant::now();
     let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
-    iglf::write(&args.output, &encoded)?;
+    iglf::write(&args.output, &encoded, orientation.as_deref())?;
     if args.json {
         print_json(&json!({
             "output": args.output.display().to_string(),

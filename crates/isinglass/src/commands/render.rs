@@ -25,7 +25,8 @@ pub(crate) struct RenderArgs {
     volume: VolumeArgs,
     #[command(flatten)]
     state: StateArgs,
-    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere
+    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the front, which is
+    /// a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     /// PNG file to write; for --turntable a folder, which is made, or a name with a # for each figure of the picture's number
@@ -64,6 +65,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
+    let orbit = args.orbit.upright(opened.scene.volume.info.orientation.as_deref());
     let num_pictures = args.turntable.unwrap_or(1);
     let names = Names::of(args);
     if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
@@ -75,7 +77,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let mut told = None;
     for number in 0..num_pictures {
         let degrees = 360.0 * number as f32 / num_pictures as f32;
-        let camera = seen.camera(&args.orbit, degrees, &args.view, &bounds);
+        let camera = seen.camera(&orbit, degrees, &args.view, &bounds);
         let plan = args.lens.plan(&camera, &bounds)?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -9,7 +9,7 @@ use clap::Args;
 use isinglass_bench::rivals::{Method, Views};
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_core::camera::Camera;
-use isinglass_formats::iglf;
+use isinglass_formats::iglf::{self, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
@@ -23,7 +23,7 @@ pub(crate) struct ReprojectArgs {
     /// A layered frame that `layers` stored
     #[arg(value_name = "FRAME")]
     frame: PathBuf,
-    /// Azimuth and elevation in degrees; distance in radii of the volume's bounding sphere [default: the frame's own
+    /// Azimuth and elevation in degrees, see `render`; distance in radii of the volume's bounding sphere [default: the frame's own
     /// camera; without DIST as far away as that]
     #[arg(long, value_name = "AZ,EL[,DIST]", allow_hyphen_values = true)]
     orbit: Option<Orbit>,
@@ -55,7 +55,7 @@ pub(crate) struct ReprojectArgs {
 }
 
 pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
-    let frame = iglf::read(&args.frame)?;
+    let StoredFrame { frame, orientation } = iglf::read(&args.frame)?;
     let header = frame.header;
     let mut intrinsics = header.camera.intrinsics;
     if let Some([width, height]) = args.size {
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         intrinsics = intrinsics.with_fov_y(fov.to_radians());
     }
     let camera = match &args.orbit {
-        Some(orbit) => orbit_of_frame(orbit, intrinsics, &header),
+        Some(orbit) => orbit_of_frame(&orbit.upright(orientation.as_deref()), intrinsics, &header),
         None => Camera { intrinsics, ..header.camera },
     };
     let camera =

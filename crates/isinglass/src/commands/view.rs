@@ -45,7 +45,7 @@ pub(crate) struct ViewerArgs {
     /// Begin with parallel rays (key 5)
     #[arg(long)]
     orthographic: bool,
-    /// Where the camera begins
+    /// Where the camera begins, see `render`
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     #[command(flatten)]
