@@ -127,6 +127,7 @@ presets![
     "ct",
     "industrial",
     "mri",
+    "mri-skin",
     "angio",
     "smooth",
     "fluorescence",
