@@ -16,9 +16,11 @@ use isinglass_core::image_error::compare;
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::transfer::Domain;
 use isinglass_core::volume::{Histogram, Volume, Voxels};
 use isinglass_formats::{
-    Dtype, Endian, OpenOptions, RawShape, VolumeFacts, default_preset, load_transfer, open,
+    Dtype, Endian, OpenOptions, RawShape, VolumeFacts, default_preset, default_transfer, load_transfer, open,
+    preset,
 };
 use isinglass_tests::data_dir;
 
@@ -206,6 +208,14 @@ fn every_volume_of_the_folder_opens_as_its_readme_says() {
         }
         let path = folder.join(file);
         assert_eq!(default_preset(path.to_str().unwrap(), &volume, &histogram), expected.preset, "{file}");
+        // Only the tooth stands in something, of 360 to 430; the others' backgrounds are clear as they are.
+        let domain = default_transfer(path.to_str().unwrap(), &volume, &histogram).domain;
+        match domain {
+            Domain::Values(from, _) => {
+                assert!(file.ends_with("tooth.nhdr") && (350.0..450.0).contains(&from), "{file} {from}")
+            }
+            domain => assert_eq!(domain, preset(expected.preset).unwrap().domain, "{file}"),
+        }
     }
 }
 

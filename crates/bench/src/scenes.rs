@@ -6,7 +6,7 @@ use std::sync::Arc;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
-use isinglass_formats::{FormatError, OpenOptions, default_preset, load_transfer, open};
+use isinglass_formats::{FormatError, OpenOptions, default_transfer, load_transfer, open};
 
 use crate::error::BenchError;
 
@@ -50,7 +50,7 @@ pub fn open_scene(
     let volume = Arc::new(open(source, options)?);
     let transfer = match transfer {
         Some(transfer) => transfer,
-        None => load_transfer(suitable_preset(source, &volume))?,
+        None => default_transfer(source, &volume, &Histogram::of(&volume)),
     };
     Ok(OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer })
 }
@@ -104,10 +104,6 @@ pub fn data_folder() -> Option<PathBuf> {
     }
     let here = std::env::current_dir().ok()?;
     here.ancestors().map(|folder| folder.join("shared/data")).find(|folder| folder.is_dir())
-}
-
-fn suitable_preset(source: &str, volume: &Volume) -> &'static str {
-    default_preset(source, volume, &Histogram::of(volume))
 }
 
 /// Names the folder of scanned volumes.

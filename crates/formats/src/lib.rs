@@ -54,7 +54,7 @@ pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline};
-pub use presets::{default_preset, preset, preset_names};
+pub use presets::{default_preset, default_transfer, preset, preset_names};
 pub use raw::RawShape;
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use select::{Region, Selection};

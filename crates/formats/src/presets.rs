@@ -1,6 +1,6 @@
 //! The transfer functions that come with the program, and which of them suits a volume.
 
-use isinglass_core::transfer::TransferFunction;
+use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 
@@ -28,6 +28,46 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         Some(Builtin::Shells) => "shells",
         None => of_modality(volume).unwrap_or_else(|| Statistics::of(volume, histogram).preset()),
     }
+}
+
+/// [`default_preset`] as a transfer function. What a scanned thing stands in, resin or the gel of a dish, would hide it: where the
+/// volume's sides have nearly one value and the preset shows it, the domain begins so high that it is clear.
+pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
+    let name = default_preset(source, volume, histogram);
+    let mut transfer = preset(name).expect("the default is one of the presets");
+    if let Domain::Percentiles(from, to) = transfer.domain {
+        let (lo, hi) = (histogram.percentile(from), histogram.percentile(to));
+        let Some(surroundings) = surroundings(volume, 0.2 * (hi - lo)) else { return transfer };
+        let clear_below = transfer.points[0].x;
+        let begin = (surroundings - clear_below * hi) / (1.0 - clear_below);
+        // Noise of a clear background is left alone.
+        if surroundings - lo > (clear_below + 0.1) * (hi - lo) && begin > lo && begin < hi {
+            transfer.domain = Domain::Values(begin, hi);
+        }
+    }
+    transfer
+}
+
+/// The greatest value, but for a fiftieth, on the sides of a volume if nearly all of them lie within `span`.
+fn surroundings(volume: &Volume, span: f32) -> Option<f32> {
+    let dims = volume.dims().map(|d| d as i32);
+    let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
+    let mut values = Vec::new();
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for side in [0, dims[axis] - 1] {
+            for a in (0..dims[u]).step_by(stride[u]) {
+                for b in (0..dims[v]).step_by(stride[v]) {
+                    let mut at = [0; 3];
+                    (at[axis], at[u], at[v]) = (side, a, b);
+                    values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
+                }
+            }
+        }
+    }
+    values.sort_unstable_by(f32::total_cmp);
+    let at = |share: f32| values[((values.len() - 1) as f32 * share) as usize];
+    (at(0.98) - at(0.02) < span).then(|| at(0.98))
 }
 
 /// CT only in Hounsfield units, that is, with air of about −1000.
@@ -213,6 +253,29 @@ mod tests {
     }
 
     #[test]
+    fn what_a_thing_stands_in_is_clear() {
+        // How far above the first point of the curve the value `around` is; none: the preset is as it comes.
+        let shown = |around: u8, voxels: Vec<u8>| {
+            let volume =
+                Volume::new([20; 3], Vec3::ONE, Voxels::U8(voxels), (1.0, 0.0), VolumeInfo::default());
+            let volume = volume.unwrap();
+            let transfer = default_transfer("file", &volume, &Histogram::of(&volume));
+            let Domain::Values(from, to) = transfer.domain else { return None };
+            Some((f32::from(around) - from) / (to - from) - transfer.points[0].x)
+        };
+        let thing_in = |around: u8| {
+            let mut voxels: Vec<u8> = (0..8000).map(|i| around - (i % 3) as u8).collect();
+            voxels[3000..3100].fill(250);
+            voxels[4210..4215].fill(0);
+            voxels
+        };
+        assert!(shown(100, thing_in(100)).unwrap().abs() < 1e-3);
+        assert_eq!(shown(3, thing_in(3)), None, "air is clear as it is");
+        let halves = (0..8000).map(|i| if i % 20 < 10 { 100 } else { 220 }).collect();
+        assert_eq!(shown(100, halves), None, "sides of several values are the thing itself");
+    }
+
+    #[test]
     fn degenerate_volumes_get_some_preset() {
         for (dims, voxels) in [
             ([1, 1, 1], Voxels::U8(vec![7])),
@@ -220,8 +283,9 @@ mod tests {
             ([3, 3, 3], Voxels::U16(vec![9; 27])),
         ] {
             let volume = Volume::new(dims, Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
-            let name = default_preset("file", &volume, &Histogram::of(&volume));
-            assert!(preset(name).is_some());
+            let histogram = Histogram::of(&volume);
+            assert!(preset(default_preset("file", &volume, &histogram)).is_some());
+            assert_eq!(default_transfer("file", &volume, &histogram).validate(), Ok(()));
         }
     }
 }

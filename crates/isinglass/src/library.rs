@@ -9,7 +9,7 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{Part, Parts};
 use isinglass_formats::{
-    FormatError, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, default_preset,
+    FormatError, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, default_transfer,
     load_transfer, open, outline,
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
@@ -65,17 +65,14 @@ impl FileLoader {
 
     /// A server's library in which `volume`, of this outline, is shown at first.
     pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
-        let transfer = self.transfer_of(&volume).map_err(|e| anyhow!(e))?;
+        let transfer = self.transfer_of(&volume);
         let parts = parts_of(outline);
         Ok(OpenedFile { volume, transfer, library: Library { parts, loader: Arc::new(self) } })
     }
 
-    fn transfer_of(&self, volume: &Volume) -> Result<TransferFunction, String> {
-        match &self.transfer {
-            Some(transfer) => Ok(transfer.clone()),
-            None => load_transfer(default_preset(&self.source, volume, &Histogram::of(volume)))
-                .map_err(|e| e.to_string()),
-        }
+    fn transfer_of(&self, volume: &Volume) -> TransferFunction {
+        let suitable = || default_transfer(&self.source, volume, &Histogram::of(volume));
+        self.transfer.clone().unwrap_or_else(suitable)
     }
 
     fn options(&self, selection: Selection) -> OpenOptions<'static> {
@@ -102,7 +99,7 @@ impl Loader for FileLoader {
             ..self.options(selection_of(part))
         };
         let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
-        let transfer = self.transfer_of(&volume)?;
+        let transfer = self.transfer_of(&volume);
         Ok(Loaded { volume, transfer })
     }
 }
