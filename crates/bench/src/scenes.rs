@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::{Histogram, Volume};
+use isinglass_core::volume::Histogram;
 use isinglass_formats::{FormatError, OpenOptions, default_transfer, load_transfer, open};
 
 use crate::error::BenchError;

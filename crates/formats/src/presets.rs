@@ -26,7 +26,11 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         Some(Builtin::Cloud) => "cloud",
         Some(Builtin::Cubus) => "cubus",
         Some(Builtin::Shells) => "shells",
-        None => of_modality(volume).unwrap_or_else(|| Statistics::of(volume, histogram).preset()),
+        None => of_modality(volume).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
+            // A body, then, and not a plant or a stone.
+            "ct" if volume.info.orientation.is_some() => "ct-windowed",
+            name => name,
+        }),
     }
 }
 
@@ -175,6 +179,7 @@ presets![
     "ct-bone",
     "ct-vessels",
     "ct-lung",
+    "ct-windowed",
     "cloud",
     "cubus",
     "shells"
@@ -250,6 +255,17 @@ mod tests {
         assert!(others.iter().all(|name| *name == others[0] && *name != "ct-body"), "{others:?}");
         let bytes = (0..8).map(|i| i as f32 * 30.0).collect();
         assert_ne!(pick(Some("CT"), bytes), "ct-body", "a CT of bytes is in no Hounsfield units");
+    }
+
+    #[test]
+    fn a_body_has_other_colours_than_a_plant() {
+        let pick = |orientation: Option<&str>| {
+            let info = VolumeInfo { orientation: orientation.map(Into::into), ..VolumeInfo::default() };
+            let voxels = (0..27).map(|i| [0, 90, 200][i % 3]).collect();
+            let volume = Volume::new([3; 3], Vec3::ONE, Voxels::U8(voxels), (1.0, 0.0), info).unwrap();
+            default_preset("file", &volume, &Histogram::of(&volume))
+        };
+        assert_eq!((pick(None), pick(Some("RAS"))), ("ct", "ct-windowed"));
     }
 
     #[test]
