@@ -129,7 +129,7 @@ fn warming_up_draws_with_each_pipeline_and_leaves_no_trace() {
     let view = camera(&scene, 33.0, (40, 30));
     pass.prepare(gpu.queue(), &view, BACKGROUND);
     let [_, before] = paint(gpu, &pass, format, (40, 30));
-    let num_drawn = warm_up.run(None, gpu.device(), gpu.queue()).unwrap();
+    let num_drawn = warm_up.run(None, gpu.device(), |commands| Some(gpu.queue().submit([commands]))).unwrap();
     assert_eq!(num_drawn, 3, "one frame, several, and a smaller picture enlarged");
     let [_, after] = paint(gpu, &pass, format, (40, 30));
     assert_eq!(before, after);

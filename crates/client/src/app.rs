@@ -182,6 +182,11 @@ impl<S: FrameSource> ViewerApp<S> {
         ctx.input_mut(take).contains(&Action::Quit)
     }
 
+    /// Goes on with the draws before the first picture.
+    pub(crate) fn warm_up(&self) {
+        self.picture_status.submit_warm_up();
+    }
+
     /// Whether the look panel is open.
     pub(crate) fn is_look_open(&self) -> bool {
         self.is_look_open
@@ -321,6 +326,7 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
 impl<S: FrameSource> ViewerApp<S> {
     /// A refresh of the whole window, watched where somebody looks at what was seen.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
+        self.warm_up();
         if self.options.script.is_none() && !tracing::enabled!(tracing::Level::TRACE) {
             return self.refresh_window(ui);
         }

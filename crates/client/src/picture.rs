@@ -1,6 +1,7 @@
 //! The picture inside egui's render pass: uploads each frame when it comes and ray-casts every time, the newest frame or
 //! that and older ones.
 
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isinglass_core::camera::Camera;
@@ -43,12 +44,31 @@ pub(crate) struct PictureStatus {
     /// Whether the adapter can measure.
     pub(crate) has_timer: bool,
     problem: Mutex<Option<String>>,
+    warm_up: Mutex<Option<WarmUpDraws>>,
+}
+
+/// Draws that a thread has made ready for the window's queue. Only the window submits to it: its surface cannot be configured
+/// anew while another thread does.
+#[derive(Debug)]
+struct WarmUpDraws {
+    queue: wgpu::Queue,
+    ready: Receiver<(wgpu::CommandBuffer, SyncSender<wgpu::SubmissionIndex>)>,
 }
 
 impl PictureStatus {
     /// Why the newest frame could not be uploaded, if so; an older one is shown then.
     pub(crate) fn problem(&self) -> Option<String> {
         self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Submits what is ready of the draws before the first picture. Never waits.
+    pub(crate) fn submit_warm_up(&self) {
+        let warm_up = self.warm_up.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(WarmUpDraws { queue, ready }) = &*warm_up else { return };
+        for (commands, reply) in ready.try_iter() {
+            // A thread that has ended does not wait for it.
+            let _ = reply.try_send(queue.submit([commands]));
+        }
     }
 }
 
@@ -64,30 +84,52 @@ struct PictureResources {
 ///
 /// # Errors
 /// If the kernel cannot be built on it.
-pub(crate) fn install(state: &egui_wgpu::RenderState) -> Result<Arc<PictureStatus>, String> {
+pub(crate) fn install(
+    state: &egui_wgpu::RenderState,
+    ctx: &egui::Context,
+) -> Result<Arc<PictureStatus>, String> {
     let (device, queue) = (&state.device, &state.queue);
     let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
-    warm_up(&pass, state).map_err(|e| e.to_string())?;
+    let draws = warm_up(&pass, state, ctx).map_err(|e| e.to_string())?;
     let time = Arc::new(GpuTime::default());
     let timer = GpuTimer::new(device, queue, time.clone());
-    let status = Arc::new(PictureStatus { time, has_timer: timer.is_some(), problem: Mutex::default() });
+    let status = Arc::new(PictureStatus {
+        time,
+        has_timer: timer.is_some(),
+        problem: Mutex::default(),
+        warm_up: Mutex::new(Some(draws)),
+    });
     let resources = PictureResources { pass, slots: Slots::default(), timer, status: status.clone() };
     state.renderer.write().callback_resources.insert(resources);
     Ok(status)
 }
 
-/// Draws once with each pipeline, beside the page that waits for the first frame.
-fn warm_up(pass: &ViewPass, state: &egui_wgpu::RenderState) -> Result<(), GpuError> {
+/// Draws once with each pipeline, beside the page that waits for the first frame: a thread makes the draws ready and waits for
+/// them, the window submits them.
+fn warm_up(
+    pass: &ViewPass,
+    state: &egui_wgpu::RenderState,
+    ctx: &egui::Context,
+) -> Result<WarmUpDraws, GpuError> {
     let (adapter, device, queue) = (state.adapter.clone(), state.device.clone(), state.queue.clone());
     let warm_up = pass.warm_up(&device, &queue)?;
+    let ctx = ctx.clone();
+    let (sender, ready) = sync_channel(1);
+    let submit = move |commands| {
+        let (reply, submission) = sync_channel(1);
+        sender.send((commands, reply)).ok()?;
+        ctx.request_repaint();
+        // The window may be closed meanwhile.
+        submission.recv().ok()
+    };
     let run = move || {
-        if let Err(e) = warm_up.run(Some(&adapter), &device, &queue) {
+        if let Err(e) = warm_up.run(Some(&adapter), &device, submit) {
             tracing::warn!("first draws: {e}");
         }
     };
     // Without a thread the first pictures come as late as they would have.
     let _ = std::thread::Builder::new().name("warm-up".into()).spawn(run);
-    Ok(())
+    Ok(WarmUpDraws { queue, ready })
 }
 
 impl PictureResources {

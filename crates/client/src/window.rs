@@ -226,8 +226,8 @@ fn open_window(
         let theme = options.state.as_ref().and_then(|state| state.view.theme);
         cc.egui_ctx.set_theme(theme.map_or(egui::ThemePreference::Dark, theme_preference));
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
-        let status = picture::install(state).map_err(ViewerError::Device)?;
         let ctx = cc.egui_ctx.clone();
+        let status = picture::install(state, &ctx).map_err(ViewerError::Device)?;
         let wake: Waker = {
             let ctx = ctx.clone();
             Arc::new(move || ctx.request_repaint())

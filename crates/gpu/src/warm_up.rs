@@ -27,13 +27,16 @@ impl WarmUp {
     /// Draws with one pipeline after the other and waits for each, so that whatever else is drawn meanwhile waits for one
     /// kernel at most; if `adapter` is one in software whose cache is in use, for those of the first picture alone. Returns how many were drawn with.
     ///
+    /// `submit` gives commands to the queue of `device`, or ends this by giving none back. A window must do that where it draws: a
+    /// surface cannot be configured anew while another thread submits.
+    ///
     /// # Errors
     /// If the device reports one.
     pub fn run(
         &self,
         adapter: Option<&wgpu::Adapter>,
         device: &wgpu::Device,
-        queue: &wgpu::Queue,
+        submit: impl Fn(wgpu::CommandBuffer) -> Option<wgpu::SubmissionIndex>,
     ) -> Result<usize, GpuError> {
         let is_software = |a: &&wgpu::Adapter| a.get_info().device_type == wgpu::DeviceType::Cpu;
         // Without another device the first draws take their time here, and that is all.
@@ -45,10 +48,13 @@ impl WarmUp {
                 && let Some((device, queue, warm_up, view)) = &beside
                 && let Some(draw) = warm_up.draws.get(number)
             {
-                scoped(device, "drawing one pixel beside", || draw.run(device, queue, view))?;
+                let submit = |commands| Some(queue.submit([commands]));
+                scoped(device, "drawing one pixel beside", || draw.run(device, &submit, view))?;
                 std::thread::sleep(CACHE_DELAY);
             }
-            scoped(device, "drawing one pixel", || draw.run(device, queue, &view))?;
+            if !scoped(device, "drawing one pixel", || draw.run(device, &submit, &view))? {
+                return Ok(number);
+            }
         }
         Ok(self.draws.len())
     }
@@ -90,12 +96,13 @@ impl WarmUp {
 }
 
 impl Draw {
+    /// Whether it was submitted, and is drawn.
     fn run(
         &self,
         device: &wgpu::Device,
-        queue: &wgpu::Queue,
+        submit: &impl Fn(wgpu::CommandBuffer) -> Option<wgpu::SubmissionIndex>,
         view: &wgpu::TextureView,
-    ) -> Result<(), GpuError> {
+    ) -> Result<bool, GpuError> {
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -117,12 +124,12 @@ impl Draw {
             }
             pass.draw(0..3, 0..1);
         }
-        let submission_index = Some(queue.submit([encoder.finish()]));
+        let Some(submission) = submit(encoder.finish()) else { return Ok(false) };
         // In short waits: a long one keeps others from destroying what they no longer need.
-        let wait = wgpu::PollType::Wait { submission_index, timeout: Some(WAIT) };
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(WAIT) };
         loop {
             match device.poll(wait.clone()) {
-                Ok(_) => return Ok(()),
+                Ok(_) => return Ok(true),
                 Err(wgpu::PollError::Timeout) => {}
                 Err(e) => return Err(GpuError::Failed { what: "drawing one pixel", reason: e.to_string() }),
             }

@@ -113,6 +113,7 @@ impl StartWindow {
         self.go_on(&ctx);
         let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
         let wish = if self.is_page_shown {
+            self.app.warm_up();
             // Of the viewer's keys only this one.
             if self.app.take_quit(&ctx) {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
