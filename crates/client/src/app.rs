@@ -4,6 +4,7 @@ mod actions;
 mod sections;
 mod state;
 
+use std::path::Path;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
-use isinglass_formats::{SavedState, Selection};
+use isinglass_formats::{LoadRequest, SavedState, Selection};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
 pub(crate) use self::state::theme_preference;
@@ -20,8 +21,10 @@ use crate::bindings::{Action, Focus};
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
+use crate::look_panel;
 use crate::meters::RefreshMeter;
 use crate::novel_view::{NovelViews, Shown};
+use crate::open_dialog::OpenDialog;
 use crate::orientation::Orientation;
 use crate::overlay::{OverlayModel, ViewTime};
 use crate::panels;
@@ -32,6 +35,7 @@ use crate::pointer::Pointer;
 use crate::probe::ValueProbe;
 use crate::quality_control::QualityControl;
 use crate::shots::Shots;
+use crate::start::LocalServers;
 use crate::state_files::StateFiles;
 use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
@@ -85,6 +89,9 @@ pub(crate) struct ViewerApp<S> {
     center_chosen_at: Option<Duration>,
     editor: TransferEditor,
     state_files: StateFiles,
+    open_dialog: OpenDialog,
+    /// A volume that was chosen there.
+    wanted_volume: Option<LoadRequest>,
     /// The whole window's picture at the last refresh.
     window: Option<Intrinsics>,
     shows_help: bool,
@@ -140,6 +147,8 @@ impl<S: FrameSource> ViewerApp<S> {
             center_chosen_at: None,
             editor: TransferEditor::default(),
             state_files: StateFiles::default(),
+            open_dialog: OpenDialog::default(),
+            wanted_volume: None,
             window: None,
             shows_help: false,
             is_look_open: false,
@@ -176,6 +185,16 @@ impl<S: FrameSource> ViewerApp<S> {
         std::mem::take(&mut self.wants_start)
     }
 
+    /// The dialog that opens files offers volumes too, which `servers` open beside the bytes `held`; its list begins with `folder`.
+    pub(crate) fn offer_volumes(&mut self, servers: Arc<dyn LocalServers>, held: u64, folder: &Path) {
+        self.open_dialog.offer_volumes(servers, held, folder);
+    }
+
+    /// A volume that was chosen there; once.
+    pub(crate) fn take_volume_wish(&mut self) -> Option<LoadRequest> {
+        self.wanted_volume.take()
+    }
+
     /// Whether a key says that the window shall be closed. Where nothing is shown, it is the only one that says anything.
     pub(crate) fn take_quit(&self, ctx: &egui::Context) -> bool {
         let take = |i: &mut egui::InputState| self.options.bindings.take_actions(&mut i.events, Focus::Text);
@@ -187,9 +206,9 @@ impl<S: FrameSource> ViewerApp<S> {
         self.picture_status.submit_warm_up();
     }
 
-    /// Whether the look panel is open.
-    pub(crate) fn is_look_open(&self) -> bool {
-        self.is_look_open
+    /// How much of the window's right is taken by the look panel, points.
+    pub(crate) fn right_width(&self) -> f32 {
+        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
     }
 
     /// How much of the window's bottom is taken by a bar, points.
@@ -408,7 +427,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    panels::banner(&ctx, &text, self.parts_bar.height());
+                    panels::banner(&ctx, &text, self.right_width(), self.parts_bar.height());
                 }
             }
             None => {
@@ -419,6 +438,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.show_look_panel(&ctx, now);
         self.show_parts(&ctx, now);
         self.show_shots(&ctx, now, refresh.as_ref());
+        self.show_open_dialog(&ctx);
         panels::help(&ctx, &self.options.bindings, &mut self.shows_help);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());

@@ -25,6 +25,7 @@ mod look_panel;
 mod meters;
 mod mode_panel;
 mod novel_view;
+mod open_dialog;
 mod orientation;
 mod overlay;
 mod pace;
@@ -46,6 +47,8 @@ mod view_aids;
 mod viewing;
 mod waits;
 mod window;
+#[cfg(test)]
+mod window_walk;
 
 pub use bindings::{Action, BindingError, Bindings, Gesture, Opposite, REVERSE_WHEEL, Side, Step};
 pub use camera_controls::InitialOrbit;

@@ -97,11 +97,7 @@ pub(crate) fn show(
                     clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
-                // Asked for by key, it is there to be written to.
-                let is_asked = state_files.wants_focus();
-                let header = egui::CollapsingHeader::new(RichText::new("State").size(12.5));
-                let header = header.open(is_asked.then_some(true));
-                header.show_unindented(ui, |ui| wish = state_files.show(ui));
+                section(ui, "State", false, |ui| wish = state_files.show(ui));
             });
         });
     });
@@ -222,3 +218,5 @@ fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
 
 /// Room for nine points of a curve, and for a third of a small screen beside it.
 const PANEL_WIDTH: f32 = 312.0;
+/// What the open panel takes of the window's right, with a gap beside it.
+pub(crate) const OPEN_WIDTH: f32 = PANEL_WIDTH + 40.0;

@@ -91,13 +91,14 @@ pub(crate) fn named(response: &egui::Response, role: egui::Role, name: &str) {
     response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
 }
 
-/// One line at the bottom, `lift` points above it, while something is wrong with the connection.
-pub(crate) fn banner(ctx: &egui::Context, text: &str, lift: f32) {
-    let area =
-        egui::Area::new(egui::Id::unique("banner")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0 - lift));
+/// One line at the bottom, `lift` points above it and beside `right` points that are taken, while something is wrong with the
+/// connection.
+pub(crate) fn banner(ctx: &egui::Context, text: &str, right: f32, lift: f32) {
+    let area = egui::Area::new(egui::Id::unique("banner"));
+    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -12.0 - lift));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
-            ui.set_max_width((ctx.content_rect().width() - 60.0).max(200.0));
+            ui.set_max_width((ctx.content_rect().width() - right - 60.0).max(200.0));
             ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
         });
     });
@@ -114,27 +115,65 @@ pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool) {
     });
 }
 
-/// The keys and buttons, in the middle.
+/// The keys and buttons, in the middle: side by side where one column is too high and there is room.
 pub(crate) fn help(ctx: &egui::Context, bindings: &Bindings, open: &mut bool) {
     egui::Window::new(RichText::new("Keys and mouse").size(14.0))
+        .id(egui::Id::unique("help"))
         .open(open)
         .anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0))
-        .resizable(false)
+        .auto_sized()
         .collapsible(false)
         .show(ctx, |ui| {
-            let height = (ctx.content_rect().height() - 90.0).max(100.0);
-            let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
-            scroll.show(ui, |ui| {
-                ui.spacing_mut().interact_size.y = 0.0;
-                egui::Grid::new("bindings").num_columns(2).spacing([24.0, 4.0]).show(ui, |ui| {
-                    for (keys, text) in bindings.lines() {
-                        ui.label(RichText::new(keys).color(bright(ctx)).strong());
-                        ui.label(RichText::new(text).color(quiet(ctx)));
-                        ui.end_row();
-                    }
-                });
-            });
+            let screen = ctx.content_rect().size();
+            let height = (screen.y - 90.0).max(100.0);
+            let lines = bindings.lines();
+            let row_height = ui.text_style_height(&egui::TextStyle::Body) + HELP_GAPS.y;
+            let is_high = lines.len() as f32 * row_height > height;
+            let num_columns = if is_high && screen.x >= LEAST_WIDTH_OF_TWO { 2 } else { 1 };
+            let columns: Vec<_> = lines.chunks(lines.len().div_ceil(num_columns)).collect();
+            if columns[0].len() as f32 * row_height <= height {
+                key_columns(ui, &columns, row_height);
+            } else {
+                let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
+                scroll.show(ui, |ui| key_columns(ui, &columns, row_height));
+            }
         });
+}
+
+/// Keys and what they do, side by side. Sizes are known before anything is drawn: a table that finds its own is cut off at first.
+fn key_columns(ui: &mut Ui, columns: &[&[(String, &'static str)]], row_height: f32) {
+    let font = egui::TextStyle::Body.resolve(ui.style());
+    let widest = |ui: &Ui, texts: &mut dyn Iterator<Item = &str>| {
+        let width = |text: &str| {
+            ui.painter().layout_no_wrap(text.to_owned(), font.clone(), Color32::WHITE).size().x.ceil() + 1.0
+        };
+        texts.map(width).fold(0.0, f32::max)
+    };
+    let widths: Vec<[f32; 2]> = columns
+        .iter()
+        .map(|lines| {
+            let keys = widest(ui, &mut lines.iter().map(|(keys, _)| &keys[..]));
+            [keys + HELP_GAPS.x, widest(ui, &mut lines.iter().map(|(_, text)| *text)) + HELP_GAPS.x]
+        })
+        .collect();
+    let size = vec2(widths.iter().flatten().sum::<f32>() - HELP_GAPS.x, columns[0].len() as f32 * row_height);
+    let (rect, _) = ui.allocate_exact_size(size, egui::Sense::hover());
+    let (bright, quiet) = (bright(ui.ctx()), quiet(ui.ctx()));
+    let mut left = rect.left();
+    for (lines, [keys_width, text_width]) in columns.iter().zip(widths) {
+        for (row, (keys, text)) in lines.iter().enumerate() {
+            let top = rect.top() + row as f32 * row_height;
+            for (x, width, text) in [
+                (left, keys_width, RichText::new(keys).color(bright).strong()),
+                (left + keys_width, text_width, RichText::new(*text).color(quiet)),
+            ] {
+                let cell = egui::Rect::from_min_size(egui::pos2(x, top), vec2(width, row_height));
+                let layout = egui::Layout::left_to_right(egui::Align::Center);
+                ui.scope_builder(egui::UiBuilder::new().max_rect(cell).layout(layout), |ui| ui.label(text));
+            }
+        }
+        left += keys_width + text_width;
+    }
 }
 
 /// The page before the first picture.
@@ -213,3 +252,6 @@ pub(crate) fn title_of(volume: &VolumeDescription) -> String {
 /// Behind the page before the first picture.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);
 const OVERLAY_WIDTH: f32 = 190.0;
+const HELP_GAPS: egui::Vec2 = vec2(24.0, 4.0);
+/// Of a window, for two columns of keys.
+const LEAST_WIDTH_OF_TWO: f32 = 1240.0;

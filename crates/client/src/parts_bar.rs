@@ -29,6 +29,8 @@ pub(crate) struct PartsBar {
     /// The time that the number is dragged to.
     dragged: Option<u32>,
     height: f32,
+    /// Of the pickers in one row, as last drawn so.
+    row_width: f32,
 }
 
 impl PartsBar {
@@ -58,11 +60,12 @@ impl PartsBar {
         self.height
     }
 
-    /// Shows the bar if there is anything to choose; what was chosen.
+    /// Shows the bar if there is anything to choose; what was chosen. The last `right` points of the window are taken.
     pub(crate) fn show(
         &mut self,
         ctx: &egui::Context,
         now: Duration,
+        right: f32,
         parts: Option<&Parts>,
         load: Option<&LoadStatus>,
     ) -> Option<PartsWish> {
@@ -72,11 +75,18 @@ impl PartsBar {
         let mut chosen = self.chosen(parts, load);
         let before = chosen;
         let mut wish = None;
-        let area = egui::Area::new(egui::Id::unique("parts")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -10.0));
-        let shown = area.show(ctx, |ui| {
+        let area = egui::Area::new(egui::Id::unique("parts"));
+        let room = (ctx.content_rect().width() - right - 44.0).max(160.0);
+        let shown = area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -10.0)).show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
                 ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
-                ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged));
+                ui.set_max_width(room);
+                if self.row_width > room {
+                    ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged));
+                } else {
+                    let row = ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged));
+                    self.row_width = row.response.rect.width();
+                }
                 if let Some(load) = load
                     && self.status_row(ui, load)
                 {

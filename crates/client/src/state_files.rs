@@ -11,7 +11,7 @@ use crate::background::{Background, Lost, path_from_text, write_text};
 pub(crate) enum Outcome {
     /// The state in it.
     Read(Box<ReadState>),
-    /// A file that was dropped on the window is no state.
+    /// A file that was dropped on the window, or chosen in the dialog, is no state.
     NoState(PathBuf),
     /// It was written.
     Written(PathBuf),
@@ -40,35 +40,22 @@ pub(crate) struct StateFiles {
     replaces: Option<PathBuf>,
     running: Background<Outcome>,
     message: Option<String>,
-    wants_focus: bool,
 }
 
 impl StateFiles {
-    /// Reads the state in the file of the path field; without a path it is asked for.
-    pub(crate) fn open(&mut self, ctx: &egui::Context) {
-        let Some(path) = path_from_text(&self.path) else {
-            self.wants_focus = true;
-            return;
-        };
+    /// Reads the state in the file of the path field; whether there is a path.
+    pub(crate) fn open(&mut self, ctx: &egui::Context) -> bool {
+        let Some(path) = path_from_text(&self.path) else { return false };
         self.message = None;
         self.running.start(ctx, move || match read_state(&path) {
             Ok(read) => Outcome::Read(Box::new(read)),
             Err(e) => Outcome::Failed(e.to_string()),
         });
+        true
     }
 
-    /// The keyboard goes to the path field as soon as it is shown.
-    pub(crate) fn ask_for_path(&mut self) {
-        self.wants_focus = true;
-    }
-
-    /// Whether it is still to go there.
-    pub(crate) fn wants_focus(&self) -> bool {
-        self.wants_focus
-    }
-
-    /// Reads the state in a file that was dropped on the window, if it is one.
-    pub(crate) fn open_dropped(&mut self, path: PathBuf, ctx: &egui::Context) {
+    /// Reads the state in a file that may be one, or hold something else.
+    pub(crate) fn open_any(&mut self, path: PathBuf, ctx: &egui::Context) {
         self.running.start(ctx, move || match begin_of(&path) {
             Ok(begin) if is_state(&begin) => match read_state(&path) {
                 Ok(read) => Outcome::Read(Box::new(read)),
@@ -120,10 +107,6 @@ impl StateFiles {
             .hint_text("file of a state; saved under a new name if empty");
         let field = ui.add(field);
         field.widget_info(|| egui::WidgetInfo::labeled(egui::Role::TextInput, true, "file of the state"));
-        if std::mem::take(&mut self.wants_focus) {
-            field.scroll_to_me(None);
-            field.request_focus();
-        }
         if field.changed() {
             self.replaces = None;
             self.message = None;
@@ -136,7 +119,11 @@ impl StateFiles {
             let save = if self.replaces.is_some() { "replace state" } else { "save state" };
             for (text, hint, wanted) in [
                 (save, "all that is seen, and how, as TOML", StateWish::Save),
-                ("open state", "or drop the file on the window", StateWish::Open),
+                (
+                    "open state",
+                    "or drop the file on the window; without a path a list of files opens",
+                    StateWish::Open,
+                ),
                 ("copy link", "to what is seen; it lets nobody in", StateWish::CopyLink),
             ] {
                 if ui.add_enabled(is_free, egui::Button::new(text)).on_hover_text(hint).clicked() {

@@ -18,6 +18,8 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
         let focus = match ctx.memory(|m| m.focused()) {
             _ if ctx.text_edit_focused() => Focus::Text,
+            // Letters find files in its list.
+            Some(_) if self.open_dialog.is_open() => Focus::Text,
             Some(id) if id != panels::picture_id() => Focus::Widget,
             _ => Focus::Picture,
         };
@@ -59,10 +61,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     self.do_part(wish);
                 }
                 Action::SaveState => self.do_state(ctx, now, StateWish::Save),
-                Action::OpenState => {
-                    self.is_look_open = true;
-                    self.state_files.ask_for_path();
-                }
+                Action::OpenFile => self.open_dialog.open(ctx),
                 Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
                 Action::Help => self.shows_help = !self.shows_help,
                 Action::CloseHelp => self.shows_help = false,

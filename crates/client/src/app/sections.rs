@@ -12,6 +12,7 @@ use crate::parts_bar::PartsWish;
 use crate::pick::visible_point;
 use crate::probe;
 use crate::shots::Subject;
+use crate::start::browser::Chosen;
 use crate::view_aids::pixel_at;
 use crate::viewing::Refresh;
 use crate::{light_panel, mode_panel};
@@ -147,10 +148,20 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
+    /// The dialog that opens files, and what comes of it.
+    pub(super) fn show_open_dialog(&mut self, ctx: &egui::Context) {
+        match self.open_dialog.show(ctx) {
+            Some(Chosen::Volume(request)) => self.wanted_volume = Some(request),
+            Some(Chosen::Text(path)) => self.state_files.open_any(path, ctx),
+            None => return,
+        }
+        ctx.request_repaint();
+    }
+
     pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
         let source = self.viewing.source();
         let (parts, load) = (source.parts(), source.load());
-        let wish = self.parts_bar.show(ctx, now, parts.as_deref(), load.as_ref());
+        let wish = self.parts_bar.show(ctx, now, self.right_width(), parts.as_deref(), load.as_ref());
         self.do_part(wish);
     }
 

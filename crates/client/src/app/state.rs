@@ -139,7 +139,11 @@ impl<S: FrameSource> ViewerApp<S> {
                 Outcome::Read(read) => {
                     self.restore_with_note(ctx, now, window, &read.state, read.note.clone());
                 }
-                Outcome::NoState(path) => self.editor.open(path, ctx),
+                Outcome::NoState(path) => {
+                    // What the file holds, or what is wrong with it, is said there.
+                    self.is_look_open = true;
+                    self.editor.open(path, ctx);
+                }
                 Outcome::Written(path) => self.notice = Some((format!("saved as {}", path.display()), now)),
                 Outcome::Exists(path) => {
                     let text = format!("{} is there; save again to replace it", path.display());
@@ -149,7 +153,7 @@ impl<S: FrameSource> ViewerApp<S> {
             }
         }
         if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
-            self.state_files.open_dropped(file.path().to_owned(), ctx);
+            self.state_files.open_any(file.path().to_owned(), ctx);
         }
         if !ctx.text_edit_focused() {
             let is_link = |text: &String| text.trim_start().starts_with("isinglass://");
@@ -189,7 +193,10 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Does what was asked for by key or in the panel.
     pub(super) fn do_state(&mut self, ctx: &egui::Context, now: Duration, wish: StateWish) {
         if wish == StateWish::Open {
-            return self.state_files.open(ctx);
+            if !self.state_files.open(ctx) {
+                self.open_dialog.open(ctx);
+            }
+            return;
         }
         let Some(state) = self.window.and_then(|window| self.saved_state(ctx, window)) else { return };
         if wish == StateWish::Save {

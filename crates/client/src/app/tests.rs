@@ -15,7 +15,7 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::client::FrameTimes;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{ProbeRequest, Probed, Token, VolumeDescription, Welcome};
+use isinglass_core::wire::{LoadStatus, Parts, ProbeRequest, Probed, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedShot};
 
 use super::*;
@@ -41,6 +41,8 @@ struct HereSource {
     shot: Option<Arc<ReceivedShot>>,
     num_shots: u32,
     num_cancelled: usize,
+    parts: Option<Arc<Parts>>,
+    load: Option<LoadStatus>,
 }
 
 impl HereSource {
@@ -63,6 +65,8 @@ impl HereSource {
             shot: None,
             num_shots: 0,
             num_cancelled: 0,
+            parts: None,
+            load: None,
         }
     }
 
@@ -140,6 +144,14 @@ impl FrameSource for HereSource {
 
     fn report(&mut self, _stats: ClientStats) {}
 
+    fn parts(&self) -> Option<Arc<Parts>> {
+        self.parts.clone()
+    }
+
+    fn load(&self) -> Option<LoadStatus> {
+        self.load.clone()
+    }
+
     fn probe(&mut self, point: glam::Vec3) {
         self.num_probes += 1;
         let request = ProbeRequest { id: ProbeId(1), point: point.to_array() };
@@ -175,13 +187,19 @@ impl FrameSource for HereSource {
 
 /// At rest: the first picture is there.
 fn window(size: [f32; 2]) -> Harness<'static, ViewerApp<HereSource>> {
-    window_on(HereSource::new(), InitialOrbit::default(), size)
+    window_of(size, 1.0)
+}
+
+/// The same on a screen of so many pixels a point.
+fn window_of(size: [f32; 2], pixels_per_point: f32) -> Harness<'static, ViewerApp<HereSource>> {
+    window_on(HereSource::new(), InitialOrbit::default(), size, pixels_per_point)
 }
 
 fn window_on(
     source: HereSource,
     initial_orbit: InitialOrbit,
     size: [f32; 2],
+    pixels_per_point: f32,
 ) -> Harness<'static, ViewerApp<HereSource>> {
     let micros = Arc::new(AtomicU64::new(0));
     let clock = {
@@ -202,6 +220,7 @@ fn window_on(
     };
     let mut window = Harness::builder()
         .with_size(vec2(size[0], size[1]))
+        .with_pixels_per_point(pixels_per_point)
         .with_step_dt(1.0 / 60.0)
         .build_ui_state(show, app);
     rest(&mut window);
@@ -321,7 +340,7 @@ fn a_body_is_seen_upright_at_first() {
     let first = |letters: Option<&str>| {
         let orbit = InitialOrbit { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..Default::default() };
         let source = HereSource { orientation: letters.map(Into::into), ..HereSource::new() };
-        pose(&window_on(source, orbit, [640.0, 480.0]))
+        pose(&window_on(source, orbit, [640.0, 480.0], 1.0))
     };
     for letters in [None, Some("RAS"), Some("LPS")] {
         let (from, up) = Orientation::of(letters).standard_view(crate::bindings::Side::Front, false);

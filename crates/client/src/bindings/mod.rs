@@ -54,8 +54,8 @@ pub enum Action {
     Start,
     /// The state of the view as a file.
     SaveState,
-    /// The field for the file of a state.
-    OpenState,
+    /// The dialog that opens a file.
+    OpenFile,
     /// A link to what is seen, in the clipboard.
     CopyLink,
     /// The help on or off.
@@ -355,7 +355,7 @@ const TABLE: &[Line] = &[
     fixed("double click", "turn about what is visible there"),
     keys("first view", &[("first-view", Deed::Act(Action::FirstView), &["r"])]),
     keys(
-        "from the front, the back, the right, the left, the top, below",
+        "from the front, back, right, left, top, below",
         &[
             ("front", view(Side::Front, false), &["1"]),
             ("back", view(Side::Front, true), &["shift+1"]),
@@ -421,14 +421,12 @@ const TABLE: &[Line] = &[
         ],
     ),
     keys(
-        "save the state of the view as a file; open one",
-        &[
-            ("save-state", Deed::Act(Action::SaveState), &["ctrl+s"]),
-            ("open-state", Deed::Act(Action::OpenState), &["ctrl+o"]),
-        ],
+        "save the state of the view as a file",
+        &[("save-state", Deed::Act(Action::SaveState), &["ctrl+s"])],
     ),
+    keys("open a state, a preset or a volume", &[("open-file", Deed::Act(Action::OpenFile), &["ctrl+o"])]),
     keys(
-        "copy a link to what is seen; Ctrl+v shows what such a link says",
+        "copy a link to the view; Ctrl+v shows what one says",
         &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
     ),
     keys("another volume or server, in `view`", &[("start", Deed::Act(Action::Start), &["ctrl+n"])]),
@@ -440,6 +438,7 @@ const TABLE: &[Line] = &[
     fixed("in the curve: right or ctrl+left drag", "level and window"),
     fixed("in the strip: arrows", "level; window"),
     fixed("Tab, Shift+Tab", "the next control, the one before"),
+    fixed("Ctrl++, Ctrl+-, Ctrl+0", "larger texts, smaller ones, as at first"),
     keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),
     keys("close help", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
     keys("close the window", &[("quit", Deed::Act(Action::Quit), &["ctrl+q"])]),

@@ -1,11 +1,12 @@
-//! The list of files that volumes are opened from. It works by keyboard as by mouse, and never waits for a disk.
+//! The list of files that volumes are opened from, and texts where somebody reads them. It works by keyboard as by mouse, and
+//! never waits for a disk.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 
 use egui::{Align, EventFilter, FontId, Key, Layout, Modifiers, Rect, RichText, ScrollArea, Sense, Ui, vec2};
-use isinglass_formats::{LoadRequest, Outline, Selection};
+use isinglass_formats::{Content, LoadRequest, Outline, Selection};
 
 use super::folder::{Entry, Folder};
 use super::opening::{on_a_thread, survey};
@@ -20,6 +21,10 @@ use crate::window::Waker;
 /// See the module.
 pub(crate) struct Browser {
     wake: Waker,
+    /// Whether volumes are opened here.
+    takes_volumes: bool,
+    /// Whether texts are.
+    takes_texts: bool,
     folder: Folder,
     path_text: String,
     /// Number of an entry.
@@ -35,6 +40,17 @@ pub(crate) struct Browser {
     takes_folder: bool,
 }
 
+/// What shall be opened.
+pub(crate) enum Chosen {
+    /// A volume, or a part of it.
+    Volume(LoadRequest),
+    /// A file that may be a state, or hold transfer functions.
+    Text(PathBuf),
+}
+
+/// Who opens volumes, and the bytes that the one before holds.
+pub(crate) type Volumes<'a> = (&'a Arc<dyn LocalServers>, u64);
+
 /// A volume whose header is shown.
 struct LookedAt {
     source: PathBuf,
@@ -49,6 +65,8 @@ impl Browser {
     pub(crate) fn new(folder: PathBuf, wake: &Waker) -> Self {
         Self {
             wake: wake.clone(),
+            takes_volumes: false,
+            takes_texts: false,
             path_text: folder.display().to_string(),
             folder: Folder::open(folder, wake),
             selected: None,
@@ -59,6 +77,16 @@ impl Browser {
             looked_at: None,
             takes_folder: false,
         }
+    }
+
+    /// The same, for texts too.
+    pub(crate) fn with_texts(folder: PathBuf, wake: &Waker) -> Self {
+        Self { takes_texts: true, ..Self::new(folder, wake) }
+    }
+
+    /// The keyboard goes to the list.
+    pub(crate) fn focus(&mut self) {
+        self.wants_focus = true;
     }
 
     /// The folder that is shown.
@@ -81,24 +109,29 @@ impl Browser {
         }
     }
 
-    /// Shows path, list and what is selected; a volume that shall be opened.
-    pub(crate) fn show(
-        &mut self,
-        ui: &mut Ui,
-        servers: &Arc<dyn LocalServers>,
-        held: u64,
-        height: f32,
-    ) -> Option<LoadRequest> {
+    /// Shows path, list and what is selected; what shall be opened. Without `volumes` no volume is.
+    pub(crate) fn show(&mut self, ui: &mut Ui, volumes: Option<Volumes<'_>>, height: f32) -> Option<Chosen> {
+        self.takes_volumes = volumes.is_some();
         self.folder.poll();
         if let Some(name) = self.wanted_name.take_if(|_| !self.folder.is_listing) {
             self.select(self.folder.entries.iter().position(|e| e.name == name));
         }
         self.path_row(ui);
-        let details = if self.looked_at.is_some() { DETAILS_HEIGHT.min(height * 0.5) } else { 0.0 };
+        let details = match self.entry() {
+            _ if self.looked_at.is_some() => DETAILS_HEIGHT.min(height * 0.5),
+            Some(entry) if self.opens(entry).is_some() && !entry.is_folder => ui.spacing().interact_size.y,
+            Some(_) | None => 0.0,
+        };
         let list = (height - ui.spacing().interact_size.y - 16.0 - details).max(90.0);
         let opens = self.list(ui, list);
-        self.look(servers, held);
-        self.details(ui, servers, opens)
+        match volumes {
+            Some(volumes) => self.look(volumes),
+            None => self.looked_at = None,
+        }
+        match &self.looked_at {
+            Some(_) => volumes.and_then(|volumes| self.volume(ui, volumes, opens)).map(Chosen::Volume),
+            None => self.file(ui, opens).map(Chosen::Text),
+        }
     }
 
     fn path_row(&mut self, ui: &mut Ui) {
@@ -201,7 +234,8 @@ impl Browser {
                     ui.allocate_exact_size(vec2(ui.available_width(), ROW), Sense::click());
                 let entry = &self.folder.entries[i];
                 named(&response, egui::Role::ListItem, &entry.name);
-                row(ui, rect, entry, self.selected == Some(i), response.hovered());
+                let opens = entry.is_folder || self.opens(entry) != Some(false);
+                row(ui, rect, entry, opens, self.selected == Some(i), response.hovered());
                 if response.clicked() || response.double_clicked() {
                     clicked = Some((i, response.double_clicked()));
                 }
@@ -224,11 +258,14 @@ impl Browser {
         let page = ((height / ROW) as usize).saturating_sub(2).max(1);
         let at = self.selected;
         let press = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+        // A slow refresh may bring several at once.
+        let steps = |key| ui.input_mut(|i| i.count_and_consume_key(Modifiers::NONE, key));
+        let (down, up) = (steps(Key::ArrowDown), steps(Key::ArrowUp));
         let to = |n: usize| Some(n.min(last)).filter(|_| !self.folder.entries.is_empty());
-        let moved = if press(Key::ArrowDown) {
-            to(at.map_or(0, |n| n + 1))
-        } else if press(Key::ArrowUp) {
-            to(at.map_or(0, |n| n.saturating_sub(1)))
+        let moved = if down > 0 {
+            to(at.map_or(down - 1, |n| n + down))
+        } else if up > 0 {
+            to(at.map_or(0, |n| n.saturating_sub(up)))
         } else if press(Key::PageDown) {
             to(at.map_or(0, |n| n + page))
         } else if press(Key::PageUp) {
@@ -252,6 +289,11 @@ impl Browser {
             return false;
         }
         self.type_on(ui);
+        if let Some(path) = pasted_path(ui) {
+            self.path_text = path.display().to_string();
+            self.go_to_text(path);
+            return false;
+        }
         press(Key::Enter) && self.enter()
     }
 
@@ -279,6 +321,15 @@ impl Browser {
         }
     }
 
+    /// Whether it opens here, as far as its first bytes tell; unknown until it was looked at.
+    fn opens(&self, entry: &Entry) -> Option<bool> {
+        Some(match entry.content? {
+            Content::Volume(_) => self.takes_volumes,
+            Content::Text => self.takes_texts,
+            Content::Folder | Content::Other(_) => false,
+        })
+    }
+
     fn entry(&self) -> Option<&Entry> {
         self.folder.entries.get(self.selected?)
     }
@@ -286,7 +337,7 @@ impl Browser {
     /// Goes into the folder that is selected, or says that the file is to be opened.
     fn enter(&mut self) -> bool {
         let Some(entry) = self.entry() else { return false };
-        if entry.is_folder && entry.opens() != Some(true) {
+        if entry.is_folder && self.opens(entry) != Some(true) {
             let path = entry.path.clone();
             self.go_to(path, None);
             return false;
@@ -295,9 +346,9 @@ impl Browser {
     }
 
     /// Reads the header of what is selected, and again when other parts of it are chosen.
-    fn look(&mut self, servers: &Arc<dyn LocalServers>, held: u64) {
+    fn look(&mut self, (servers, held): Volumes<'_>) {
         let source = match self.entry() {
-            Some(entry) if entry.opens() == Some(true) => Some(entry.path.clone()),
+            Some(entry) if matches!(entry.content, Some(Content::Volume(_))) => Some(entry.path.clone()),
             None if self.takes_folder => Some(self.folder.path.clone()),
             Some(_) | None => None,
         };
@@ -328,19 +379,27 @@ impl Browser {
         }
     }
 
-    /// What is known of the volume that is selected, and what may be chosen of it.
-    fn details(&mut self, ui: &mut Ui, servers: &Arc<dyn LocalServers>, opens: bool) -> Option<LoadRequest> {
-        let Some(looked) = &mut self.looked_at else {
-            if let Some(entry) = self.entry()
-                && entry.opens() == Some(false)
-                && !entry.is_folder
-            {
-                let text = format!("{}: {}, which does not open here", entry.name, entry.kind());
-                let color = quiet(ui.ctx());
-                ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());
-            }
+    /// A file that is selected and no volume that opens here; whether it shall be opened.
+    fn file(&self, ui: &mut Ui, opens: bool) -> Option<PathBuf> {
+        let entry = self.entry().filter(|entry| !entry.is_folder)?;
+        let can_open = self.opens(entry)?;
+        let color = quiet(ui.ctx());
+        if !can_open {
+            let text = format!("{}: {}, which does not open here", entry.name, entry.kind());
+            ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());
             return None;
-        };
+        }
+        let is_clicked = ui.horizontal(|ui| {
+            let is_clicked = ui.button("Open").clicked();
+            ui.label(RichText::new("as a state, or as colours and opacities").color(color));
+            is_clicked
+        });
+        (opens || is_clicked.inner).then(|| entry.path.clone())
+    }
+
+    /// What is known of the volume that is selected, and what may be chosen of it.
+    fn volume(&mut self, ui: &mut Ui, (servers, _): Volumes<'_>, opens: bool) -> Option<LoadRequest> {
+        let looked = self.looked_at.as_mut()?;
         ui.add_space(4.0);
         let mut is_asked = opens;
         let is_folder = looked.source == self.folder.path;
@@ -380,6 +439,15 @@ impl Browser {
     }
 }
 
+/// A path in the clipboard, where it is pasted into the list.
+fn pasted_path(ui: &Ui) -> Option<PathBuf> {
+    ui.input(|i| {
+        let texts =
+            i.events.iter().filter_map(|e| if let egui::Event::Paste(text) = e { Some(text) } else { None });
+        texts.filter_map(|text| path_from_text(text)).next_back().filter(|path| path.has_root())
+    })
+}
+
 fn request(source: &Path, selection: Selection, servers: &dyn LocalServers) -> LoadRequest {
     LoadRequest {
         selection,
@@ -403,14 +471,13 @@ fn facts(outline: &Outline) -> String {
 }
 
 /// A line of the list: name, kind and size.
-fn row(ui: &Ui, rect: Rect, entry: &Entry, is_selected: bool, is_hovered: bool) {
+fn row(ui: &Ui, rect: Rect, entry: &Entry, opens: bool, is_selected: bool, is_hovered: bool) {
     let visuals = ui.visuals();
     if is_selected {
         ui.painter().rect_filled(rect, 3.0, visuals.selection.bg_fill);
     } else if is_hovered {
         ui.painter().rect_filled(rect, 3.0, visuals.widgets.hovered.weak_bg_fill);
     }
-    let opens = entry.is_folder || entry.opens() != Some(false);
     let strong = if is_selected { visuals.selection.stroke.color } else { bright(ui.ctx()) };
     let color = if opens { strong } else { visuals.weak_text_color().gamma_multiply(0.8) };
     let side = if is_selected { strong } else { quiet(ui.ctx()) };

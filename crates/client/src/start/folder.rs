@@ -22,11 +22,6 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
-    /// Whether it opens as a volume, as far as its first bytes tell; unknown until it was looked at.
-    pub(crate) fn opens(&self) -> Option<bool> {
-        Some(matches!(self.content?, Content::Volume(_)))
-    }
-
     /// What it is, in a word or two.
     pub(crate) fn kind(&self) -> &'static str {
         match self.content {

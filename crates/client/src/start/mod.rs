@@ -2,7 +2,7 @@
 //! was opened lately, or from files that are dropped. What is shown stays until the next is there, and no refresh waits for any
 //! of it.
 
-mod browser;
+pub(crate) mod browser;
 mod folder;
 mod opening;
 mod page;
@@ -129,6 +129,10 @@ impl StartWindow {
             self.page.show(ui, &scene)
         } else {
             self.app.show(ui);
+            if let Some(request) = self.app.take_volume_wish() {
+                self.open(request);
+                ctx.request_repaint();
+            }
             if self.app.take_start_wish() {
                 self.show_page();
                 ctx.request_repaint();
@@ -186,6 +190,8 @@ impl StartWindow {
         let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
         self.recent.note(RecentEntry { place, shows, used_at: (self.services.calendar)() }, folder, ctx);
         later((self.app.turn_to(source, origin), std::mem::replace(&mut self.server, server)));
+        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        self.app.offer_volumes(self.services.servers.clone(), held, self.page.browser.folder());
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
 
@@ -228,7 +234,7 @@ impl StartWindow {
 
     /// What lies over the picture: the way to the page, and how far an opening is.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
-        let right = if self.app.is_look_open() { LOOK_WIDTH } else { FOLDED_LOOK_WIDTH };
+        let right = self.app.right_width().max(FOLDED_LOOK_WIDTH);
         let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
         let is_clicked = area.show(ctx, |ui| {
             let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
@@ -242,11 +248,11 @@ impl StartWindow {
             return None;
         }
         let mut wish = None;
-        let lift = self.app.bottom_height();
+        let (lift, right) = (self.app.bottom_height(), self.app.right_width());
         let area = egui::Area::new(egui::Id::unique("opening"));
-        area.anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0 - lift)).show(ctx, |ui| {
+        area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -12.0 - lift)).show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
-                ui.set_max_width((ctx.content_rect().width() - 60.0).clamp(180.0, 420.0));
+                ui.set_max_width((ctx.content_rect().width() - right - 60.0).clamp(180.0, 420.0));
                 if let Some(opening) = &self.opening {
                     ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
                     wish = opening_rows(ui, opening);
@@ -310,6 +316,5 @@ impl FrameSource for Nothing {
 
 /// How often a window that opens something is refreshed.
 const PROGRESS_PERIOD: std::time::Duration = std::time::Duration::from_millis(60);
-/// Beside the look panel, folded and open.
+/// Beside the folded look panel.
 const FOLDED_LOOK_WIDTH: f32 = 74.0;
-const LOOK_WIDTH: f32 = 352.0;

@@ -6,7 +6,7 @@ use egui::{Color32, Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec
 use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace};
 use isinglass_net::Link;
 
-use super::browser::Browser;
+use super::browser::{Browser, Chosen};
 use super::opening::{Opening, Stage};
 use super::recent_list::{RecentList, ago};
 use super::services::Services;
@@ -227,7 +227,8 @@ impl StartPage {
     fn right(&mut self, ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
         title(ui, "Open a volume of this computer");
         let height = height - 34.0;
-        if let Some(request) = self.browser.show(ui, &scene.services.servers, scene.held, height) {
+        let volumes = (&scene.services.servers, scene.held);
+        if let Some(Chosen::Volume(request)) = self.browser.show(ui, Some(volumes), height) {
             *wish = Some(PageWish::Open(request));
         }
     }

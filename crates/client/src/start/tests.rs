@@ -19,6 +19,7 @@ use tempfile::TempDir;
 use super::*;
 use crate::novel_view::{LAYERS, NovelViews};
 use crate::window::WindowOptions;
+use crate::window_walk::{assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside};
 
 /// A server that lets in and says what it has, and renders nothing; it ends with the runtime.
 fn porter(volume: &Volume) -> (tokio::runtime::Runtime, Vec<Link>) {
@@ -112,6 +113,15 @@ impl Stage {
     }
 
     fn of_size(servers: Servers, size: [f32; 2], list: impl FnOnce(&Path) -> Recent) -> Self {
+        Self::on_screen(servers, size, 1.0, list)
+    }
+
+    fn on_screen(
+        servers: Servers,
+        size: [f32; 2],
+        pixels_per_point: f32,
+        list: impl FnOnce(&Path) -> Recent,
+    ) -> Self {
         let folder = TempDir::new().unwrap();
         write_volumes(folder.path());
         let mut recent = list(folder.path());
@@ -140,8 +150,8 @@ impl Stage {
             state.show(ui);
         };
         let state = make(&egui::Context::default());
-        let mut window =
-            Harness::builder().with_size(size).with_step_dt(1.0 / 60.0).build_ui_state(show, state);
+        let builder = Harness::builder().with_size(size).with_pixels_per_point(pixels_per_point);
+        let mut window = builder.with_step_dt(1.0 / 60.0).build_ui_state(show, state);
         until(&mut window, "the list", |w| {
             !w.state().recent.entries().is_empty() || recent.entries.is_empty()
         });
@@ -461,12 +471,11 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     drop_file(&mut stage, "film.nrrd");
     until(&mut stage.window, "the volume", is_shown);
     assert!(stage.window.state().problem.is_none());
-    // Over a picture, what is no volume is the viewer's: a text that holds no preset is said so in its panel.
+    // Over a picture, what is no volume is the viewer's: a text that holds no preset is said so in its panel, which opens.
     drop_file(&mut stage, "notes.txt");
     until(&mut stage.window, "the viewer's message", |w| {
         !w.state().dropped.is_busy() && w.state().opening.is_none()
     });
-    press(&mut stage.window, Key::L);
     until(&mut stage.window, "the viewer's message", |w| w.query_by_label_contains("notes.txt").is_some());
     // A volume without room is refused, and what is shown stays.
     drop_file(&mut stage, "large.nrrd");
@@ -478,6 +487,110 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     // A folder is tried as one volume.
     drop_file(&mut stage, "inner");
     until(&mut stage.window, "a refusal", |w| w.state().problem.is_some());
+}
+
+/// A server and a volume in the list, and a film selected of which only a region is wanted.
+fn everything(size: [f32; 2], pixels_per_point: f32) -> Stage {
+    let entry = |place, shows: &str| RecentEntry { place, shows: shows.into(), used_at: 996_400 };
+    let server = RecentPlace::Server { host: "render-01".into(), port: 4433 };
+    let list = |folder: &Path| {
+        let source = folder.join("data/film.nrrd").to_string_lossy().into_owned();
+        let volume = RecentPlace::Volume { source, selection: Selection::default() };
+        Recent { folder: None, entries: vec![entry(server, "head.nrrd"), entry(volume, "a film")] }
+    };
+    let mut stage = Stage::on_screen(Servers::default(), size, pixels_per_point, list);
+    wait_for_kinds(&mut stage.window);
+    stage.window.get_by_label("files").focus();
+    stage.window.run_steps(2);
+    stage.window.event(Event::Text("fi".into()));
+    stage.window.run_steps(2);
+    until(&mut stage.window, "a header", |w| w.query_by_label_contains("6×5×4 uint8").is_some());
+    stage.window.get_by_label("only a region").click();
+    stage.window.run_steps(3);
+    stage
+}
+
+#[test]
+fn everything_on_the_page_has_a_name_and_is_reached_by_tab() {
+    let mut stage = everything([1280.0, 720.0], 1.0);
+    // As it is once there is something to come back to.
+    stage.window.state_mut().has_session = true;
+    stage.window.run_steps(3);
+    assert!(assert_all_named(&stage.window) > 15, "{:?}", focusable(&stage.window));
+    for control in [
+        "link",
+        "render-01:4433",
+        "forget render-01:4433",
+        "up",
+        "path",
+        "files",
+        "film.nrrd",
+        "a film",
+        "time",
+        "end of z",
+    ] {
+        let is_there = focusable(&stage.window).iter().any(|(_, name)| name == control);
+        assert!(is_there, "{control} is a control: {:?}", focusable(&stage.window));
+    }
+    assert_tab_reaches_all(&mut stage.window);
+    // While something is opened there is one way out, and with a picture another.
+    let (_open, gate) = sync_channel(1);
+    let servers = Servers { check_gate: Some(Mutex::new(gate)), ..Servers::default() };
+    let mut stage = Stage::new(servers, |_| Recent::default());
+    let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
+    stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+    stage.window.state_mut().has_session = true;
+    stage.window.run_steps(3);
+    assert_eq!(assert_all_named(&stage.window), 2);
+    assert_tab_reaches_all(&mut stage.window);
+}
+
+#[test]
+fn nothing_of_the_page_lies_outside_a_small_screen_or_a_fine_one() {
+    for (size, pixels_per_point) in [([1280.0, 720.0], 1.0), ([1920.0, 1080.0], 2.0)] {
+        let stage = everything(size, pixels_per_point);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&stage.window, screen), Vec::<String>::new(), "{size:?}");
+        assert_eq!(cut_off(&stage.window), Vec::<String>::new(), "{size:?}");
+        let open = stage.window.get_by_label_contains("needs 240 bytes").rect();
+        assert!(screen.contains_rect(open), "{open:?} in {size:?}");
+    }
+}
+
+#[test]
+fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let source = stage.folder.path().join("data/inner/small.nrrd").to_string_lossy().into_owned();
+    stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+    until(&mut stage.window, "the volume", is_shown);
+    stage.window.key_press_modifiers(Modifiers::COMMAND, Key::O);
+    stage.window.run_steps(3);
+    assert!(is_shown(&stage.window) && stage.has("Open a file"));
+    wait_for_kinds(&mut stage.window);
+    assert_all_named(&stage.window);
+    // Letters are names of files here, and not keys of the viewer.
+    stage.window.event(Event::Text("fi".into()));
+    press(&mut stage.window, Key::B);
+    until(&mut stage.window, "a header", |w| w.query_by_label_contains("6×5×4 uint8").is_some());
+    press(&mut stage.window, Key::Enter);
+    until(&mut stage.window, "the other volume", |w| {
+        stage.servers.started.lock().unwrap().len() == 2 && w.state().opening.is_none()
+    });
+    assert!(is_shown(&stage.window) && !stage.has("Open a file"));
+    assert_eq!(stage.servers.started.lock().unwrap()[1].1, [6, 5, 4]);
+    // A path can be written as well, and one that was copied goes into the list.
+    stage.window.key_press_modifiers(Modifiers::COMMAND, Key::O);
+    stage.window.run_steps(3);
+    let path = stage.folder.path().join("data/noise.bin").to_string_lossy().into_owned();
+    stage.window.event(Event::Paste(path));
+    stage.window.run_steps(3);
+    until(&mut stage.window, "what it is", |w| {
+        w.query_by_label_contains("noise.bin: no header that is known").is_some()
+    });
+    press(&mut stage.window, Key::Enter);
+    assert!(stage.has("Open a file") && stage.window.state().opening.is_none());
+    press(&mut stage.window, Key::Escape);
+    assert!(!stage.has("Open a file") && is_shown(&stage.window));
 }
 
 #[test]

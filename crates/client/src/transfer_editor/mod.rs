@@ -386,6 +386,7 @@ impl TransferEditor {
                 self.replaces = None;
                 self.message = None;
             }
+            named(&field, egui::Role::TextInput, "file of presets");
             field.on_hover_text("TOML; ParaView's colour maps (.json); Slicer's presets.xml and .vp.json");
             let path = path_from_text(&self.path).filter(|_| !self.files.is_busy());
             let open = ui.add_enabled(path.is_some(), egui::Button::new("open"));

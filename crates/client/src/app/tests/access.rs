@@ -1,82 +1,123 @@
 //! Can everything be named, reached and used without a mouse?
 
-use egui::accesskit;
-use egui_kittest::kittest::NodeT;
+use isinglass_core::ids::LoadId;
+use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use super::*;
+use crate::window_walk::{
+    assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside, overlapping,
+};
 
-/// Roles and names of all that the keyboard can go to.
-fn focusable(w: &Harness<'_, ViewerApp<HereSource>>) -> Vec<(egui::Role, String)> {
-    let nodes = w.root().children_recursive();
-    let can_focus = nodes.filter(|n| {
-        let node = n.accesskit_node();
-        node.data().supports_action(accesskit::Action::Focus) && !node.is_disabled()
-    });
-    can_focus.map(|n| (n.accesskit_node().role(), n.accesskit_node().label().unwrap_or_default())).collect()
+/// A film of two channels, two levels and three series, of which another time is being read.
+fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
+    let shown = Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None };
+    let source = w.state_mut().viewing.source_mut();
+    source.parts = Some(Arc::new(Parts {
+        shown,
+        whole_dims: [24; 3],
+        num_channels: 2,
+        channels: vec!["GFP".into(), "a channel with a name that takes more room than there is".into()],
+        num_times: 9,
+        levels: vec![[24; 3], [12; 3]],
+        num_series: 3,
+        ..Parts::default()
+    }));
+    let state = LoadState::Reading { permille: 250 };
+    let part = Part { time: Some(2), ..shown };
+    source.load = Some(LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1 << 30, state });
 }
 
-fn focused(w: &Harness<'_, ViewerApp<HereSource>>) -> Option<(egui::Role, String)> {
-    let mut nodes = w.root().children_recursive().filter(|n| n.accesskit_node().is_focused());
-    nodes.next().map(|n| (n.accesskit_node().role(), n.accesskit_node().label().unwrap_or_default()))
-}
-
-/// Every panel and section is open.
-fn everything() -> Harness<'static, ViewerApp<HereSource>> {
-    let mut w = window([1280.0, 1400.0]);
+/// Every panel and section is open, the volume is clipped and its file has parts.
+fn everything(size: [f32; 2], pixels_per_point: f32) -> Harness<'static, ViewerApp<HereSource>> {
+    let mut w = window_of(size, pixels_per_point);
+    give_parts(&mut w);
+    press(&mut w, Modifiers::NONE, Key::C);
     open_panel(&mut w);
-    for section in ["Light", "Frames", "View", "State"] {
+    for section in ["Light", "Frames", "Clip", "View", "State"] {
         w.get_by_label(section).scroll_to_me();
         w.run_steps(4);
         w.get_by_label(section).click();
         rest(&mut w);
     }
+    w.get_by_label("clip plane").scroll_to_me();
+    w.run_steps(4);
+    w.get_by_label("clip plane").click();
+    rest(&mut w);
     w
 }
 
 #[test]
 fn every_control_has_a_name_and_a_role() {
-    let mut w = everything();
+    let mut w = everything([1280.0, 1400.0], 1.0);
     // A point is chosen, so that its row is there too.
     w.get_by_label("opacity over values").focus();
     press(&mut w, Modifiers::NONE, Key::ArrowRight);
     for shows_help in [false, true] {
         w.state_mut().shows_help = shows_help;
         rest(&mut w);
-        assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
-        let all = focusable(&w);
-        assert!(all.len() > 20, "{all:?}");
-        for (role, name) in &all {
-            assert!(!name.trim().is_empty(), "a {role:?} without a name among {all:?}");
-        }
+        assert!(assert_all_named(&w) > 40, "{:?}", focusable(&w));
     }
     for painted in ["axes: ", "low end at ", "high end at ", "point 1 of "] {
         assert!(w.query_all_by_label_contains(painted).next().is_some(), "{painted} is told");
     }
+    for control in ["z from", "plane at", "flip", "channel", "the next time", "level", "series", "cancel"] {
+        let is_there = focusable(&w).iter().any(|(_, name)| name.starts_with(control));
+        assert!(is_there, "{control} is a control: {:?}", focusable(&w));
+    }
 }
 
-#[test]
-fn what_has_no_name_would_be_found() {
-    let builder = Harness::builder().with_accessibility_check(false);
-    let mut w = builder.build_ui(|ui| {
-        let _ = ui.button("");
-    });
-    w.run_steps(2);
-    assert_eq!(w.unnamed_widgets().len(), 1);
-}
-
-/// Tab goes around through everything that can be used now.
 #[test]
 fn tab_reaches_every_control() {
-    let mut w = everything();
-    let mut wanted: Vec<String> = focusable(&w).into_iter().map(|(_, name)| name).collect();
-    let mut reached = Vec::new();
-    for _ in 0..wanted.len() + 2 {
-        w.key_press(Key::Tab);
-        w.run_steps(4);
-        reached.extend(focused(&w).map(|(_, name)| name));
+    assert_tab_reaches_all(&mut everything([1280.0, 1400.0], 1.0));
+}
+
+/// A small screen, and one of twice as many pixels an inch.
+const SCREENS: [([f32; 2], f32); 2] = [([1280.0, 720.0], 1.0), ([1920.0, 1080.0], 2.0)];
+
+#[test]
+fn nothing_lies_outside_a_small_screen_or_a_fine_one() {
+    for (size, pixels_per_point) in SCREENS {
+        let mut w = everything(size, pixels_per_point);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        w.state_mut().notice = Some(("a line of the server's".into(), Duration::from_secs(1000)));
+        rest(&mut w);
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
+        let panes = ["overlay", "look", "parts", "banner"];
+        assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{size:?}");
+        assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
+        // One pixel of the picture is one of the screen; the harness leaves eight points around it.
+        let picture = w.state().window.unwrap();
+        let pixels = size.map(|side| (side - 16.0) * pixels_per_point);
+        assert_eq!([picture.width as f32, picture.height as f32], pixels);
+        // A click beside the middle of a point of the curve chooses it, whatever the number of pixels.
+        let point = w.get_by_label_contains("point 2 of ").rect();
+        assert!(point.width() >= 8.0 && point.height() >= 8.0, "{point:?}");
+        press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+        assert!(w.query_by_label("Picture of the view").is_some());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}, with the dialog");
     }
-    wanted.retain(|name| !reached.contains(name));
-    assert_eq!(wanted, Vec::<String>::new(), "not reached; reached were {reached:?}");
+}
+
+#[test]
+fn all_keys_are_on_a_small_screen_at_once() {
+    for (size, pixels_per_point) in SCREENS {
+        let mut w = window_of(size, pixels_per_point);
+        w.key_press(Key::H);
+        // Where a refresh takes long, what is seen first is seen for long.
+        w.run_steps(1);
+        assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
+        rest(&mut w);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
+        let pane = w.ctx.memory(|m| m.area_rect(egui::Id::unique("help"))).unwrap();
+        for (keys, text) in crate::bindings::Bindings::default().lines() {
+            for label in [&keys[..], text] {
+                let lines = w.query_all_by_label(label).map(|n| n.rect());
+                let lines: Vec<_> = lines.filter(|line| pane.contains_rect(*line)).collect();
+                assert!(!lines.is_empty(), "{label} is not on the pane at {pane:?} of {size:?}");
+            }
+        }
+    }
 }
 
 #[test]

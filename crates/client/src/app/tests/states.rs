@@ -113,6 +113,52 @@ fn a_state_gives_the_very_same_picture_in_another_window() {
 }
 
 #[test]
+fn ctrl_o_opens_states_and_presets_from_a_list_of_files() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let mut first = changed();
+    let wanted = state(&first);
+    save(&mut first, &folder.path().join("a.state.toml"));
+    let transfer = isinglass_formats::preset("cubus").unwrap();
+    let text = isinglass_formats::transfer_to_toml(&transfer);
+    std::fs::write(folder.path().join("b.toml"), text).unwrap();
+    std::fs::write(folder.path().join("c.nrrd"), "NRRD0004\ntype: uchar\n").unwrap();
+
+    let mut w = window([640.0, 480.0]);
+    w.state_mut().open_dialog.begin_at(folder.path());
+    let sees = |w: &mut Harness<'_, ViewerApp<HereSource>>, text: &str| {
+        for _ in 0..2000 {
+            w.step();
+            if w.query_by_label_contains(text).is_some() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        panic!("{text} is never shown");
+    };
+    let choose = |w: &mut Harness<'_, ViewerApp<HereSource>>, letter: &str, says: &str| {
+        press(w, Modifiers::COMMAND, Key::O);
+        sees(w, "b.toml");
+        w.event(Event::Text(letter.into()));
+        sees(w, says);
+        press(w, Modifiers::NONE, Key::Enter);
+    };
+    choose(&mut w, "a", "as a state");
+    wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.k == 5));
+    assert_eq!(state(&w), wanted);
+    assert!(!w.state().open_dialog.is_open() && !w.state().is_look_open);
+    let mut w = window([640.0, 480.0]);
+    w.state_mut().open_dialog.begin_at(folder.path());
+    choose(&mut w, "b", "as a state");
+    wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.transfer == transfer));
+    assert!(w.state().is_look_open);
+    // Nobody opens volumes in this window.
+    choose(&mut w, "c", "c.nrrd: NRRD, which does not open here");
+    assert!(w.state().open_dialog.is_open());
+    press(&mut w, Modifiers::NONE, Key::Escape);
+    assert!(!w.state().open_dialog.is_open() && w.state().wanted_volume.is_none());
+}
+
+#[test]
 fn a_file_that_is_there_is_replaced_when_it_is_asked_for_twice() {
     let mut w = window([640.0, 480.0]);
     let path = path("twice");
