@@ -11,28 +11,8 @@
 //! products, quotients and square roots, or single and double precision operations in the order written. No
 //! function of a mathematics library takes part.
 
-/// Defines a function by one that is always inlined, compiled twice: as every machine can run it, and with wider
-/// instructions for those that have them. No multiplication is fused with an addition, so the bits are the same.
-macro_rules! wide {
-    ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $out:ty)? = $any:ident;) => {
-        $(#[$meta])*
-        $vis fn $name($($arg: $ty),*) $(-> $out)? {
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx2")]
-                fn with_avx2($($arg: $ty),*) $(-> $out)? {
-                    $any($($arg),*)
-                }
-                if $crate::codec::blocks::is_wide() {
-                    #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-                    // SAFETY: this processor has them.
-                    return unsafe { with_avx2($($arg),*) };
-                }
-            }
-            $any($($arg),*)
-        }
-    };
-}
+#[macro_use]
+mod width;
 
 mod band;
 mod chunk;
@@ -61,8 +41,6 @@ use rayon::prelude::*;
 use super::header::{self, ChunkHeader};
 use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, at_most};
 use crate::ids::ChunkIndex;
-#[cfg(target_arch = "x86_64")]
-use crate::kernels::march::has_avx2;
 use crate::layer::{FrameHeader, LayeredFrame};
 use crate::wanted::{ALWAYS, Wanted};
 use chunk::Head;
@@ -156,16 +134,6 @@ pub(super) fn encode_while(
         })
         .collect::<Result<_, CodecError>>()?;
     Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, Some(steps), decoded)))
-}
-
-/// Whether functions run with wider instructions.
-#[cfg(target_arch = "x86_64")]
-fn is_wide() -> bool {
-    #[cfg(test)]
-    if tests::IS_NARROW.load(std::sync::atomic::Ordering::Relaxed) {
-        return false;
-    }
-    has_avx2()
 }
 
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.

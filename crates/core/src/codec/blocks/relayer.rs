@@ -20,7 +20,6 @@ mod merge;
 mod tests;
 
 use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
-use crate::kernels::march::has_avx2;
 use assign::Assigned;
 pub use lists::BlockLists;
 use lists::Walk;
@@ -51,36 +50,37 @@ pub fn units_per_pixel(camera: &crate::camera::Camera) -> f32 {
 }
 
 /// Scratch memory to find layers with; one for each thread.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Relayer {
     walk: Walk,
     merge: Merge,
     assigned: Assigned,
-    has_avx2: bool,
 }
 
-impl Default for Relayer {
-    fn default() -> Self {
-        Self {
-            walk: Walk::default(),
-            merge: Merge::default(),
-            assigned: Assigned::default(),
-            has_avx2: has_avx2(),
-        }
-    }
+wide! {
+    fn fresh(relayer: &mut Relayer, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>)
+        = Relayer::fresh_any;
+}
+
+wide! {
+    fn given(
+        relayer: &mut Relayer,
+        lists: &BlockLists,
+        planes: &[(DepthPlane, DepthPlane)],
+        out: &mut Vec<BlockLayer>,
+    ) -> f32 = Relayer::given_any;
+}
+
+wide! {
+    fn tried(relayer: &mut Relayer, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32
+        = Relayer::tried_any;
 }
 
 impl Relayer {
     /// Front and back planes of layers that suit the lists, at most [`MAX_LAYERS`] and at least one if there is matter, in
     /// the order of their depth, into `out`.
     pub fn fresh(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
-        #[cfg(target_arch = "x86_64")]
-        if self.has_avx2 {
-            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
-            return unsafe { self.fresh_avx2(lists, rule, out) };
-        }
-        self.fresh_any(lists, rule, out);
+        fresh(self, lists, rule, out);
     }
 
     /// Puts the lists' matter between given pairs of front and back planes, in the order of their depth, into `out`: a
@@ -92,50 +92,12 @@ impl Relayer {
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
     ) -> f32 {
-        #[cfg(target_arch = "x86_64")]
-        if self.has_avx2 {
-            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
-            return unsafe { self.given_avx2(lists, planes, out) };
-        }
-        self.given_any(lists, planes, out)
+        given(self, lists, planes, out)
     }
 
     /// About the error of [`Relayer::given`], from some of the lists; infinite as soon as it is above `limit`.
     pub fn tried(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
-        #[cfg(target_arch = "x86_64")]
-        if self.has_avx2 {
-            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
-            return unsafe { self.tried_avx2(lists, planes, limit) };
-        }
-        self.tried_any(lists, planes, limit)
-    }
-
-    /// The same with wider instructions.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn fresh_avx2(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
-        self.fresh_any(lists, rule, out);
-    }
-
-    /// The same with wider instructions.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn given_avx2(
-        &mut self,
-        lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
-        out: &mut Vec<BlockLayer>,
-    ) -> f32 {
-        self.given_any(lists, planes, out)
-    }
-
-    /// The same with wider instructions.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn tried_avx2(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
-        self.tried_any(lists, planes, limit)
+        tried(self, lists, planes, limit)
     }
 
     #[inline(always)]

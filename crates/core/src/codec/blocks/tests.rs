@@ -1,7 +1,6 @@
-use std::sync::atomic::{AtomicBool, Ordering};
-
 use glam::Vec3;
 
+use super::width::tests::with_each;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::codec::tests::soft_scene as scene;
@@ -55,15 +54,10 @@ fn error(frame: &LayeredFrame, reference: &LayeredFrame, degrees: f32) -> (f64, 
     (e.dssim, e.psnr_db)
 }
 
-/// Whether functions run as on machines without wider instructions; it makes no difference to tests that run at once.
-pub(super) static IS_NARROW: AtomicBool = AtomicBool::new(false);
-
 #[test]
 fn machines_with_and_without_wider_instructions_decode_alike() {
-    let decoded = |coded: &EncodedFrame, references: &References, is_narrow: bool| {
-        IS_NARROW.store(is_narrow, Ordering::Relaxed);
+    let decoded = |coded: &EncodedFrame, references: &References| {
         let found = assemble(&bytes(coded), references).unwrap().to_frame_and_reference();
-        IS_NARROW.store(false, Ordering::Relaxed);
         (found.0, found.1.unwrap())
     };
     for builtin in ALL {
@@ -75,10 +69,10 @@ fn machines_with_and_without_wider_instructions_decode_alike() {
             let encoded =
                 |quality| encode(&frame, &whole(quality), references.newest().map(|r| &**r)).unwrap().0;
             let (ours, other) = (encoded(70), encoded(71));
-            let [wide, narrow] = [false, true].map(|is_narrow| decoded(&ours, &references, is_narrow));
-            assert!(wide == narrow, "{builtin:?} {id}");
-            assert!(wide != decoded(&other, &references, true));
-            references.insert(wide.1);
+            let [narrow, wide, wider] = with_each(|| decoded(&ours, &references));
+            assert!(wide == narrow && wider == narrow, "{builtin:?} {id}");
+            assert!(narrow != decoded(&other, &references));
+            references.insert(wider.1);
         }
     }
 }

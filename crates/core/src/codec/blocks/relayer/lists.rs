@@ -2,7 +2,6 @@
 
 use super::{Column, SAMPLES, Sample, select};
 use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
-use crate::kernels::march::has_avx2;
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 
@@ -17,7 +16,10 @@ pub struct BlockLists {
     /// The colour of the chessboard on which more segments stand: 0 or 1.
     color: usize,
     unpacked: Box<Unpacked>,
-    has_avx2: bool,
+}
+
+wide! {
+    fn read(lists: &mut BlockLists, frame: &LayeredFrame, x: u32, y: u32) = BlockLists::read_any;
 }
 
 /// The segments of a row of a block's lists.
@@ -74,7 +76,6 @@ impl Default for BlockLists {
             slope: [1.0; BLOCK_LISTS],
             color: 0,
             unpacked: Box::default(),
-            has_avx2: has_avx2(),
         }
     }
 }
@@ -150,20 +151,7 @@ impl BlockLists {
     /// Reads the lists of a valid frame ([`LayeredFrame::validate`]) from (`x`·[`BLOCK`], `y`·[`BLOCK`]) on; those
     /// outside of the frame are empty.
     pub fn read(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
-        #[cfg(target_arch = "x86_64")]
-        if self.has_avx2 {
-            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
-            return unsafe { self.read_avx2(frame, x, y) };
-        }
-        self.read_any(frame, x, y);
-    }
-
-    /// The same with wider instructions.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn read_avx2(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
-        self.read_any(frame, x, y);
+        read(self, frame, x, y);
     }
 
     #[inline(always)]
