@@ -122,10 +122,13 @@ fn warm_up(
         // The window may be closed meanwhile.
         submission.recv().ok()
     };
+    // A device makes no commands without its queue, and the window may be closed meanwhile.
+    let kept = queue.clone();
     let run = move || {
         if let Err(e) = warm_up.run(Some(&adapter), &device, submit) {
             tracing::warn!("first draws: {e}");
         }
+        drop(kept);
     };
     // Without a thread the first pictures come as late as they would have.
     let _ = std::thread::Builder::new().name("warm-up".into()).spawn(run);
