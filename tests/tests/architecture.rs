@@ -19,13 +19,14 @@ const ARROWS: [(&str, &[&str]); 9] = [
 ];
 
 /// Crates of the outside world, and who may name them.
-const WORLDS: [(&str, &[&str]); 11] = [
+const WORLDS: [(&str, &[&str]); 12] = [
     ("wgpu", &["isinglass-gpu", "isinglass-client", "isinglass-tests"]),
     ("quinn", &["isinglass-net"]),
     ("rustls", &["isinglass-net"]),
     ("rcgen", &["isinglass-net"]),
     ("eframe", &["isinglass-client"]),
     ("egui", &["isinglass-client"]),
+    ("winit", &["isinglass-client"]),
     ("flate2", &["isinglass-formats"]),
     ("toml", &["isinglass-formats"]),
     ("clap", &["isinglass"]),
@@ -33,16 +34,21 @@ const WORLDS: [(&str, &[&str]); 11] = [
     ("rav1e", &["isinglass-bench"]),
 ];
 
-/// What cargo says of each of our crates.
-fn packages() -> Vec<Value> {
+/// What cargo says, asked with these arguments.
+fn metadata(args: &[&str]) -> Value {
     let output = Command::new(env!("CARGO"))
-        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .args(["metadata", "--format-version", "1", "--offline"])
+        .args(args)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
         .expect("cargo runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let metadata: Value = serde_json::from_slice(&output.stdout).expect("cargo writes JSON");
-    metadata["packages"].as_array().expect("packages").clone()
+    serde_json::from_slice(&output.stdout).expect("cargo writes JSON")
+}
+
+/// What cargo says of each of our crates.
+fn packages() -> Vec<Value> {
+    metadata(&["--no-deps"])["packages"].as_array().expect("packages").clone()
 }
 
 fn name(v: &Value) -> String {
@@ -128,4 +134,30 @@ fn the_product_carries_no_codec_of_others() {
         dependency["optional"] = Value::Bool(false);
     }
     assert_eq!(carried(&packages).len(), 5);
+}
+
+/// Which of the crates that are built for a window ask for a library of the system that a fresh machine lacks.
+#[cfg(target_os = "linux")]
+fn asking(resolved: &Value) -> Vec<String> {
+    // Its build script asks pkg-config for libwayland unless it is told to load it at run time.
+    let asks = |node: &&Value| {
+        let id = node["id"].as_str().expect("an id");
+        let has = |feature: &str| node["features"].as_array().expect("features").iter().any(|f| f == feature);
+        id.contains("wayland-sys") && (has("client") || has("cursor") || has("egl")) && !has("dlopen")
+    };
+    let nodes = resolved["resolve"]["nodes"].as_array().expect("nodes");
+    nodes.iter().filter(asks).map(|node| node["id"].to_string()).collect()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_window_is_built_without_libraries_of_the_system() {
+    let target = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let mut resolved = metadata(&["--filter-platform", &target]);
+    assert_eq!(asking(&resolved), Vec::<String>::new());
+    // The control: as it would be without the feature that the client asks winit for.
+    for node in resolved["resolve"]["nodes"].as_array_mut().expect("nodes") {
+        node["features"].as_array_mut().expect("features").retain(|feature| feature != "dlopen");
+    }
+    assert_eq!(asking(&resolved).len(), 1, "wayland-sys is among what is built");
 }

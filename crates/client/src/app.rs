@@ -559,9 +559,10 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(description) = self.viewing.source().description() else { return };
         let volume = &description.volume;
         let title = panels::title_of(volume);
+        let window = format!("{} – isinglass", volume.name);
+        panels::name_window(ctx, &window);
         if title != self.title {
             self.title = title;
-            let window = format!("{} – isinglass", volume.name);
             ctx.send_viewport_cmd(egui::ViewportCommand::Title(window));
         }
     }

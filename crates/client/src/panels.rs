@@ -232,6 +232,11 @@ pub(crate) fn picture(ui: &Ui, rect: egui::Rect, name: &str) {
     }
 }
 
+/// Gives the window its name for screen readers.
+pub(crate) fn name_window(ctx: &egui::Context, name: &str) {
+    ctx.accesskit_node_builder(egui::accesskit_root_id(), |node| node.set_label(name));
+}
+
 /// Something painted that is there to be looked at: a name for those who do not.
 pub(crate) fn image(ui: &Ui, rect: egui::Rect, id: &str, name: &str) {
     let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());

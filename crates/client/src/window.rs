@@ -215,6 +215,7 @@ fn open_window(
         wgpu_options: wgpu_options(),
         // The picture is the server's to 1/255; noise would be seen in a comparison.
         dithering: false,
+        event_loop_builder: Some(Box::new(choose_window_system)),
         ..Default::default()
     };
     let mut options = options;
@@ -245,6 +246,15 @@ fn open_window(
         Ok(Err(e)) => Err(viewer_error(e)),
         Err(DisplayLost) => Err(ViewerError::Window("the display is gone".into())),
     }
+}
+
+/// X11 wherever there is a choice: on Wayland, which goes through XWayland then, files cannot be dropped on a window of winit's,
+/// and under some compositors it has no title.
+fn choose_window_system(builder: &mut eframe::EventLoopBuilder<eframe::UserEvent>) {
+    #[cfg(all(unix, not(target_os = "macos")))]
+    winit::platform::x11::EventLoopBuilderExtX11::with_x11(builder);
+    #[cfg(not(all(unix, not(target_os = "macos"))))]
+    let _ = builder;
 }
 
 fn viewer_error(error: eframe::Error) -> ViewerError {

@@ -31,7 +31,7 @@ use crate::BoxedSource;
 use crate::app::{Origin, ViewerApp};
 use crate::background::Background;
 use crate::frame_source::FrameSource;
-use crate::panels::{named, pane};
+use crate::panels::{name_window, named, pane};
 use crate::parts_bar::warning;
 use crate::window::Waker;
 
@@ -114,6 +114,7 @@ impl StartWindow {
         let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
         let wish = if self.is_page_shown {
             self.app.warm_up();
+            name_window(&ctx, "isinglass");
             // Of the viewer's keys only this one.
             if self.app.take_quit(&ctx) {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
