@@ -17,7 +17,7 @@ use isinglass_formats::{LoadRequest, SavedState, Selection};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
 pub(crate) use self::state::theme_preference;
-use crate::bindings::{Action, Focus};
+use crate::bindings::{Action, Bindings, Focus};
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
@@ -204,6 +204,11 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Goes on with the draws before the first picture.
     pub(crate) fn warm_up(&self) {
         self.picture_status.submit_warm_up();
+    }
+
+    /// What keys and mouse do.
+    pub(crate) fn bindings(&self) -> &Bindings {
+        &self.options.bindings
     }
 
     /// How much of the window's right is taken by the look panel, points.

@@ -5,11 +5,19 @@ use glam::Vec3;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 
+use crate::bindings::{Action, Bindings};
 use crate::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
 use crate::look_panel::row;
 
 /// Shows and changes the clip of a volume in `bounds`; `forward` is the viewing direction.
-pub(crate) fn show(ui: &mut Ui, clip: &mut Clip, editor: &mut ClipEditor, bounds: &Aabb, forward: Vec3) {
+pub(crate) fn show(
+    ui: &mut Ui,
+    clip: &mut Clip,
+    editor: &mut ClipEditor,
+    bounds: &Aabb,
+    forward: Vec3,
+    bindings: &Bindings,
+) {
     ui.horizontal(|ui| {
         let mut has_box = clip.bounds.is_some();
         if ui.checkbox(&mut has_box, "clip box").changed() {
@@ -19,7 +27,7 @@ pub(crate) fn show(ui: &mut Ui, clip: &mut Clip, editor: &mut ClipEditor, bounds
         if ui.checkbox(&mut has_plane, "clip plane").changed() {
             editor.toggle_plane(clip, bounds, forward);
         }
-        ui.checkbox(&mut editor.is_shown, "handles (c)");
+        ui.checkbox(&mut editor.is_shown, bindings.with_key("handles", Action::Clip));
     });
     egui::Grid::new("clip").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         if let Some(inner) = &mut clip.bounds {

@@ -47,14 +47,6 @@ pub(crate) struct Settings<'a> {
     pub(crate) world_from_view: glam::Quat,
 }
 
-impl Settings<'_> {
-    /// A text with the key that does the same, if there is one.
-    fn with_key(&self, text: &str, action: Action) -> String {
-        let key = self.bindings.hint(action);
-        if key.is_empty() { text.to_owned() } else { format!("{text} ({key})") }
-    }
-}
-
 /// Shows the panel, open or folded, and changes what was set; the answer is what to do with states.
 pub(crate) fn show(
     ctx: &egui::Context,
@@ -74,7 +66,7 @@ pub(crate) fn show(
         pane(ctx).show(ui, |ui| {
             let title = egui::Button::new(RichText::new("Look").strong().size(13.0)).frame(false);
             let hint = if *is_open { "click: fold" } else { "transfer function, shading, view" };
-            let hint = settings.with_key(hint, Action::LookPanel);
+            let hint = settings.bindings.with_key(hint, Action::LookPanel);
             if ui.add(title).on_hover_text(hint).clicked() {
                 *is_open = !*is_open;
             }
@@ -93,8 +85,8 @@ pub(crate) fn show(
                 });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
-                    let Settings { look, clip_editor, bounds, forward, .. } = &mut *settings;
-                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward);
+                    let Settings { look, clip_editor, bounds, forward, bindings, .. } = &mut *settings;
+                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward, bindings);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
                 section(ui, "State", false, |ui| wish = state_files.show(ui));
@@ -179,15 +171,15 @@ pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut
 }
 
 fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
-    let projection = settings.with_key("projection", Action::Projection);
+    let projection = settings.bindings.with_key("projection", Action::Projection);
     ui.horizontal(|ui| {
         ui.label(projection);
         for (name, is_orthographic) in [("perspective", false), ("orthographic", true)] {
             ui.selectable_value(&mut settings.is_orthographic, is_orthographic, name);
         }
     });
-    let axes = settings.with_key("axes and scale", Action::Axes);
-    let volume_box = settings.with_key("box", Action::Box);
+    let axes = settings.bindings.with_key("axes and scale", Action::Axes);
+    let volume_box = settings.bindings.with_key("box", Action::Box);
     let aids = &mut settings.aids;
     ui.horizontal(|ui| {
         ui.checkbox(&mut aids.shows_axes, axes);

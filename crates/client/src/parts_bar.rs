@@ -7,6 +7,7 @@ use egui::{Align2, Color32, ProgressBar, RichText, Ui, vec2};
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
+use crate::bindings::{Action, Bindings};
 use crate::overlay::format_bytes;
 use crate::panels::{named, pane, quiet};
 
@@ -66,6 +67,7 @@ impl PartsBar {
         ctx: &egui::Context,
         now: Duration,
         right: f32,
+        bindings: &Bindings,
         parts: Option<&Parts>,
         load: Option<&LoadStatus>,
     ) -> Option<PartsWish> {
@@ -82,9 +84,10 @@ impl PartsBar {
                 ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
                 ui.set_max_width(room);
                 if self.row_width > room {
-                    ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged));
+                    ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
                 } else {
-                    let row = ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged));
+                    let row =
+                        ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
                     self.row_width = row.response.rect.width();
                 }
                 if let Some(load) = load
@@ -157,18 +160,20 @@ impl PartsBar {
 }
 
 /// A row with one picker for each axis that there is more than one of.
-fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u32>) {
+fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
     if parts.num_times > 1 {
         let last = parts.num_times - 1;
         let mut time = dragged.take().or(chosen.time).unwrap_or(0);
         label(ui, "time");
-        let back =
-            ui.add_enabled(time > 0, egui::Button::new("−").small()).on_hover_text("the time before ([)");
+        let back = ui
+            .add_enabled(time > 0, egui::Button::new("−").small())
+            .on_hover_text(bindings.with_key("the time before", Action::StepTime(-1)));
         named(&back, egui::Role::Button, "the time before");
         let number = ui.add(egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false));
         named(&number, egui::Role::SpinButton, "time");
-        let on =
-            ui.add_enabled(time < last, egui::Button::new("+").small()).on_hover_text("the next time (])");
+        let on = ui
+            .add_enabled(time < last, egui::Button::new("+").small())
+            .on_hover_text(bindings.with_key("the next time", Action::StepTime(1)));
         named(&on, egui::Role::Button, "the next time");
         time = time + u32::from(on.clicked()) - u32::from(back.clicked() && time > 0);
         // A number that is being dragged asks when it is let go.

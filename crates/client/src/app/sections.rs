@@ -161,7 +161,8 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
         let source = self.viewing.source();
         let (parts, load) = (source.parts(), source.load());
-        let wish = self.parts_bar.show(ctx, now, self.right_width(), parts.as_deref(), load.as_ref());
+        let (right, bindings) = (self.right_width(), &self.options.bindings);
+        let wish = self.parts_bar.show(ctx, now, right, bindings, parts.as_deref(), load.as_ref());
         self.do_part(wish);
     }
 

@@ -385,7 +385,7 @@ fn keys_switch_what_they_say() {
     press(&mut w, Modifiers::NONE, Key::O);
     assert!(!shown(&w, "server frame"));
     press(&mut w, Modifiers::NONE, Key::H);
-    for (keys, text) in crate::bindings::Bindings::default().lines() {
+    for (keys, text) in Bindings::default().lines() {
         assert!(w.query_all_by_label(text).next().is_some(), "{keys} is in the help");
     }
     press(&mut w, Modifiers::NONE, Key::Escape);

@@ -257,6 +257,12 @@ impl Bindings {
         bound.next().and_then(|(_, chords)| chords.first()).map(Chord::to_string).unwrap_or_default()
     }
 
+    /// A text with the key that does the same, if there is one.
+    pub(crate) fn with_key(&self, text: &str, action: Action) -> String {
+        let key = self.hint(action);
+        if key.is_empty() { text.to_owned() } else { format!("{text} ({key})") }
+    }
+
     /// What a drag does that begins with this button: of several, what names the most of the modifiers that are held.
     pub(crate) fn gesture(&self, button: PointerButton, held: Modifiers) -> Option<Gesture> {
         let bound = entries().zip(&self.chords).filter_map(|((_, deed, _), chords)| match deed {

@@ -30,6 +30,7 @@ pub use self::services::{First, LocalServer, LocalServers, Services};
 use crate::BoxedSource;
 use crate::app::{Origin, ViewerApp};
 use crate::background::Background;
+use crate::bindings::Action;
 use crate::frame_source::FrameSource;
 use crate::panels::{name_window, named, pane};
 use crate::parts_bar::warning;
@@ -240,7 +241,8 @@ impl StartWindow {
         let is_clicked = area.show(ctx, |ui| {
             let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
             let shown = pane(ctx).show(ui, |ui| ui.add(button));
-            shown.inner.on_hover_text("another volume or server (Ctrl+n)").clicked()
+            let hint = self.app.bindings().with_key("another volume or server", Action::Start);
+            shown.inner.on_hover_text(hint).clicked()
         });
         if is_clicked.inner {
             self.show_page();

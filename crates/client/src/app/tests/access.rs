@@ -110,7 +110,7 @@ fn all_keys_are_on_a_small_screen_at_once() {
         let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
         assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
         let pane = w.ctx.memory(|m| m.area_rect(egui::Id::unique("help"))).unwrap();
-        for (keys, text) in crate::bindings::Bindings::default().lines() {
+        for (keys, text) in Bindings::default().lines() {
             for label in [&keys[..], text] {
                 let lines = w.query_all_by_label(label).map(|n| n.rect());
                 let lines: Vec<_> = lines.filter(|line| pane.contains_rect(*line)).collect();
