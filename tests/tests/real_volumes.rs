@@ -212,7 +212,7 @@ fn every_volume_of_the_folder_opens_as_its_readme_says() {
         let domain = default_transfer(path.to_str().unwrap(), &volume, &histogram).domain;
         match domain {
             Domain::Values(from, _) => {
-                assert!(file.ends_with("tooth.nhdr") && (350.0..450.0).contains(&from), "{file} {from}")
+                assert!(file.ends_with("tooth.nhdr") && (350.0..450.0).contains(&from), "{file} {from}");
             }
             domain => assert_eq!(domain, preset(expected.preset).unwrap().domain, "{file}"),
         }
