@@ -66,6 +66,7 @@ fn product() -> Vec<Contender> {
 #[cfg(feature = "rivals")]
 fn others() -> Vec<Contender> {
     use super::av1::Av1;
+    use super::htj2k::Htj2k;
     use super::jpeg2000::Jpeg2000;
     use super::webp::WebP;
 
@@ -74,6 +75,8 @@ fn others() -> Vec<Contender> {
         Contender { name: Compressor::Lz4.name(), way: Way::Raw(Compressor::Lz4) },
         planes(PUBLISHED, Layout::Published, Box::new(Jpeg2000)),
         planes("jpeg2000-planes", Layout::Weighted, Box::new(Jpeg2000)),
+        planes("htj2k-published", Layout::Published, Box::new(Htj2k)),
+        planes("htj2k-planes", Layout::Weighted, Box::new(Htj2k)),
         planes(AVIF, Layout::Weighted, Box::new(Av1 { speed: AVIF_SPEED })),
         planes("webp-published", Layout::Published, Box::new(WebP)),
     ]

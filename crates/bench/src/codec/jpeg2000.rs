@@ -77,7 +77,7 @@ fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, BenchError> {
     if is_done { Ok(memory.bytes) } else { Err(failed("cannot encode")) }
 }
 
-fn decode(bytes: &[u8]) -> Result<Raster, BenchError> {
+pub(super) fn decode(bytes: &[u8]) -> Result<Raster, BenchError> {
     let codec = Codec::new(|| {
         // SAFETY: makes an object from a constant.
         unsafe { sys::opj_create_decompress(sys::CODEC_FORMAT::OPJ_CODEC_J2K) }

@@ -14,6 +14,8 @@ pub mod bd;
 mod clock;
 mod contenders;
 #[cfg(feature = "rivals")]
+mod htj2k;
+#[cfg(feature = "rivals")]
 mod jpeg2000;
 mod layout;
 mod measure;

@@ -217,7 +217,8 @@ struct CodecArgs {
     #[command(flatten)]
     common: CommonArgs,
     /// Codecs, between commas: blocks, exact, raw-zstd, png-published, blocks-planes, and in a build with --features
-    /// rivals raw-lz4, jpeg2000-published, jpeg2000-planes, avif-planes, webp-published [default: all]
+    /// rivals raw-lz4, jpeg2000-published, jpeg2000-planes, htj2k-published, htj2k-planes, avif-planes,
+    /// webp-published [default: all]
     #[arg(long, value_name = "CODEC", value_delimiter = ',')]
     codec: Vec<String>,
     /// The codec that others are compared with by BD-rate [default: jpeg2000-published, if it is measured]
