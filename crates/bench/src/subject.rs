@@ -1,6 +1,7 @@
 //! What tables of quality and of codecs look at and from where, and how a report says so.
 
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::clip::Clip;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_formats::OpenOptions;
@@ -33,6 +34,8 @@ pub struct Subject {
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
     pub isos: Isos,
+    /// What of the volumes is looked at.
+    pub clip: Clip,
     /// Where the kernels run.
     pub backend: BackendChoice,
 }
@@ -40,7 +43,8 @@ pub struct Subject {
 impl Subject {
     /// Opens one of the scenes.
     pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
-        let settings = MarchSettings { mode: self.mode, isos: self.isos, ..march_settings(self.shaded) };
+        let (clip, mode, isos) = (self.clip, self.mode, self.isos);
+        let settings = MarchSettings { clip, mode, isos, ..march_settings(self.shaded) };
         Ok(open_scene(&source.source, self.transfer.as_deref(), settings, &OpenOptions::default())?)
     }
 
@@ -58,6 +62,7 @@ impl Subject {
             backend: backend.description(),
             shading: self.shaded,
             mode: self.mode.name(),
+            clip: self.clip,
             threads,
         }
     }
@@ -82,6 +87,8 @@ pub struct SubjectConditions {
     pub backend: String,
     /// What a pixel told of its ray.
     pub mode: &'static str,
+    /// What of the volumes was looked at.
+    pub clip: Clip,
     /// Whether gradients shade.
     pub shading: bool,
     /// Threads of the CPU.

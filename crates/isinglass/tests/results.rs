@@ -80,6 +80,25 @@ fn clips_and_parallel_rays_are_the_same_in_a_picture_and_in_a_frame() {
         assert!(worst("a.png", "b.png") <= Some(2), "{flags}");
         assert!(worst("a.png", "whole.png") > Some(20), "{flags}");
     }
+    // A frame of all of the volume is cut as a viewer cuts it: what is left is that of the rendering, nearly.
+    let cut = "--clip-plane=-1,0,-2,0.1";
+    bench.ok(&format!("render builtin:shells@48 {cut} -o a.png {RENDER}"));
+    bench.ok(&format!("layers builtin:shells@48 -o a.iglf --k 16 {RENDER}"));
+    bench.ok(&format!("reproject a.iglf {cut} -o b.png --backend cpu"));
+    let apart = |b: &str| bench.json(&format!("compare a.png {b} --json"))["dssim"].as_f64().unwrap();
+    assert!(apart("b.png") < 0.1 * apart("whole.png"), "{} {}", apart("b.png"), apart("whole.png"));
+    let method = format!("reproject a.iglf {cut} --method point-warp -o c.png --backend cpu");
+    bench.fails(&method, 1, &["point-warp", "--clip-plane", "layers"]);
+    // Tables are made of what is left, and say so.
+    let table = |flags: &str| {
+        let of = "bench quality builtin:shells@24 --size 32x32 --angles 0 --layering equal-length --wire off";
+        bench.json(&format!("{of} --backend cpu {flags} --json"))
+    };
+    let (whole, left) = (table(""), table(cut));
+    let bytes = |table: &Value| table["rows"][0]["bytes"].as_u64().unwrap();
+    let dssim_of = |table: &Value| table["rows"][0]["dssim"].as_f64().unwrap();
+    assert!(whole["conditions"]["clip"]["plane"].is_null() && !left["conditions"]["clip"]["plane"].is_null());
+    assert!(bytes(&left) != bytes(&whole) && dssim_of(&left) < 1e-3, "{left}");
     // From one projection into the other: nearer to its rendering than what it was made of.
     bench.ok(&format!("render builtin:shells@48 --orthographic -o flat.png {RENDER}"));
     bench.ok(&format!("layers builtin:shells@48 -o a.iglf {RENDER}"));

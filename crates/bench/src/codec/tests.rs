@@ -33,6 +33,7 @@ fn options(codecs: &[&str]) -> CodecOptions {
         shaded: true,
         mode: Default::default(),
         isos: Default::default(),
+        clip: Default::default(),
         backend: BackendChoice::Cpu,
     };
     CodecOptions {

@@ -9,6 +9,7 @@ mod targets;
 mod tasks;
 
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::clip::Clip;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::mode::{Isos, Mode};
@@ -54,6 +55,8 @@ pub struct SpeedOptions {
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
     pub isos: Isos,
+    /// What of the volumes is looked at.
+    pub clip: Clip,
     /// Rounds of which the least time counts, after one that does not.
     pub repeats: u32,
     /// Frame rates to be held by a coarser cast.

@@ -99,8 +99,8 @@ impl<'a> Tasks<'a> {
         options: &'a SpeedOptions,
         source: &SceneSource,
     ) -> Result<Self, BenchError> {
-        let (mode, isos) = (options.mode, options.isos);
-        let settings = MarchSettings { mode, isos, ..march_settings(options.shaded) };
+        let (clip, mode, isos) = (options.clip, options.mode, options.isos);
+        let settings = MarchSettings { clip, mode, isos, ..march_settings(options.shaded) };
         let transfer = options.transfer.as_deref();
         let opened = open_scene(&source.source, transfer, settings, &OpenOptions::default())?;
         let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());

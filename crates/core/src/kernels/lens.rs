@@ -139,13 +139,12 @@ pub fn pose_between(open: &Pose, close: &Pose, center: Vec3, t: f32) -> Pose {
 /// The mean over `views` of the pictures of a layered frame. Premultiplied linear. `bounds` is the box of the volume. All
 /// views have the size of the first; without any the picture has no pixels.
 pub fn raycast_mean(frame: &LayeredFrame, bounds: &Aabb, views: &[View]) -> Picture {
-    mean_of_casts(&Raycaster::new(frame, bounds), views)
+    mean_of_casts(&Raycaster::new(frame, bounds), views, &CastOptions::default())
 }
 
-/// The same for a frame that is made ready.
-pub fn mean_of_casts(caster: &Raycaster, views: &[View]) -> Picture {
-    let options = CastOptions::default();
-    mean_of(views, |view, x, y| caster.cast(&view.basis.ray(x, y).0, &options).rgba())
+/// The same for a frame that is made ready, cast as `options` say.
+pub fn mean_of_casts(caster: &Raycaster, views: &[View], options: &CastOptions) -> Picture {
+    mean_of(views, |view, x, y| caster.cast(&view.basis.ray(x, y).0, options).rgba())
 }
 
 /// The mean over `views` of full volume renderings: what [`raycast_mean`] is held against.

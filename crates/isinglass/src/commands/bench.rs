@@ -102,6 +102,7 @@ impl CommonArgs {
             shaded: self.look.is_shaded(),
             mode,
             isos,
+            clip: self.look.clip.clip(),
             backend,
         })
     }
@@ -329,6 +330,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         shaded: common.look.is_shaded(),
         mode,
         isos,
+        clip: common.look.clip.clip(),
         repeats: args.repeats,
         target_fps: args.target_fps,
     })?;
@@ -349,6 +351,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             shaded: common.look.is_shaded(),
             mode,
             isos,
+            clip: common.look.clip.clip(),
             layering: args.layering.layering,
             k: args.layering.k,
             orbit: common.orbit,

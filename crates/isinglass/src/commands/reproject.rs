@@ -9,12 +9,15 @@ use clap::Args;
 use isinglass_bench::rivals::{Method, Views};
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_core::camera::Camera;
+use isinglass_core::clip::Clip;
+use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_formats::iglf::{self, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
     BackendArgs, MethodArgs, orthographic, parse_background, parse_fov, parse_output, parse_size,
 };
+use crate::clip_args::ClipArgs;
 use crate::lens_args::LensArgs;
 use crate::report::print_json;
 
@@ -52,6 +55,8 @@ pub(crate) struct ReprojectArgs {
     // Last: what follows would be listed under its heading.
     #[command(flatten)]
     lens: LensArgs,
+    #[command(flatten)]
+    clip: ClipArgs,
 }
 
 pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
@@ -85,11 +90,16 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     if method != Method::Layers && header.mode.is_projection() {
         bail!("--method {method}: composites with over, expected layers for a frame of mode {}", header.mode);
     }
+    let clip = args.clip.clip();
+    if method != Method::Layers && clip != Clip::default() {
+        bail!("--method {method}: shows whole frames, expected layers with --clip-box or --clip-plane");
+    }
     let backend = args.backend.open()?;
+    let options = CastOptions { clip, ..CastOptions::default() };
     let start = Instant::now();
     let mut views = method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
     let pictures = match &mut views {
-        Views::Layers(reprojector) => plan.draw(|views| reprojector.raycast_mean(views))?,
+        Views::Layers(reprojector) => plan.draw(|views| reprojector.raycast_mean_with(views, &options))?,
         rival => vec![rival.view(&camera)?],
     };
     let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -1,0 +1,84 @@
+//! How frames become bytes.
+
+use clap::{Args, ValueEnum};
+use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
+
+/// How the frames of a server become bytes.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Coding")]
+pub(crate) struct PlanArgs {
+    /// Codec: exact, which keeps every list and depth; blocks, which takes far fewer bytes; or auto: blocks while the camera
+    /// moves and exact frames where it rests
+    #[arg(long, value_enum, default_value_t = ModeChoice::Auto)]
+    codec: ModeChoice,
+    /// Best quality of frames in blocks, from 0 to 100; less where the link is too narrow for it
+    #[arg(long, value_name = "Q", default_value_t = DEFAULT_QUALITY, value_parser = clap::value_parser!(u8).range(0..=100))]
+    quality: u8,
+}
+
+/// The codings of a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ModeChoice {
+    /// Both.
+    Auto,
+    /// All lists and depths as they are.
+    Exact,
+    /// Lists in blocks.
+    Blocks,
+}
+
+impl PlanArgs {
+    /// In the server's terms, with at most `rate_mbit` megabits a second.
+    pub(crate) fn plan(&self, rate_mbit: Option<f64>) -> Plan {
+        let mode = match self.codec {
+            ModeChoice::Auto => Mode::Auto,
+            ModeChoice::Exact => Mode::Exact,
+            ModeChoice::Blocks => Mode::Blocks,
+        };
+        let bytes_per_second = rate_mbit.map(|mbit| mbit * 1e6 / 8.0);
+        Plan { mode, quality: self.quality, bytes_per_second }
+    }
+}
+
+/// How one frame becomes bytes.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct CodecArgs {
+    /// Codec: exact, which keeps every list and depth, or blocks, which takes far fewer bytes
+    #[arg(long, value_enum, default_value_t = CodecChoice::Exact)]
+    pub(crate) codec: CodecChoice,
+    /// Quality of --codec blocks, from 0 to 100
+    #[arg(long, value_name = "Q", default_value_t = 60, value_parser = clap::value_parser!(u8).range(0..=100))]
+    pub(crate) quality: u8,
+    /// The best quality of --codec blocks that makes the frame no larger than so many bytes
+    #[arg(long, value_name = "N", conflicts_with = "quality")]
+    pub(crate) bytes: Option<usize>,
+    /// The fewest bytes of any codec with which no channel of the picture at the frame's own pose is off by more than so many
+    /// 255ths, and no list's middle by more than --shift
+    #[arg(long, value_name = "E", conflicts_with_all = ["quality", "bytes", "codec"])]
+    pub(crate) bound: Option<u8>,
+    /// Greatest shift of a list's middle for --bound, in pixels at a turn of --turn
+    #[arg(long, value_name = "PIXELS", default_value_t = 1.0, value_parser = parse_pixels, requires = "bound")]
+    pub(crate) shift: f32,
+    /// Turn for --shift, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 10.0, value_parser = parse_turn, requires = "bound")]
+    pub(crate) turn: f32,
+}
+
+/// A codec.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CodecChoice {
+    /// All lists and depths as they are.
+    Exact,
+    /// Lists in blocks.
+    Blocks,
+}
+
+fn parse_pixels(text: &str) -> Result<f32, String> {
+    let pixels = text.parse::<f32>().ok().filter(|p| (0.0..=10_000.0).contains(p));
+    pixels.ok_or_else(|| "expected 0 to 10000 pixels".into())
+}
+
+fn parse_turn(text: &str) -> Result<f32, String> {
+    let degrees = text.parse::<f32>().ok().filter(|d| (0.0..=90.0).contains(d));
+    degrees.ok_or_else(|| "expected 0 to 90 degrees".into())
+}

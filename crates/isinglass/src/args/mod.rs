@@ -1,0 +1,21 @@
+//! Arguments that several commands share.
+
+mod coding;
+mod link;
+mod look;
+mod method;
+mod motion;
+mod parse;
+mod view;
+mod volume;
+
+pub(crate) use coding::{CodecArgs, CodecChoice, PlanArgs};
+pub(crate) use link::LinkArgs;
+pub(crate) use look::{LayeringArgs, LookArgs, Switch};
+pub(crate) use method::{BackendArgs, MethodArgs};
+pub(crate) use motion::{ForesightArgs, PathArgs};
+pub(crate) use parse::{
+    parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output, parse_size,
+};
+pub(crate) use view::{ViewArgs, orthographic};
+pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, open_to_serve, open_volume};

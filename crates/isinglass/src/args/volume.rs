@@ -1,0 +1,212 @@
+//! Which volume, which part of it, and opening it.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow};
+use clap::Args;
+use glam::Vec3;
+use isinglass_bench::progress::Progress;
+use isinglass_bench::scenes::{OpenedScene, open_scene};
+use isinglass_core::volume::{Lighting, Volume};
+use isinglass_formats::{
+    Dtype, Endian, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, open, outline,
+};
+
+use super::LookArgs;
+use crate::library::{FileLoader, OpenedFile};
+use crate::memory::MemoryArgs;
+
+/// A volume, and the shape of a raw one.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct VolumeArgs {
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
+    /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
+    #[arg(value_name = "VOLUME", required = true)]
+    pub(crate) volume: Option<String>,
+    #[command(flatten)]
+    pub(crate) raw: RawArgs,
+    #[command(flatten)]
+    pub(crate) part: PartArgs,
+}
+
+impl VolumeArgs {
+    /// What to open.
+    pub(crate) fn source(&self) -> Result<&str> {
+        self.volume.as_deref().context("expected VOLUME")
+    }
+
+    /// The volume that a saved state names; flags that take another part of it hold.
+    pub(crate) fn in_state(&self, source: String, saved: &Selection) -> Self {
+        let of_flags = self.part.selection();
+        let part = PartArgs {
+            channel: of_flags.channel.or(saved.channel),
+            time: of_flags.time.or(saved.time),
+            level: of_flags.level.or(saved.level),
+            series: of_flags.series.or(saved.series),
+            region: of_flags.region.or(saved.region),
+            ..self.part.clone()
+        };
+        Self { volume: Some(source), raw: self.raw.clone(), part }
+    }
+
+    /// Opens the volume, after what is known before; large files show their progress.
+    pub(crate) fn open(&self) -> Result<(Volume, Outline)> {
+        let source = self.source()?;
+        let before = outline(source, &self.options())?;
+        let volume = show_progress(&before, |progress| {
+            open(source, &OpenOptions { progress: Some(progress), ..self.options() })
+        })?;
+        Ok((volume, before))
+    }
+
+    /// How to open it.
+    fn options(&self) -> OpenOptions<'static> {
+        let PartArgs { spacing, .. } = self.part;
+        OpenOptions {
+            raw: self.raw.shape(),
+            selection: self.part.selection(),
+            spacing,
+            ..OpenOptions::default()
+        }
+    }
+}
+
+/// Runs `read` with something to tell its progress to, under the size of what is read.
+fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> T {
+    let [x, y, z] = outline.dims;
+    let megabytes = outline.bytes_in_memory as f64 / 1e6;
+    let text = format!("reading {x}×{y}×{z} {}, {megabytes:.1} MB", outline.dtype);
+    let progress = std::cell::RefCell::new(Progress::new(&text, 100));
+    let done = std::cell::Cell::new(0);
+    let report = |fraction: f32| {
+        let percent = (fraction * 100.0) as u64;
+        progress.borrow_mut().advance(percent.saturating_sub(done.get()), "%");
+        done.set(percent.max(done.get()));
+    };
+    let result = read(&report);
+    progress.into_inner().finish();
+    result
+}
+
+/// Which part of a file becomes the volume.
+#[derive(Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Parts of a file")]
+pub(crate) struct PartArgs {
+    /// Channel, component or array of the file, from 0
+    #[arg(long, value_name = "N")]
+    channel: Option<u32>,
+    /// Point in time, from 0
+    #[arg(long, value_name = "N")]
+    time: Option<u32>,
+    /// Level of a pyramid, 0 the finest [default: the finest that fits into memory]
+    #[arg(long, value_name = "N")]
+    level: Option<u32>,
+    /// Series of a folder, from 0 [default: the largest]
+    #[arg(long, value_name = "N")]
+    series: Option<u32>,
+    /// Voxels to take along the axes that `info` shows, the end not included, such as 0:100,50:,:
+    #[arg(long, value_name = "X,Y,Z")]
+    region: Option<Region>,
+    /// Distances between voxels, in place of those of the file
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, allow_hyphen_values = true)]
+    pub(crate) spacing: Option<Vec3>,
+}
+
+impl PartArgs {
+    /// The part.
+    pub(crate) fn selection(&self) -> Selection {
+        let &Self { channel, time, level, series, region, .. } = self;
+        Selection { channel, time, level, series, region }
+    }
+}
+
+/// What a raw file does not say of itself.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Raw volumes")]
+pub(crate) struct RawArgs {
+    /// Voxels along x, y and z of a raw file
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "dtype")]
+    dims: Option<[u32; 3]>,
+    /// Type of its voxels: uint8, int16, float, …
+    #[arg(long, value_name = "TYPE", requires = "dims")]
+    dtype: Option<Dtype>,
+    /// Order of its bytes: little or big
+    #[arg(long, value_name = "ORDER", requires = "dims")]
+    endian: Option<Endian>,
+    /// Bytes before its first voxel
+    #[arg(long, value_name = "BYTES", requires = "dims")]
+    offset: Option<u64>,
+}
+
+impl RawArgs {
+    /// The shape, if there is one.
+    pub(crate) fn shape(&self) -> Option<RawShape> {
+        Some(RawShape {
+            dims: self.dims?,
+            dtype: self.dtype?,
+            spacing: Vec3::ONE,
+            endian: self.endian.unwrap_or_default(),
+            offset: self.offset.unwrap_or(0),
+        })
+    }
+}
+
+/// Opens a volume with its look; large files show their progress.
+pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighting) -> Result<OpenedScene> {
+    let settings = look.march_settings(lighting)?;
+    let source = volume.source()?;
+    let before = outline(source, &volume.options())?;
+    let opened = show_progress(&before, |progress| {
+        let options = OpenOptions { progress: Some(progress), ..volume.options() };
+        open_scene(source, look.tf.as_deref(), settings, &options)
+    });
+    Ok(opened?)
+}
+
+/// Opens a volume to serve within a limit of memory, with the rest of its file; large files show their progress.
+pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
+    let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
+    let OpenOptions { raw, selection, spacing, max_bytes, .. } = options;
+    let request = LoadRequest { source: volume.source()?.to_owned(), raw, selection, spacing, max_bytes };
+    let loader = FileLoader::new(&request, look.tf.as_deref())?;
+    let before = loader.outline(selection, 0).map_err(|e| anyhow!(e))?;
+    let opened = show_progress(&before, |progress| {
+        open(&request.source, &OpenOptions { progress: Some(progress), ..options })
+    });
+    loader.opened(Arc::new(opened?), &before)
+}
+
+fn parse_dims(text: &str) -> Result<[u32; 3], String> {
+    parse_three(text).filter(|dims| dims.iter().all(|d| (1..=Volume::MAX_SIDE).contains(d))).ok_or_else(
+        || format!("expected three numbers of voxels, 1 to {}, such as 256,256,128", Volume::MAX_SIDE),
+    )
+}
+
+fn parse_spacing(text: &str) -> Result<Vec3, String> {
+    parse_three::<f32>(text)
+        .filter(|spacing| spacing.iter().all(|s| s.is_finite() && *s > 0.0))
+        .map(Vec3::from_array)
+        .ok_or_else(|| "expected three positive numbers, such as 1,1,2.5".into())
+}
+
+/// Three values between commas or crosses.
+fn parse_three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
+    let parts =
+        text.split([',', 'x', 'X', '×']).map(|p| p.trim().parse().ok()).collect::<Option<Vec<T>>>()?;
+    parts.try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shapes_are_read_and_nonsense_is_refused() {
+        assert_eq!(parse_dims("1,2,3"), Ok([1, 2, 3]));
+        assert_eq!(parse_spacing("1,2,0.5"), Ok(Vec3::new(1.0, 2.0, 0.5)));
+        for bad in ["1,2", "0,1,1", "1,2,3,4", "1,2,99999"] {
+            assert!(parse_dims(bad).is_err(), "{bad}");
+        }
+        assert!(parse_spacing("1,0,1").is_err() && parse_spacing("1,nan,1").is_err());
+    }
+}
