@@ -3,7 +3,9 @@
 // Before this part stands a generated line, the greatest length of a list: const K: u32 = …;
 // The part after this one is the rule:
 //   fn generate_list(ray: Ray, lattice: Lattice)
-// marches and leaves the list in `list`. The lists go to slots; layering/compact.wgsl packs them.
+// marches and leaves the list in `list`, and
+//   fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment
+// makes of two segments one that a ray through both sees as them. The lists go to slots; layering/compact.wgsl packs them.
 
 @group(1) @binding(0) var<uniform> camera: Basis;
 @group(1) @binding(1) var<uniform> band: Band;
@@ -75,30 +77,55 @@ fn generate(@builtin(global_invocation_id) id: vec3u) {
         generate_list(from_camera.ray, lattice);
     }
     let i = id.y * width + id.x;
-    let len = min(list.len, K);
+    let len = close_list(from_camera.s_per_depth);
     counts[i] = len;
-    var last_back = 0u;
     for (var j = 0u; j < len; j++) {
-        let segment = close_segment(list.segments[j], from_camera.s_per_depth, last_back);
-        last_back = segment.back;
-        let words = pack(segment);
+        let open = list.segments[j];
+        let words = pack(Segment(u32(open.s0), u32(open.s1), open.c, min(open.tau, TAU_MAX)));
         slots[3u * j * band.num_pixels + i] = words.x;
         slots[(3u * j + 1u) * band.num_pixels + i] = words.y;
         slots[(3u * j + 2u) * band.num_pixels + i] = words.z;
     }
 }
 
-// Rounds the ends of a segment to depth units, behind last_back. A segment thinner than MIN_UNITS is made so
-// thick; the units kept free at the far end are for those.
-fn close_segment(segment: OpenSegment, s_per_depth: f32, last_back: u32) -> Segment {
-    let front = max(units(segment.s0 / s_per_depth), last_back);
-    let back = max(units(segment.s1 / s_per_depth), front + MIN_UNITS);
-    return Segment(front, back, segment.c, min(segment.tau, TAU_MAX));
+// Makes the distances of the segments depth units, and returns how many there are. Twin of
+// crates/core/src/kernels/layering/close.rs.
+fn close_list(s_per_depth: f32) -> u32 {
+    var len = min(list.len, K);
+    if (len == 0u) {
+        return 0u;
+    }
+    let first_front = units(list.segments[0].s0 / s_per_depth);
+    let last_back = units(list.segments[len - 1u].s1 / s_per_depth);
+    if (last_back < first_front + f32(len * MIN_UNITS)) {
+        for (var j = 1u; j < len; j++) {
+            let s1 = list.segments[j].s1;
+            list.segments[0] = united(list.segments[0], list.segments[j]);
+            list.segments[0].s1 = s1;
+        }
+        len = 1u;
+    }
+    let least = f32(MIN_UNITS);
+    var before = 0.0;
+    for (var j = 0u; j < len; j++) {
+        let front = max(units(list.segments[j].s0 / s_per_depth), before);
+        before = max(units(list.segments[j].s1 / s_per_depth), front + least);
+        list.segments[j].s0 = front;
+        list.segments[j].s1 = before;
+    }
+    var end = max(last_back, first_front + least);
+    for (var j = len; j > 0u; j--) {
+        let back = min(list.segments[j - 1u].s1, end);
+        end = min(list.segments[j - 1u].s0, back - least);
+        list.segments[j - 1u].s0 = end;
+        list.segments[j - 1u].s1 = back;
+    }
+    return len;
 }
 
-fn units(depth: f32) -> u32 {
-    let greatest = DEPTH_UNITS - f32(K * MIN_UNITS);
-    return u32(clamp(depth_to_units(camera, depth) + 0.5, 0.0, greatest));
+// The depth unit nearest to a view depth, with room for a segment behind it.
+fn units(depth: f32) -> f32 {
+    return floor(clamp(depth_to_units(camera, depth) + 0.5, 0.0, DEPTH_UNITS - f32(MIN_UNITS)));
 }
 
 // Least thickness of a segment in depth units.

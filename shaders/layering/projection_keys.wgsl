@@ -29,3 +29,10 @@ fn push_pieces(lattice: Lattice) {
         push(OpenSegment(shown_of_key(key), select(min(slot, below), slot, is_greatest), ends.x, ends.y, 0.0));
     }
 }
+
+fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment {
+    if (behind.tau > segment.tau) {
+        return OpenSegment(behind.c, behind.tau, segment.s0, behind.s1, 0.0);
+    }
+    return segment;
+}

@@ -14,3 +14,7 @@ fn push_pieces(lattice: Lattice) {
         push(OpenSegment(piece.shown / length, 0.0, ends.x, ends.y, 0.0));
     }
 }
+
+fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment {
+    return OpenSegment(segment.c + behind.c, 0.0, segment.s0, behind.s1, 0.0);
+}

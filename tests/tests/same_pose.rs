@@ -14,8 +14,10 @@ use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::FrameHeader;
+use isinglass_core::mode::{Iso, Isos, Mode};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_formats::{OpenOptions, default_preset, load_transfer, open};
 use isinglass_gpu::{Backend, BackendChoice};
@@ -42,20 +44,68 @@ fn error(a: &Picture, b: &Picture) -> ImageError {
     compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), width, height, [0; 3]).unwrap()
 }
 
-fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
+/// The rules. The representative depths differ in a number alone; the exit is nearest to leaving the box.
+fn one_of_each() -> impl Iterator<Item = Layering> {
+    let is_one = |l: &Layering| !matches!(l, Layering::SingleDepth(r) if *r != Representative::Exit);
+    Layering::ALL.into_iter().filter(is_one)
+}
+
+/// The scene of a volume by its own preset.
+fn scene_of(source: &str) -> (Scene, TransferFunction) {
     let volume: Volume = open(source, &OpenOptions::default()).unwrap();
     let transfer = load_transfer(default_preset(source, &volume, &Histogram::of(&volume))).unwrap();
-    let scene = Scene::new(Arc::new(volume), &transfer, MarchSettings::default());
+    (Scene::new(Arc::new(volume), &transfer, MarchSettings::default()), transfer)
+}
+
+/// A scene in every mode but the first, surfaces in two ways: opaque, and a translucent one around it.
+fn in_other_modes(scene: &Scene, transfer: &TransferFunction) -> Vec<(String, Scene)> {
+    // Air is the least on nearly every ray: what shows it is another function.
+    let point = |x, color, opacity| ControlPoint { x, color, opacity };
+    let of_the_least = TransferFunction {
+        name: "of the least".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Voxel,
+        points: vec![
+            point(0.0, [0.9, 0.8, 0.5], 0.8),
+            point(0.2, [0.2, 0.4, 0.9], 0.3),
+            point(1.0, [1.0; 3], 0.0),
+        ],
+    };
+    let inner = scene.histogram.parting_value();
+    let outer = 0.5 * (scene.volume.value_range().0 + inner);
+    let translucent =
+        Isos::new(&[Iso { value: outer, opacity: 0.3 }, Iso { value: inner, opacity: 1.0 }]).unwrap();
+    let with = |mode: Mode, isos, transfer: &TransferFunction| {
+        scene.with_look(transfer, MarchSettings { mode, isos, ..MarchSettings::default() })
+    };
+    vec![
+        ("mip".into(), with(Mode::Mip, Isos::default(), transfer)),
+        ("minip".into(), with(Mode::MinIp, Isos::default(), &of_the_least)),
+        ("average".into(), with(Mode::Average, Isos::default(), transfer)),
+        ("iso".into(), with(Mode::Iso, Isos::default(), transfer)),
+        ("iso, two".into(), with(Mode::Iso, translucent, transfer)),
+    ]
+}
+
+fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
+    let (scene, _) = scene_of(source);
+    check_scene(source, &scene, backends, rules);
+}
+
+fn check_scene(source: &str, scene: &Scene, backends: &[Backend], rules: &[Layering]) {
     let bounds = scene.volume.bounds();
     let camera_at = |azimuth: f32| {
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.35, bounds.radius() * SIZE.fit_distance());
         Camera::new(pose, SIZE, &bounds)
     };
     let camera = camera_at(0.5);
+    // A mean is dark, and changes little as the camera turns.
+    let is_projection = scene.settings.mode.is_projection();
+    let (seen, aside) = if is_projection { (0.05, 1.3) } else { (0.3, 0.62) };
     for backend in backends {
         let mut renderer = backend.renderer(scene.clone()).unwrap();
         let truth = renderer.render(&camera).unwrap();
-        assert!(truth.pixels.iter().any(|p| p[3] > 0.3), "{source} shows nothing");
+        assert!(truth.pixels.iter().any(|p| p[3] > seen), "{source} shows nothing");
         for &layering in rules {
             let at = format!("{source}, {layering}, {}", backend.description());
             let header = FrameHeader {
@@ -67,6 +117,7 @@ fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
                 mode: Default::default(),
             };
             let frame = renderer.generate(header, layering).unwrap();
+            assert_eq!(frame.header.mode, scene.settings.mode, "{at}");
             let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
             // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
             assert!(own.max_abs_255 <= 1, "{at}: {own:?}");
@@ -79,7 +130,7 @@ fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
             assert!(wired.dssim <= 1e-3, "{at}, through the wire: {wired:?}");
 
             // Negative control: seven degrees to the side is another picture. (Three are not for a ball at one depth.)
-            let beside = backend.raycast(&frame, &bounds, &camera_at(0.62)).unwrap();
+            let beside = backend.raycast(&frame, &bounds, &camera_at(aside)).unwrap();
             assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
         }
     }
@@ -142,10 +193,29 @@ fn of_the_built_in_volumes() {
 fn of_the_scanned_volumes() {
     let Some(folder) = data_dir() else { return };
     let backends = backends();
-    // The representative depths differ in a number alone; the exit is nearest to leaving the box.
-    let is_one_of_each = |l: &Layering| !matches!(l, Layering::SingleDepth(r) if *r != Representative::Exit);
-    let rules: Vec<_> = Layering::ALL.into_iter().filter(is_one_of_each).collect();
+    let rules: Vec<_> = one_of_each().collect();
     for name in ["engine", "bonsai", "avm", "t1_head", "heptane", "mouse_brain"] {
         check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends, &rules);
+    }
+}
+
+/// Every mode but the first by every rule that it has, of volumes that fill their boxes and ones that do not. On the GPU of
+/// one volume, as each rule is another kernel in each mode.
+#[test]
+fn of_the_other_modes() {
+    let backends = backends();
+    let mut sources = vec![("builtin:shells@64".to_owned(), &backends[..])];
+    if let Some(folder) = data_dir() {
+        let path = |name: &str| folder.join(name).with_extension("nrrd").to_str().unwrap().to_owned();
+        sources.extend(["bonsai", "engine", "mouse_brain"].map(|name| (path(name), &backends[..1])));
+    }
+    for (source, backends) in sources {
+        let (scene, transfer) = scene_of(&source);
+        for (look, scene) in in_other_modes(&scene, &transfer) {
+            let mode = scene.settings.mode;
+            let is_of_mode = |l: &Layering| !mode.is_projection() || l.of_projection() == *l;
+            let rules: Vec<_> = one_of_each().filter(is_of_mode).collect();
+            check_scene(&format!("{source}, {look}"), &scene, backends, &rules);
+        }
     }
 }

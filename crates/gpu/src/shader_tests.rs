@@ -169,7 +169,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 26] = [
+const TWINS: [&str; 27] = [
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
@@ -187,6 +187,7 @@ const TWINS: [&str; 26] = [
     include_str!("../../core/src/kernels/subsample.rs"),
     include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
+    include_str!("../../core/src/kernels/layering/close.rs"),
     include_str!("../../core/src/kernels/layering/projection.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge/gather.rs"),

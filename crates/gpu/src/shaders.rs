@@ -92,16 +92,16 @@ impl Kernel {
                     Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
                         open = MAX_K;
                         header = format!("const MEAN_K: u32 = {k}u;\n");
-                        [&header, BUDGET, VISIBILITY_MERGE, ""]
+                        [&header, BUDGET, VISIBILITY_MERGE, UNITED_OVER]
                     }
-                    Layering::EqualTransmittance => ["", "", EQUAL_TRANSMITTANCE, ""],
-                    Layering::EqualLength => [CUTS, "", EQUAL_LENGTH, ""],
-                    Layering::Homogeneity => ["", "", HOMOGENEITY, ""],
+                    Layering::EqualTransmittance => ["", "", EQUAL_TRANSMITTANCE, UNITED_OVER],
+                    Layering::EqualLength => [CUTS, "", EQUAL_LENGTH, UNITED_OVER],
+                    Layering::Homogeneity => ["", "", HOMOGENEITY, UNITED_OVER],
                     Layering::SingleDepth(r) => {
                         header = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
-                        [&header, "", SINGLE_DEPTH, ""]
+                        [&header, "", SINGLE_DEPTH, UNITED_OVER]
                     }
-                    Layering::Slabs => [CUTS, "", SLABS, ""],
+                    Layering::Slabs => [CUTS, "", SLABS, UNITED_OVER],
                 };
                 let longest = layering.longest_list(k as u8);
                 let k = format!("const K: u32 = {longest}u;\nconst OPEN: u32 = {open}u;\n");
@@ -200,6 +200,7 @@ const PROJECTION_KEYS: &str = include_str!("../../../shaders/layering/projection
 const PROJECTION_MEAN: &str = include_str!("../../../shaders/layering/projection_mean.wgsl");
 const RENDER: &str = include_str!("../../../shaders/render.wgsl");
 const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
+const UNITED_OVER: &str = include_str!("../../../shaders/layering/united_over.wgsl");
 const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");
 const EQUAL_TRANSMITTANCE: &str = include_str!("../../../shaders/layering/equal_transmittance.wgsl");
 const CUTS: &str = include_str!("../../../shaders/layering/cuts.wgsl");

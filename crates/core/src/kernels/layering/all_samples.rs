@@ -6,9 +6,10 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use super::{MIN_UNITS, close_segment, gather_rows};
+use super::close::{MIN_UNITS, segment_behind};
+use super::gather_rows;
 use crate::kernels::march::{Marcher, Pace, Scene, Sink, Step, Texels, with_texels};
-use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K};
+use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use crate::mode::Mode;
 
 /// Why not every sample can be kept.
@@ -91,7 +92,7 @@ fn generate_with<T: Texels>(
             }
             let mut last_back = 0;
             for step in &all.0 {
-                let segment = close_segment(&camera, MAX_K, step, s_per_depth, last_back);
+                let segment = segment_behind(&camera, step, s_per_depth, last_back);
                 last_back = segment.back;
                 row.push(&segment);
             }

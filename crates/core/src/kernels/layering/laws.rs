@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::single_depth::{SingleDepth, THRESHOLD_SHARE};
 use super::*;
-use crate::camera::Pose;
+use crate::camera::{Camera, Pose};
 use crate::kernels::march::{MarchSettings, Pace, Sink, TRANSMITTANCE_MIN};
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::procedural::Builtin;

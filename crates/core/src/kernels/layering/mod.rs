@@ -5,6 +5,7 @@
 //! compared with.
 
 pub mod all_samples;
+mod close;
 pub mod cuts;
 pub mod equal_length;
 pub mod equal_transmittance;
@@ -21,8 +22,8 @@ pub use single_depth::Representative;
 use rayon::prelude::*;
 
 use super::march::{Marcher, Scene, Step, Texels, opacity, with_texels};
-use crate::camera::{Basis, Camera, Intrinsics};
-use crate::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, MAX_K, Segment, TAU_MAX, depth_to_units};
+use crate::camera::{Basis, Intrinsics};
+use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::space::Ray;
 use crate::wanted::{ALWAYS, Wanted};
 
@@ -201,7 +202,7 @@ fn generate_with<T: Texels>(
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
             let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-            let list = if mode.is_projection() {
+            let mut list = if mode.is_projection() {
                 match scene.lattice(&of.ray, of.near * s_per_depth) {
                     Some(lattice) => {
                         let lengths = (k, longest, threshold);
@@ -212,12 +213,7 @@ fn generate_with<T: Texels>(
             } else {
                 generate_list(scene, marcher, &of, k, layering, &mut gather)
             };
-            let mut last_back = 0;
-            for segment in &list.segments[..list.len] {
-                let segment = close_segment(&camera, longest, segment, s_per_depth, last_back);
-                last_back = segment.back;
-                row.push(&segment);
-            }
+            close::list(&camera, mode.compositing(), &mut list, s_per_depth, |segment| row.push(&segment));
             row.offsets.push(row.depth.len() as u32);
         }
     })
@@ -328,25 +324,5 @@ fn generate_list<T: Texels>(
     }
 }
 
-/// Rounds the ends of a segment of a list of at most `k` to depth units, behind `last_back`. A segment thinner than
-/// [`MIN_UNITS`] is made so thick; the units kept free at the far end are for those.
-fn close_segment(
-    camera: &Camera,
-    k: usize,
-    segment: &OpenSegment,
-    s_per_depth: f32,
-    last_back: u16,
-) -> Segment {
-    let greatest = DEPTH_UNITS - (k * usize::from(MIN_UNITS)) as f32;
-    let units = |s: f32| (depth_to_units(camera, s / s_per_depth) + 0.5).clamp(0.0, greatest) as u16;
-    let front = units(segment.s0).max(last_back);
-    let back = units(segment.s1).max(front + MIN_UNITS);
-    Segment { front, back, c: segment.c, tau: segment.tau.min(TAU_MAX) }
-}
-
-/// Least thickness of a segment in depth units. Single precision finds where a ray crosses a depth to about 1/200 of
-/// a unit, so the part of such a segment that a ray crosses is known to 1/1000; the units are 1/16384 of the volume's
-/// diameter, far below any parallax.
-const MIN_UNITS: u16 = 4;
 /// A part of a step without any opacity is divided by this; no visible one is so small.
 const ALPHA_LEAST: f32 = 1e-30;
