@@ -8,6 +8,8 @@
 // front to back, and both return how the march goes on (Pace): the lattice points to the next end of a step, 1 or STRIDE;
 // 0 for not at all; NO_STEP where there was nothing. In the end comes
 //   fn end_march(lattice: Lattice)
+// Which bricks are of no use any more, beside those that are invisible, says
+//   fn is_beaten(brick: u32) -> bool
 
 @group(0) @binding(0) var<uniform> scene: Scene;
 @group(0) @binding(1) var<storage, read> table: TransferTable;
@@ -119,13 +121,19 @@ fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
 fn brick_at(skipper: Skipper, i: u32) -> Brick {
     let p = skipper.origin + skipper.dir * (skipper.lattice.s0 + f32(i) * skipper.lattice.h);
     let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(scene.brick_dims) - 1.0));
-    return Brick(brick, distance_from(vec3u(brick)));
+    let at = vec3u(brick);
+    let index = (at.z * scene.brick_dims.y + at.y) * scene.brick_dims.x + at.x;
+    var empty = occupancy_byte(0u, index);
+    if (empty == 0u && is_beaten(index)) {
+        empty = 1u;
+    }
+    return Brick(brick, empty);
 }
 
-// core::volume::Occupancy::distance.
-fn distance_from(brick: vec3u) -> u32 {
-    let i = (brick.z * scene.brick_dims.y + brick.y) * scene.brick_dims.x + brick.x;
-    return (occupancy[i / 4u] >> (8u * (i % 4u))) & 0xffu;
+// A number of brick i: plane 0 are the distances, plane 1 the peaks (core::volume::Occupancy).
+fn occupancy_byte(plane: u32, i: u32) -> u32 {
+    let num_words = (scene.brick_dims.x * scene.brick_dims.y * scene.brick_dims.z + 3u) / 4u;
+    return (occupancy[plane * num_words + i / 4u] >> (8u * (i % 4u))) & 0xffu;
 }
 
 fn march(ray: Ray, lattice: Lattice) {

@@ -15,3 +15,11 @@ fn seen(ray: Ray, lattice: Lattice) -> vec4f {
     }
     return projected_rgba(shown_of_key(greatest));
 }
+
+// Whether no key of a brick is above the greatest so far.
+fn is_beaten(brick: u32) -> bool {
+    return f32(occupancy_byte(1u, brick)) * (1.0 / PEAK_MAX) <= greatest;
+}
+
+// Units of the greatest key.
+const PEAK_MAX: f32 = 255.0;

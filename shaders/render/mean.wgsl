@@ -15,3 +15,8 @@ fn seen(ray: Ray, lattice: Lattice) -> vec4f {
     }
     return projected_rgba(integral / (lattice.h * f32(lattice.n)));
 }
+
+// Nothing is beaten by what is in front of it.
+fn is_beaten(brick: u32) -> bool {
+    return false;
+}

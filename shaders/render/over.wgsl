@@ -15,3 +15,8 @@ fn seen(ray: Ray, lattice: Lattice) -> vec4f {
     march(ray, lattice);
     return over_rgba(over_sink);
 }
+
+// Nothing is beaten by what is in front of it.
+fn is_beaten(brick: u32) -> bool {
+    return false;
+}

@@ -7,7 +7,7 @@ use glam::Vec3;
 use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
 use isinglass_core::mode::{MAX_ISOS, Mode};
-use isinglass_core::volume::{Lit, Volume, Voxels};
+use isinglass_core::volume::{Lit, Occupancy, Volume, Voxels};
 
 use crate::device::{Gpu, bind};
 use crate::error::GpuError;
@@ -37,7 +37,7 @@ impl SceneOnGpu {
             let (kind, voxels) = upload_volume(gpu, &scene.volume)?;
             let lit = upload_lit(gpu, scene)?;
             let table_bytes = table_words(scene).len() as u64 * 4;
-            let occupancy_bytes = scene.occupancy.words.len() as u64 * 4;
+            let occupancy_bytes = scene.occupancy.words.len() as u64 * 8;
             gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
             let uniform = gpu.uniform::<gpu_types::Scene>("scene");
             let table = gpu.storage("table", table_bytes);
@@ -79,7 +79,12 @@ impl SceneOnGpu {
         let uniform = gpu_types::Scene::of(scene);
         gpu.queue().write_buffer(&self.uniform, 0, bytemuck::bytes_of(&uniform));
         gpu.queue().write_buffer(&self.table, 0, bytemuck::cast_slice(&table_words(scene)));
-        gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(&scene.occupancy.words));
+        let Occupancy { words, peaks, .. } = &scene.occupancy;
+        gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(words));
+        // Without peaks none is known to be less than the greatest that there can be.
+        let unknown = if peaks.is_empty() { vec![u32::MAX; words.len()] } else { Vec::new() };
+        let peaks = if peaks.is_empty() { &unknown } else { peaks };
+        gpu.queue().write_buffer(&self.occupancy, words.len() as u64 * 4, bytemuck::cast_slice(peaks));
     }
 }
 

@@ -34,7 +34,7 @@ use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
 pub use crate::volume::Shading;
 use crate::volume::{
-    BRICK, Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Occupancy, Volume,
+    BRICK, Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Matter, Occupancy, Volume,
 };
 
 /// How to march.
@@ -101,18 +101,16 @@ impl Scene {
         let bricks = Arc::new(Bricks::of(&volume));
         let histogram = Arc::new(Histogram::of(&volume));
         let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
-        let occupancy =
-            bricks.occupancy_by(|lo, hi| modes::is_visible(settings.mode, &table, &surfaces, lo, hi));
-        let illumination = illuminate(&volume, &table, settings, None);
+        let occupancy = modes::occupancy(&bricks, settings.mode, &table, &surfaces);
+        let illumination = illuminate(&volume, &table, &surfaces, settings, None);
         Self { volume, bricks, histogram, table, surfaces, occupancy, illumination, settings }
     }
 
     /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
-        let occupancy =
-            self.bricks.occupancy_by(|lo, hi| modes::is_visible(settings.mode, &table, &surfaces, lo, hi));
-        let illumination = illuminate(&self.volume, &table, settings, Some(&self.illumination));
+        let occupancy = modes::occupancy(&self.bricks, settings.mode, &table, &surfaces);
+        let illumination = illuminate(&self.volume, &table, &surfaces, settings, Some(&self.illumination));
         Self { table, surfaces, occupancy, illumination, settings, ..self.clone() }
     }
 
@@ -156,6 +154,7 @@ fn classify(
 fn illuminate(
     volume: &Volume,
     table: &TransferTable,
+    surfaces: &[Surface],
     settings: MarchSettings,
     before: Option<&Illumination>,
 ) -> Illumination {
@@ -164,7 +163,9 @@ fn illuminate(
         (shading, lighting) = (None, Lighting::default());
     }
     let region = clip.region(&volume.bounds());
-    Illumination::of(volume, table, shading, &region, lighting, detail, before)
+    let sheets = surfaces::sheets(surfaces, table);
+    let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
+    Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }
 
 /// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
@@ -215,6 +216,12 @@ impl Pace {
 pub trait Sink {
     /// Takes the next step, and says how to go on.
     fn step(&mut self, step: Step) -> Pace;
+
+    /// The key that a step of a projection must be above to be of use; below any where all of them are.
+    #[inline(always)]
+    fn least_key(&self) -> f32 {
+        -1.0
+    }
 }
 
 /// Opacity of optical depth `tau`, accurate for small ones too.
@@ -329,7 +336,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         // Position x in the domain of the last sample, if it was lattice point i.
         let mut x_front = None;
         'batch: while i < n {
-            let visible = skipper.skip(i, stride);
+            let visible = skipper.skip(i, stride, sink.least_key());
             if visible > i {
                 i = visible;
                 x_front = None;
@@ -500,11 +507,11 @@ impl<'a> Skipper<'a> {
         }
     }
 
-    /// The first lattice point from `i` on, by strides, whose step may be visible; or n.
+    /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; or n.
     #[inline(always)]
-    fn skip(&self, mut i: u32, stride: u32) -> u32 {
+    fn skip(&self, mut i: u32, stride: u32, least: f32) -> u32 {
         let Lattice { s0, h, n } = self.lattice;
-        let (mut brick, mut empty) = self.brick_at(i);
+        let (mut brick, mut empty) = self.brick_at(i, least);
         while empty > 0 {
             // The last lattice point inside of the invisible bricks around.
             let reach = if self.is_fine { empty as f32 } else { 1.0 };
@@ -520,7 +527,7 @@ impl<'a> Skipper<'a> {
             if i >= n || !self.is_fine {
                 break;
             }
-            (brick, empty) = self.brick_at(next);
+            (brick, empty) = self.brick_at(next, least);
             if empty > 0 {
                 i = next;
             }
@@ -528,13 +535,18 @@ impl<'a> Skipper<'a> {
         i
     }
 
-    /// The brick of lattice point `i`, and how many bricks away the nearest visible one is.
+    /// The brick of lattice point `i`, and how many bricks away the nearest visible one is; at least one if nothing in it is
+    /// above the key `least`.
     #[inline(always)]
-    fn brick_at(&self, i: u32) -> (Vec3, u32) {
+    fn brick_at(&self, i: u32, least: f32) -> (Vec3, u32) {
         let p = self.origin + self.dir * (self.lattice.s0 + i as f32 * self.lattice.h);
         let brick = (p * (1.0 / BRICK as f32)).clamp(Vec3::ZERO, self.max_brick);
         let [x, y, z] = [brick.x as u32, brick.y as u32, brick.z as u32];
-        (Vec3::new(x as f32, y as f32, z as f32), self.occupancy.distance(x, y, z))
+        let mut empty = self.occupancy.distance(x, y, z);
+        if empty == 0 && least >= 0.0 && self.occupancy.is_beaten(x, y, z, least) {
+            empty = 1;
+        }
+        (Vec3::new(x as f32, y as f32, z as f32), empty)
     }
 }
 

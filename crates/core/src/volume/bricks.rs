@@ -38,13 +38,19 @@ impl Bricks {
 
     /// The bricks that `table` leaves visible.
     pub fn occupancy(&self, table: &TransferTable) -> Occupancy {
-        self.occupancy_by(|lo, hi| table.is_visible(lo, hi))
+        self.occupancy_by(|lo, hi| table.is_visible(lo, hi), |_, _| None)
     }
 
-    /// The bricks of which `is_visible` says so, given their least and greatest stored number.
-    pub fn occupancy_by(&self, is_visible: impl Fn(f32, f32) -> bool) -> Occupancy {
+    /// The bricks of which `is_visible` says so, given their least and greatest stored number; and of each what `peak` says,
+    /// where a rendering looks for the greatest of something in 0 to 1.
+    pub fn occupancy_by(
+        &self,
+        is_visible: impl Fn(f32, f32) -> bool,
+        peak: impl Fn(f32, f32) -> Option<f32>,
+    ) -> Occupancy {
         let visible = self.ranges.iter().map(|&(lo, hi)| is_visible(lo, hi));
-        Occupancy::of(self.dims, visible)
+        let peaks = self.ranges.iter().map_while(|&(lo, hi)| peak(lo, hi)).map(peak_code);
+        Occupancy { peaks: in_words(peaks), ..Occupancy::of(self.dims, visible) }
     }
 }
 
@@ -58,6 +64,9 @@ pub struct Occupancy {
     pub dims: [u32; 3],
     /// The distances, 0 where something is visible and at most `DISTANCE_MAX`, four a word, lowest first.
     pub words: Vec<u32>,
+    /// What no key of a brick is above, in units of 1/[`PEAK_MAX`], four a word, lowest first; empty unless the greatest key is
+    /// looked for. A march that has met a greater one jumps over the brick.
+    pub peaks: Vec<u32>,
 }
 
 impl Occupancy {
@@ -95,16 +104,13 @@ impl Occupancy {
                 distances[here] = least;
             }
         }
-        let words = distances
-            .chunks(4)
-            .map(|four| four.iter().rev().fold(0, |word, &distance| word << 8 | u32::from(distance)));
-        Self { dims, words: words.collect() }
+        Self { dims, words: in_words(distances.into_iter()), peaks: Vec::new() }
     }
 
     /// Every brick visible: the negative control of empty-space skipping.
     pub fn full(dims: [u32; 3]) -> Self {
         let n = dims.iter().map(|&d| d as usize).product::<usize>();
-        Self { dims, words: vec![0; n.div_ceil(4)] }
+        Self { dims, words: vec![0; n.div_ceil(4)], peaks: Vec::new() }
     }
 
     /// How many bricks away from brick (x, y, z), which must be inside, the nearest visible one is: 0 if it is visible
@@ -115,6 +121,14 @@ impl Occupancy {
         self.words[i as usize / 4] >> (8 * (i % 4)) & 0xff
     }
 
+    /// Whether no key of brick (x, y, z) is above `key`, which is known where there are peaks.
+    #[inline]
+    pub fn is_beaten(&self, x: u32, y: u32, z: u32, key: f32) -> bool {
+        let i = (z * self.dims[1] + y) * self.dims[0] + x;
+        let code = self.peaks.get(i as usize / 4).map(|word| word >> (8 * (i % 4)) & 0xff);
+        code.is_some_and(|code| code as f32 * (1.0 / PEAK_MAX) <= key)
+    }
+
     /// Share of the bricks that are visible.
     pub fn fraction(&self) -> f32 {
         let [nx, ny, nz] = self.dims;
@@ -122,6 +136,19 @@ impl Occupancy {
         let set = bricks.filter(|&[x, y, z]| self.distance(x, y, z) == 0).count();
         set as f32 / (nx as f32 * ny as f32 * nz as f32)
     }
+}
+
+/// The code of a key's upper bound, above it whatever the rounding; nothing is above the last.
+fn peak_code(key: f32) -> u8 {
+    let key = if key < 1.0 { key.max(0.0) } else { 1.0 };
+    (key * PEAK_MAX + 1.0) as u8
+}
+
+/// Bytes, four a word, lowest first.
+fn in_words(bytes: impl Iterator<Item = u8>) -> Vec<u32> {
+    let bytes: Vec<u8> = bytes.collect();
+    let word = |four: &[u8]| four.iter().rev().fold(0, |word, &byte| word << 8 | u32::from(byte));
+    bytes.chunks(4).map(word).collect()
 }
 
 fn brick_range(volume: &Volume, b: [u32; 3]) -> (f32, f32) {
@@ -157,6 +184,8 @@ fn range_of<T: Copy + Ord + Into<f32>>(row: &[T]) -> (f32, f32) {
     (lo.into(), hi.into())
 }
 
+/// Units of the greatest key.
+pub const PEAK_MAX: f32 = 255.0;
 /// Greatest distance that is told apart.
 const DISTANCE_MAX: u8 = 32;
 

@@ -1,8 +1,12 @@
 //! The mean extinction of matter in the cells of a coarse grid: what light is held up by.
 
+mod surfaces;
+
 use rayon::prelude::*;
 
 use glam::Vec3;
+
+pub use self::surfaces::Sheet;
 
 use super::grid::{Volume, Voxels};
 use crate::clip::Region;
@@ -29,6 +33,15 @@ impl Detail {
     }
 }
 
+/// What light is held up by.
+#[derive(Clone, Copy, Debug)]
+pub enum Matter<'a> {
+    /// All matter, as a transfer function classifies it.
+    Medium(&'a TransferTable),
+    /// Surfaces, in any order, and what lies behind opaque ones.
+    Surfaces(&'a [Sheet]),
+}
+
 /// Mean extinction of every cell, x fastest. Cells are blocks of voxels, about cubes in the world; the first begins where
 /// the volume does, and the last may reach beyond it, where there is nothing.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,8 +57,8 @@ pub(crate) struct Extinction {
 }
 
 impl Extinction {
-    /// Classifies every voxel, or in a draft some of each cell. Outside of `region` there is nothing.
-    pub(crate) fn of(volume: &Volume, table: &TransferTable, region: &Region, detail: Detail) -> Self {
+    /// Of every voxel, or in a draft of some of each cell. Outside of `region` there is nothing.
+    pub(crate) fn of(volume: &Volume, matter: Matter<'_>, region: &Region, detail: Detail) -> Self {
         let (dims, voxels) = cells(volume, detail.max_cells());
         let step = match detail {
             Detail::Draft => voxels.map(|side| (side / 2).max(1)),
@@ -53,16 +66,19 @@ impl Extinction {
         };
         let mut found =
             Self { dims, voxels, cell: cell_sides(volume, voxels), sigma: vec![0.0; dims.iter().product()] };
-        match volume.voxels() {
-            Voxels::U8(v) => {
+        match (matter, volume.voxels()) {
+            (Matter::Surfaces(sheets), _) => found.fill_surfaces(volume, step, sheets, &region.bounds),
+            (Matter::Medium(table), Voxels::U8(v)) => {
                 let of = by_number(table, 1 << 8);
                 found.fill(v, volume, step, |stored| of[usize::from(stored)]);
             }
-            Voxels::U16(v) => {
+            (Matter::Medium(table), Voxels::U16(v)) => {
                 let of = by_number(table, 1 << 16);
                 found.fill(v, volume, step, |stored| of[usize::from(stored)]);
             }
-            Voxels::F32(v) => found.fill(v, volume, step, |stored| sigma_of(table, stored)),
+            (Matter::Medium(table), Voxels::F32(v)) => {
+                found.fill(v, volume, step, |stored| sigma_of(table, stored));
+            }
         }
         let bounds = volume.bounds();
         if region.bounds != bounds || region.normal != Vec3::ZERO || region.offset > 0.0 {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::extinction::{Detail, Extinction};
+use super::extinction::{Detail, Extinction, Matter, Sheet};
 use super::grid::Volume;
 use super::lighting::Lighting;
 use super::lit::{LIT_MAX, Lit, Shading};
@@ -21,7 +21,8 @@ use crate::transfer::TransferTable;
 ///   ambient·A + diffuse·share·((1 − s)·A + s·S):
 ///
 /// what of the source's light throws no shadow comes from around it as well. Without shading the share is 1, and both
-/// lights together are 1.
+/// lights together are 1. Of surfaces it is no less than a part of what it is without shade: a body that a face of the volume
+/// cuts open shows its inside, where no light comes.
 #[derive(Clone, Debug)]
 pub struct Illumination {
     shading: Option<Shading>,
@@ -38,34 +39,49 @@ pub struct Illumination {
 /// A shade, and how finely it was worked out.
 type Part = (Detail, Arc<Shade>);
 
-/// Extinctions at the nodes of a table, how stored numbers find them, and where.
+/// What the extinction of matter depends on: that at the nodes of a table and how stored numbers find them, or surfaces; and
+/// where.
 #[derive(Debug, PartialEq)]
 struct Classes {
     sigma: Vec<f32>,
     x_map: (f32, f32),
+    sheets: Option<Vec<Sheet>>,
     region: Region,
 }
 
 impl Classes {
-    fn of(table: &TransferTable, region: &Region) -> Self {
-        let sigma = table.density.iter().map(|node| node[3]).collect();
-        Self { sigma, x_map: (table.x_scale, table.x_offset), region: *region }
+    fn of(table: &TransferTable, matter: Matter<'_>, region: &Region) -> Self {
+        let x_map = (table.x_scale, table.x_offset);
+        let (sigma, sheets) = match matter {
+            Matter::Medium(table) => (table.density.iter().map(|node| node[3]).collect(), None),
+            Matter::Surfaces(sheets) => (Vec::new(), Some(sheets.to_vec())),
+        };
+        Self { sigma, x_map, sheets, region: *region }
+    }
+
+    /// Whether light is held up alike.
+    fn shades_like(&self, other: &Self) -> bool {
+        let is_alike = self.sheets.is_some() || self.x_map == other.x_map;
+        is_alike && self.sigma == other.sigma && self.sheets == other.sheets && self.region == other.region
     }
 }
 
 impl Illumination {
-    /// Lights a volume that `table` classifies; what is not in `region`, which is a part of its box, throws no shade. What is as it was `before`, for the same volume, is taken from there, if
-    /// it is as fine as is asked for.
+    /// Lights a volume in the domain of `table`, where `matter` holds up light; what is not in `region`, which is a part of its
+    /// box, throws no shade. What is as it was `before`, for the same volume, is taken from there, if it is as fine as is
+    /// asked for.
+    #[expect(clippy::too_many_arguments, reason = "each is another thing that brightness depends on")]
     pub fn of(
         volume: &Volume,
         table: &TransferTable,
+        matter: Matter<'_>,
         shading: Option<Shading>,
         region: &Region,
         lighting: Lighting,
         detail: Detail,
         before: Option<&Self>,
     ) -> Self {
-        let classes = Classes::of(table, region);
+        let classes = Classes::of(table, matter, region);
         let gradients = shading.map(|shading| {
             let is_same = |b: &&Self| b.shading == Some(shading) && b.classes.x_map.0 == table.x_scale;
             let kept = before.filter(is_same).and_then(|b| b.gradients.clone());
@@ -82,7 +98,8 @@ impl Illumination {
             gradients,
         };
         if lighting.is_on() {
-            found.shade(volume, table, region, detail, before.filter(|b| b.classes == found.classes));
+            let before = before.filter(|b| b.classes.shades_like(&found.classes));
+            found.shade(volume, matter, region, detail, before);
             found.lit = Some(Arc::new(found.combined(volume)));
         }
         found
@@ -92,7 +109,7 @@ impl Illumination {
     fn shade(
         &mut self,
         volume: &Volume,
-        table: &TransferTable,
+        matter: Matter<'_>,
         region: &Region,
         detail: Detail,
         before: Option<&Self>,
@@ -101,7 +118,7 @@ impl Illumination {
         let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
         let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> Part {
             let found = extinction
-                .get_or_insert_with(|| Arc::new((detail, Extinction::of(volume, table, region, detail))));
+                .get_or_insert_with(|| Arc::new((detail, Extinction::of(volume, matter, region, detail))));
             (detail, Arc::new(shade(&found.1)))
         };
         let is_fine = |part: &Part| part.0 == detail || part.0 == Detail::Final;
@@ -138,6 +155,7 @@ impl Illumination {
         let whole = ambient + diffuse;
         let Lighting { ambient_occlusion: a, shadows: s, .. } = self.lighting;
         let unit = LIT_MAX / whole;
+        let least = if self.classes.sheets.is_some() { LEAST_OF_SURFACES } else { 0.0 };
         let mut shares = vec![0u8; volume.voxels().len()];
         shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
             let mut occlusion = self.occlusion.as_ref().map(|part| Rows::new(&part.1, nx));
@@ -152,6 +170,7 @@ impl Illumination {
                     let lit = lit.get(x).map_or(1.0, |lit| *lit);
                     let share = gradients.get(x).map_or(1.0, |g| f32::from(*g) * (1.0 / LIT_MAX));
                     let brightness = ambient * open + diffuse * share * ((1.0 - s) * open + s * lit);
+                    let brightness = brightness.max(least * (ambient + diffuse * share));
                     *out = (brightness * unit + 0.5) as u8;
                 }
             }
@@ -207,6 +226,8 @@ fn place(shade: &Shade, axis: usize, voxel: usize) -> (usize, f32) {
 /// Of matter that is not shaded, the share of light that comes from all around where it is shown: as of shaded matter that
 /// looks at the light.
 const UNSHADED_AMBIENT: f32 = 0.25;
+/// Least part of the brightness without shade that a surface keeps: a third of it as sRGB shows it.
+const LEAST_OF_SURFACES: f32 = 0.1;
 
 #[cfg(test)]
 mod tests {

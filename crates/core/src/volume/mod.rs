@@ -12,8 +12,8 @@ mod lit;
 pub mod procedural;
 mod shade;
 
-pub use bricks::{BRICK, Bricks, Occupancy};
-pub use extinction::Detail;
+pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
+pub use extinction::{Detail, Matter, Sheet};
 pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::{Histogram, parting_value};
 pub use illumination::Illumination;

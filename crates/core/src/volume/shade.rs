@@ -58,7 +58,8 @@ impl Shade {
         for share in &mut shade.shares {
             *share = (2.0 * *share).min(1.0);
         }
-        shade
+        let clear = clear(extinction);
+        shade.smoothed(&clear).in_front(&clear)
     }
 
     /// What reaches every cell of a light that fills a disc of the sky.
@@ -70,7 +71,56 @@ impl Shade {
         };
         let radius = lighting.softness_degrees.to_radians();
         let directions: Vec<Vec3> = (0..num).map(|i| on_disc(lighting.direction(), radius, i, num)).collect();
-        Self::mean(extinction, &directions, Stretch { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY })
+        let stretch = Stretch { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY };
+        Self::mean(extinction, &directions, stretch).in_front(&clear(extinction))
+    }
+
+    /// The same with each clear cell the mean of those around, by binomial weights: a surface that runs askew through the
+    /// cells would have bands. Matter has no part in it.
+    fn smoothed(self, clear: &[f32]) -> Self {
+        let lit: Vec<f32> = clear.iter().zip(&self.shares).map(|(clear, share)| clear * share).collect();
+        let [lit, weight] = [lit, clear.to_vec()].map(|numbers| smoothed(numbers, self.dims));
+        let mut shares = self.shares;
+        for ((share, lit), weight) in shares.iter_mut().zip(&lit).zip(&weight) {
+            if *weight > WEIGHT_LEAST {
+                *share = lit / weight;
+            }
+        }
+        Self { shares, ..self }
+    }
+
+    /// The same where cells have, as far as nothing is seen through them, the light of the clear ones beside: a surface
+    /// lies between two cells, and its light is that in front of it.
+    fn in_front(self, clear: &[f32]) -> Self {
+        let [nx, ny, nz] = self.dims;
+        let mut shares = vec![0.0; clear.len()];
+        shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
+            for (i, out) in slice.iter_mut().enumerate() {
+                let (x, y) = (i % nx, i / nx);
+                let here = z * nx * ny + i;
+                *out = self.shares[here];
+                if clear[here] > CLEAR {
+                    continue;
+                }
+                let (mut sum, mut weight) = (0.0, 0.0);
+                let mut add = |is_inside: bool, at: usize| {
+                    if is_inside {
+                        sum += clear[at] * self.shares[at];
+                        weight += clear[at];
+                    }
+                };
+                add(x > 0, here.wrapping_sub(1));
+                add(x + 1 < nx, here + 1);
+                add(y > 0, here.wrapping_sub(nx));
+                add(y + 1 < ny, here + nx);
+                add(z > 0, here.wrapping_sub(nx * ny));
+                add(z + 1 < nz, here + nx * ny);
+                // Within matter there is none of it, and nobody sees what is there.
+                let part = (1.0 - clear[here]) * (weight / WEIGHT_FULL).min(1.0);
+                *out += (sum / weight.max(f32::MIN_POSITIVE) - *out) * part;
+            }
+        });
+        Self { shares, ..self }
     }
 
     /// The mean transmittance along `directions`, towards which lines run from every cell.
@@ -97,6 +147,30 @@ impl Shade {
         let scale = (unit * directions.len() as f32).recip();
         Self { dims, voxels, shares: sums.iter().map(|&sum| f32::from(sum) * scale).collect() }
     }
+}
+
+/// How much is seen through each cell.
+fn clear(extinction: &Extinction) -> Vec<f32> {
+    let length = extinction.cell.to_array().iter().product::<f32>().cbrt();
+    extinction.sigma.par_iter().map(|sigma| exp_of_minus(sigma * length)).collect()
+}
+
+/// Numbers of cells, each the mean of 27 around by binomial weights; at the faces the outermost count again.
+fn smoothed(mut numbers: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Vec<f32> {
+    let mut out = vec![0.0; numbers.len()];
+    for (stride, num) in [(1, nx), (nx, ny), (nx * ny, nz)] {
+        out.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
+            for (i, out) in slice.iter_mut().enumerate() {
+                let i = z * nx * ny + i;
+                let at = i / stride % num;
+                let before = numbers[if at > 0 { i - stride } else { i }];
+                let after = numbers[if at + 1 < num { i + stride } else { i }];
+                *out = 0.5 * numbers[i] + 0.25 * (before + after);
+            }
+        });
+        std::mem::swap(&mut numbers, &mut out);
+    }
+    numbers
 }
 
 /// Point `i` of `num` that are spread evenly over the sphere (spherical Fibonacci lattice).
@@ -370,6 +444,12 @@ fn exp_of_minus(x: f32) -> f32 {
 /// What is nearer than so many cells does not shade: the light of a surface is that in front of it, and a cell of it has
 /// matter on either side of its middle.
 const NEAR_IN_CELLS: f32 = 1.25;
+/// A cell through which more than so much is seen keeps its own light.
+const CLEAR: f32 = 0.98;
+/// Among less clear cells than this a cell keeps its own light.
+const WEIGHT_LEAST: f32 = 1e-3;
+/// Clear cells beside one of which the light is taken: one of six.
+const WEIGHT_FULL: f32 = 0.5;
 /// Threads that add for themselves, two bytes a cell.
 const MAX_SUMS: usize = 16;
 /// A slice that nothing comes through is no denser than this, so that sums keep their precision.

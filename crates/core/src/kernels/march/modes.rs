@@ -11,7 +11,7 @@ use super::grid::Lanes;
 use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup, opacity};
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
-use crate::volume::{Histogram, LIT_MAX, Volume};
+use crate::volume::{Bricks, Histogram, LIT_MAX, Occupancy, Volume};
 
 /// A surface of one value, as the march finds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,8 +48,23 @@ pub(super) fn surfaces(
     surfaces
 }
 
+/// The bricks that a mode leaves visible, and for the greatest or the least value the keys that they may have.
+pub(super) fn occupancy(
+    bricks: &Bricks,
+    mode: Mode,
+    table: &TransferTable,
+    surfaces: &[Surface],
+) -> Occupancy {
+    let peak = |lo: f32, hi: f32| match mode {
+        Mode::Mip => Some(table.positions(lo, hi).1),
+        Mode::MinIp => Some(1.0 - table.positions(lo, hi).0),
+        _ => None,
+    };
+    bricks.occupancy_by(|lo, hi| is_visible(mode, table, surfaces, lo, hi), peak)
+}
+
 /// Whether a sample between two stored numbers may show. Errs on the side of yes.
-pub(super) fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
+fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
     let (a, b) = table.positions(lo, hi);
     let clamped = |x: f32| x.clamp(0.0, 1.0);
     match mode {
@@ -249,6 +264,11 @@ impl Sink for Shown<'_> {
         self.key = if step.tau > self.key { step.tau } else { self.key };
         self.integral += step.c;
         Pace::Step
+    }
+
+    #[inline(always)]
+    fn least_key(&self) -> f32 {
+        self.key
     }
 }
 

@@ -7,7 +7,19 @@
 //! colours as without. A translucent surface is [`THICKNESS_IN_VOXELS`] thick, on the side of the greater values, and no
 //! thicker than half the way to the next crossing.
 
+use super::modes::Surface;
 use super::{Lattice, Pace, Sink, Step, opacity};
+use crate::transfer::TransferTable;
+use crate::volume::Sheet;
+
+/// The surfaces as light meets them.
+pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> {
+    let each = surfaces.iter().map(|&Surface { x, tau, .. }| {
+        let stored = (f64::from(x) - f64::from(table.x_offset)) / f64::from(table.x_scale);
+        Sheet { stored: stored as f32, tau, is_opaque: tau > OPAQUE_TAU }
+    });
+    each.collect()
+}
 
 /// Hands crossings on as segments that do not overlap.
 pub(super) struct Thicken<'a, S> {
