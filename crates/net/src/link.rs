@@ -29,11 +29,15 @@ pub struct Link {
 }
 
 impl Link {
+    /// Where the server is, `host:port`.
+    pub fn place(&self) -> String {
+        let Self { host, port, .. } = self;
+        if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
+    }
+
     /// A link to the same server that shows `state` and lets nobody in.
     pub fn of_state(&self, state: &str) -> String {
-        let Self { host, port, fingerprint, .. } = self;
-        let (open, close) = if host.contains(':') { ("[", "]") } else { ("", "") };
-        format!("{SCHEME}{open}{host}{close}:{port}/#cert={fingerprint}&state={state}")
+        format!("{SCHEME}{}/#cert={}&state={state}", self.place(), self.fingerprint)
     }
 }
 
@@ -148,9 +152,8 @@ impl Parts {
 /// The whole link, secret included.
 impl fmt::Display for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port, token, fingerprint, state } = self;
-        let (open, close) = if host.contains(':') { ("[", "]") } else { ("", "") };
-        write!(f, "{SCHEME}{open}{host}{close}:{port}/#token={}&cert={fingerprint}", token.reveal())?;
+        let Self { token, fingerprint, state, .. } = self;
+        write!(f, "{SCHEME}{}/#token={}&cert={fingerprint}", self.place(), token.reveal())?;
         state.as_ref().map_or(Ok(()), |state| write!(f, "&state={state}"))
     }
 }

@@ -482,7 +482,7 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream, parts: &mut Pa
                     return;
                 }
                 shoots_at = Instant::now() + SHOT_INTERVAL;
-                let waiting = shots.borrow_and_update().waiting.clone();
+                let waiting = shots.borrow_and_update().clone();
                 shot_message(waiting, &mut asked_shot)
             }
             changed = changed_after(probes_at, &mut probes) => {

@@ -1,13 +1,14 @@
 //! The client: keeps a connection up and the newest frame at hand, and never makes its caller wait.
 //!
-//! One thread drives the network, another decodes; what the caller reads is swapped in whole, so that no call of a display
-//! loop takes a lock that those threads hold. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
+//! One thread drives the network, another decodes; what the caller reads is swapped in whole, and what it wishes is swapped out
+//! by a third, so that no call of a display loop takes a lock that those threads hold. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
 
 mod chunks;
 mod connection;
 mod decode;
 mod shot;
 mod status;
+mod wishes;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
@@ -33,6 +34,7 @@ use crate::link::Link;
 pub use connection::ConnectError;
 pub use shot::ReceivedShot;
 use status::{Status, StatusBoard};
+use wishes::Wishes;
 
 /// How to connect.
 #[derive(Clone)]
@@ -159,6 +161,7 @@ impl Client {
             is_stopping: AtomicBool::new(false),
             frame: ArcSwapOption::empty(),
             status: StatusBoard::new(),
+            wishes: Wishes::default(),
             shown,
             shown_in: Mutex::new(shown_in),
             pose: watch::Sender::new(None),
@@ -166,7 +169,7 @@ impl Client {
             part: watch::Sender::new(None),
             report: watch::Sender::new(None),
             probe: watch::Sender::new(None),
-            shot: watch::Sender::new(shot::Wish::default()),
+            shot: watch::Sender::new(None),
             stop: watch::Sender::new(false),
             counters: Arc::default(),
         });
@@ -184,29 +187,19 @@ impl Client {
             .name("isinglass-decode".into())
             .spawn(move || decode::run(&for_decoding))
             .inspect_err(|_| shared.stop())?;
+        let for_wishes = shared.clone();
+        let messenger = std::thread::Builder::new()
+            .name("isinglass-wishes".into())
+            .spawn(move || wishes::carry(&for_wishes))
+            .inspect_err(|_| shared.stop())?;
+        // Before anybody can wish for anything.
+        let _ = shared.wishes.messenger.set(messenger.thread().clone());
         Ok(Self { shared, done })
     }
 
     /// Asks for frames from this pose. The newest wins; an unusable pose is ignored. Returns the pose's number.
     pub fn set_pose(&self, pose: Pose, intrinsics: Intrinsics) -> PoseId {
-        let now = self.shared.clock.now_micros();
-        let mut number = PoseId(0);
-        self.shared.pose.send_if_modified(|newest| {
-            number = newest.map_or(PoseId(0), |p: PoseRequest| p.id);
-            if newest.is_some_and(|p| p.pose == pose && p.intrinsics == intrinsics) {
-                return false;
-            }
-            let request =
-                PoseRequest { id: number.next(), stamp_micros: now, pose, intrinsics, newest_complete: None };
-            if let Err(e) = request.validate() {
-                tracing::warn!("pose ignored: {e}");
-                return false;
-            }
-            number = request.id;
-            *newest = Some(request);
-            true
-        });
-        number
+        self.shared.wishes.pose(self.shared.clock.now_micros(), pose, intrinsics)
     }
 
     /// Asks for another look. The newest wins; it is asked for again after a lost connection.
@@ -215,19 +208,19 @@ impl Client {
     /// If the look cannot be used.
     pub fn set_look(&self, look: Look) -> Result<(), LookError> {
         look.validate()?;
-        self.shared.look.send_replace(Some(look));
+        self.shared.wishes.look(look);
         Ok(())
     }
 
     /// Asks for another part of the server's file, for all its viewers; none: the one that is being read is not wanted any
     /// more. The newest wish wins. One that cannot be sent for lack of a connection is forgotten.
     pub fn open_part(&self, part: Option<Part>) {
-        self.shared.part.send_replace(Some(part));
+        self.shared.wishes.part(part);
     }
 
     /// Tells the server how this client fares, once a second at most.
     pub fn report(&self, stats: ClientStats) {
-        self.shared.report.send_replace(Some(stats));
+        self.shared.wishes.report(stats);
     }
 
     /// Whether frames of that look show a draft of it, with a final one to follow.
@@ -237,16 +230,7 @@ impl Client {
 
     /// Asks for the value at a point of world space; the newest question wins, and one is answered.
     pub fn probe(&self, point: [f32; 3]) -> ProbeId {
-        let mut id = ProbeId(0);
-        self.shared.probe.send_if_modified(|asked| {
-            id = asked.map_or(ProbeId(1), |a: ProbeRequest| a.id.next());
-            let is_usable = point.iter().all(|x| x.is_finite());
-            if is_usable {
-                *asked = Some(ProbeRequest { id, point });
-            }
-            is_usable
-        });
-        id
+        self.shared.wishes.probe(point)
     }
 
     /// The newest answer.
@@ -256,25 +240,12 @@ impl Client {
 
     /// Asks for a picture to keep, under the look that was asked for last. It takes the place of one that has not come.
     pub fn shoot(&self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
-        let mut id = ShotId(0);
-        self.shared.shot.send_modify(|wish| {
-            id = wish.newest.next();
-            // Its number is of no meaning here.
-            let view =
-                PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
-            wish.newest = id;
-            wish.waiting = Some(ShotRequest { id, view: view.encode().to_vec(), background });
-        });
-        let view = self.shared.shot.borrow().waiting.as_ref().map(ShotRequest::view);
-        if let Some(Err(e)) = view {
-            shot::settle(&self.shared, id, Err(e.to_string()));
-        }
-        id
+        self.shared.wishes.shot(pose, intrinsics, background)
     }
 
     /// The picture that was asked for last is no longer wanted.
     pub fn cancel_shot(&self) {
-        self.shared.shot.send_if_modified(|wish| wish.waiting.take().is_some());
+        self.shared.wishes.cancel_shot();
     }
 
     /// What has become of the picture that was asked for last; taken when it is asked for.
@@ -389,6 +360,7 @@ struct Shared {
     is_stopping: AtomicBool,
     frame: ArcSwapOption<ReceivedFrame>,
     status: StatusBoard,
+    wishes: Wishes,
     /// Frames that were on the screen, and when, on their way to the ledger.
     shown: mpsc::SyncSender<(FrameId, u64)>,
     shown_in: Mutex<mpsc::Receiver<(FrameId, u64)>>,
@@ -398,7 +370,8 @@ struct Shared {
     part: watch::Sender<Option<Option<Part>>>,
     report: watch::Sender<Option<ClientStats>>,
     probe: watch::Sender<Option<ProbeRequest>>,
-    shot: watch::Sender<shot::Wish>,
+    /// The picture that has not been answered.
+    shot: watch::Sender<Option<ShotRequest>>,
     stop: watch::Sender<bool>,
     counters: Arc<SharedCounters>,
 }
@@ -435,6 +408,7 @@ impl Shared {
     fn stop(&self) {
         self.stop.send_replace(true);
         self.is_stopping.store(true, Ordering::Release);
+        self.wishes.knock();
         // Taken and given back, so that the decoding thread is either before its check or in its wait.
         drop(self.session());
         self.decode_wanted.notify_all();

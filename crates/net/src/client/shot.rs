@@ -1,7 +1,6 @@
-//! Pictures to keep: the one that is wanted, and its way in.
+//! Pictures to keep: the way in of the one that is wanted.
 
 use isinglass_core::ids::ShotId;
-use isinglass_core::wire::ShotRequest;
 use isinglass_core::wire::shot::{MAX_SHOT_BYTES, SHOT_HEADER_BYTES, shot_id};
 use quinn::RecvStream;
 
@@ -18,15 +17,6 @@ pub struct ReceivedShot {
     pub png: Result<Vec<u8>, String>,
 }
 
-/// At most one picture is wanted at a time.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Wish {
-    /// The newest number that was given.
-    pub(super) newest: ShotId,
-    /// The request that has not been answered.
-    pub(super) waiting: Option<ShotRequest>,
-}
-
 /// Reads the rest of a stream that began with `bytes`, a picture by its first. One that is not waited for is not read.
 pub(super) async fn read(
     shared: &Shared,
@@ -35,7 +25,7 @@ pub(super) async fn read(
     mut budget: Budget,
 ) -> Result<(), String> {
     let Some(id) = shot_id(&bytes) else { return Ok(()) };
-    let is_wanted = || shared.shot.borrow().waiting.as_ref().is_some_and(|w| w.id == id);
+    let is_wanted = || shared.shot.borrow().as_ref().is_some_and(|w| w.id == id);
     while let Ok(next) = stream.read_chunk(usize::MAX, true).await {
         let Some(part) = next else {
             bytes.drain(..SHOT_HEADER_BYTES);
@@ -58,7 +48,7 @@ pub(super) async fn read(
 }
 
 fn finish(shared: &Shared, id: ShotId, png: Vec<u8>) {
-    let wanted = shared.shot.borrow().waiting.clone().filter(|w| w.id == id);
+    let wanted = shared.shot.borrow().clone().filter(|w| w.id == id);
     let Some(Ok(view)) = wanted.map(|w| w.view()) else { return };
     let expected = [view.intrinsics.width, view.intrinsics.height];
     let png = match png_size(&png) {
@@ -72,10 +62,10 @@ fn finish(shared: &Shared, id: ShotId, png: Vec<u8>) {
 pub(super) fn settle(shared: &Shared, id: ShotId, png: Result<Vec<u8>, String>) {
     let mut is_wanted = false;
     // Nobody has to be told that nothing waits any more.
-    shared.shot.send_if_modified(|wish| {
-        is_wanted = wish.waiting.as_ref().is_some_and(|w| w.id == id);
+    shared.shot.send_if_modified(|waiting| {
+        is_wanted = waiting.as_ref().is_some_and(|w| w.id == id);
         if is_wanted {
-            wish.waiting = None;
+            *waiting = None;
         }
         false
     });

@@ -1,0 +1,142 @@
+//! What a display loop asks of the network, put down without waiting: the newest of each wish, in cells that nobody locks.
+//!
+//! The network's own channels take locks, which their readers hold for moments; a display loop that met one would stand still.
+//! So a thread of its own, the messenger, carries the wishes over: it sleeps until it is woken, which waits for nothing either.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread::{self, Thread};
+
+use arc_swap::ArcSwapOption;
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::ids::{PoseId, ProbeId, ShotId};
+use isinglass_core::look::Look;
+use isinglass_core::wire::{ClientStats, Part, PoseRequest, ProbeRequest, ShotRequest};
+
+use super::{Shared, shot};
+
+/// See the module.
+#[derive(Default)]
+pub(super) struct Wishes {
+    /// The newest, which stays: the next one is numbered after it.
+    pose: ArcSwapOption<PoseRequest>,
+    look: ArcSwapOption<Look>,
+    /// Its inside is none where it is a wish for no other part.
+    part: ArcSwapOption<Option<Part>>,
+    report: ArcSwapOption<ClientStats>,
+    probe: ArcSwapOption<ProbeRequest>,
+    newest_probe: AtomicU32,
+    /// Its inside is none where the picture is no longer wanted.
+    shot: ArcSwapOption<Option<ShotRequest>>,
+    newest_shot: AtomicU32,
+    /// Whoever carries them over.
+    pub(super) messenger: OnceLock<Thread>,
+}
+
+impl Wishes {
+    pub(super) fn pose(&self, now_micros: u64, pose: Pose, intrinsics: Intrinsics) -> PoseId {
+        let mut number = PoseId(0);
+        self.pose.rcu(|newest| {
+            number = newest.as_ref().map_or(PoseId(0), |p| p.id);
+            if newest.as_ref().is_some_and(|p| p.pose == pose && p.intrinsics == intrinsics) {
+                return newest.clone();
+            }
+            let stamp_micros = now_micros;
+            let request =
+                PoseRequest { id: number.next(), stamp_micros, pose, intrinsics, newest_complete: None };
+            if let Err(e) = request.validate() {
+                tracing::warn!("pose ignored: {e}");
+                return newest.clone();
+            }
+            number = request.id;
+            Some(Arc::new(request))
+        });
+        self.knock();
+        number
+    }
+
+    pub(super) fn look(&self, look: Look) {
+        self.look.store(Some(Arc::new(look)));
+        self.knock();
+    }
+
+    pub(super) fn part(&self, part: Option<Part>) {
+        self.part.store(Some(Arc::new(part)));
+        self.knock();
+    }
+
+    pub(super) fn report(&self, stats: ClientStats) {
+        self.report.store(Some(Arc::new(stats)));
+        self.knock();
+    }
+
+    pub(super) fn probe(&self, point: [f32; 3]) -> ProbeId {
+        let id = ProbeId(self.newest_probe.fetch_add(1, Ordering::Relaxed).wrapping_add(1));
+        if point.iter().all(|x| x.is_finite()) {
+            self.probe.store(Some(Arc::new(ProbeRequest { id, point })));
+            self.knock();
+        }
+        id
+    }
+
+    pub(super) fn shot(&self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        let id = ShotId(self.newest_shot.fetch_add(1, Ordering::Relaxed).wrapping_add(1));
+        // Its number is of no meaning here.
+        let view = PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
+        let request = ShotRequest { id, view: view.encode().to_vec(), background };
+        self.shot.store(Some(Arc::new(Some(request))));
+        self.knock();
+        id
+    }
+
+    pub(super) fn cancel_shot(&self) {
+        self.shot.store(Some(Arc::new(None)));
+        self.knock();
+    }
+
+    /// Wakes the messenger, without waiting for it.
+    pub(super) fn knock(&self) {
+        if let Some(messenger) = self.messenger.get() {
+            messenger.unpark();
+        }
+    }
+}
+
+/// What the messenger does: carries wishes over until the client is stopped.
+pub(super) fn carry(shared: &Shared) {
+    let wishes = &shared.wishes;
+    while !shared.is_stopping() {
+        let newest = shared.pose.borrow().map(|p: PoseRequest| p.id);
+        if let Some(pose) = wishes.pose.load_full().filter(|pose| Some(pose.id) != newest) {
+            shared.pose.send_replace(Some(*pose));
+        }
+        if let Some(look) = wishes.look.swap(None) {
+            shared.look.send_replace(Some(Arc::unwrap_or_clone(look)));
+        }
+        if let Some(part) = wishes.part.swap(None) {
+            shared.part.send_replace(Some(*part));
+        }
+        if let Some(report) = wishes.report.swap(None) {
+            shared.report.send_replace(Some(*report));
+        }
+        if let Some(probe) = wishes.probe.swap(None) {
+            shared.probe.send_replace(Some(*probe));
+        }
+        if let Some(wish) = wishes.shot.swap(None) {
+            carry_shot(shared, Arc::unwrap_or_clone(wish));
+        }
+        thread::park();
+    }
+}
+
+fn carry_shot(shared: &Shared, wish: Option<ShotRequest>) {
+    let Some(request) = wish else {
+        shared.shot.send_if_modified(|waiting| waiting.take().is_some());
+        return;
+    };
+    let (id, view) = (request.id, request.view());
+    shared.shot.send_replace(Some(request));
+    if let Err(e) = view {
+        shot::settle(shared, id, Err(e.to_string()));
+    }
+}
