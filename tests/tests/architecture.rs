@@ -25,7 +25,7 @@ const WORLDS: [(&str, &[&str]); 12] = [
     ("rustls", &["isinglass-net"]),
     ("rcgen", &["isinglass-net"]),
     ("eframe", &["isinglass-client"]),
-    ("egui", &["isinglass-client"]),
+    ("egui", &["isinglass-client", "isinglass-tests"]),
     ("winit", &["isinglass-client"]),
     ("flate2", &["isinglass-formats"]),
     ("toml", &["isinglass-formats"]),

@@ -13,9 +13,10 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
-use isinglass_formats::{LoadRequest, SavedState, Selection};
+use isinglass_formats::{LoadRequest, ReadState, Selection};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
+use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
 use crate::bindings::{Action, Bindings, Focus};
 use crate::camera_controls::{CameraControls, ControlInput};
@@ -54,7 +55,7 @@ pub(crate) struct Origin {
     /// What the server was given to open, where that is known, for states that are saved.
     pub(crate) volume_source: Option<(String, Selection)>,
     /// What is shown at first in place of the first view.
-    pub(crate) state: Option<SavedState>,
+    pub(crate) state: Option<ReadState>,
 }
 
 /// See the module.
@@ -92,6 +93,11 @@ pub(crate) struct ViewerApp<S> {
     open_dialog: OpenDialog,
     /// A volume that was chosen there.
     wanted_volume: Option<LoadRequest>,
+    coming: Option<ComingState>,
+    /// Whether somebody opens other volumes for this window.
+    opens_volumes: bool,
+    /// A state of another one.
+    wanted_state: Option<Box<ReadState>>,
     /// The whole window's picture at the last refresh.
     window: Option<Intrinsics>,
     shows_help: bool,
@@ -148,6 +154,9 @@ impl<S: FrameSource> ViewerApp<S> {
             editor: TransferEditor::default(),
             state_files: StateFiles::default(),
             open_dialog: OpenDialog::default(),
+            coming: None,
+            opens_volumes: false,
+            wanted_state: None,
             wanted_volume: None,
             window: None,
             shows_help: false,
@@ -170,14 +179,22 @@ impl<S: FrameSource> ViewerApp<S> {
         let Origin { server_name, link, volume_source, state } = origin;
         self.options.server_name = server_name;
         (self.options.link, self.options.volume_source) = (link, volume_source);
-        self.options.state = state.or(self.options.state.take());
+        if state.is_some() {
+            (self.options.state, self.options.state_sets_size) = (None, false);
+        }
         let viewing = Viewing::new(source, self.viewing.frame_size, self.options.foresight);
         (self.controls, self.center_chosen_at) = (None, None);
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
+        (self.coming, self.wanted_state) = (state.map(ComingState::new), None);
         (self.notice, self.method_problem) = (None, None);
         self.title.clear();
         std::mem::replace(&mut self.viewing, viewing).into_source()
+    }
+
+    /// From now on states of other volumes are left to whoever opens those.
+    pub(crate) fn leave_volumes_to_others(&mut self) {
+        self.opens_volumes = true;
     }
 
     /// Whether the page was asked for on which another volume or server is chosen; once.
@@ -343,26 +360,25 @@ impl<S: FrameSource> ViewerApp<S> {
 
 impl<S: FrameSource> eframe::App for ViewerApp<S> {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        self.show(ui);
+        let (ctx, is_watched) = (ui.ctx().clone(), self.is_watched());
+        self.waits = self.waits.watch(&ctx, is_watched, || self.show(ui));
     }
 }
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// A refresh of the whole window, watched where somebody looks at what was seen.
-    pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
-        self.warm_up();
-        if self.options.script.is_none() && !tracing::enabled!(tracing::Level::TRACE) {
-            return self.refresh_window(ui);
-        }
-        let mut waits = self.waits;
-        waits.watch(|| self.refresh_window(ui));
-        if waits.waited > self.waits.waited {
-            tracing::trace!(refreshes = waits.refreshes, waited = waits.waited, "a refresh waited");
-        }
-        self.waits = waits;
+    /// Whether somebody looks at what refreshes waited for.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.options.script.is_some() || tracing::enabled!(tracing::Level::TRACE)
     }
 
-    fn refresh_window(&mut self, ui: &mut egui::Ui) {
+    /// Of the refreshes so far.
+    pub(crate) fn waits(&mut self) -> &mut Waits {
+        &mut self.waits
+    }
+
+    /// A refresh of the whole window.
+    pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
+        self.warm_up();
         let ctx = ui.ctx().clone();
         let now = Duration::from_micros(self.clock.now_micros());
         let elapsed = now.saturating_sub(self.last_refresh);

@@ -8,6 +8,7 @@
 
 mod app;
 mod background;
+mod bell;
 mod bindings;
 pub mod camera_controls;
 mod camera_path;
@@ -41,6 +42,7 @@ mod shots;
 mod slots;
 mod start;
 mod state_files;
+mod state_part;
 mod stereo;
 mod transfer_editor;
 mod view_aids;
@@ -65,10 +67,10 @@ pub use run::{ViewerOptions, run};
 pub use start::{First, LocalServer, LocalServers, Services};
 pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 pub use viewing::{FrameSize, Refresh, Standing, Viewing};
-pub use waits::Waits;
+pub use waits::{Waits, excuse_wait};
 pub use window::{
-    DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowOptions, run_window,
-    run_window_with_start,
+    DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowContents,
+    WindowOptions, run_window, run_window_with_start,
 };
 
 /// Whoever brings the frames of a window that may turn to others.

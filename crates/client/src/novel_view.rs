@@ -1,8 +1,11 @@
 //! Pictures by other methods than the ray cast, given by whoever opens the window. They are drawn on a thread of their own
 //! and the newest wish wins, so a slow method never holds up a refresh: its picture comes late.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::Thread;
 
+use arc_swap::ArcSwapOption;
 use isinglass_core::camera::Camera;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
@@ -113,71 +116,68 @@ impl Wish {
 /// The thread that draws.
 struct Worker {
     shared: Arc<Shared>,
+    thread: Thread,
     last: Option<Wish>,
 }
 
+/// Latest values, that nobody locks.
 #[derive(Default)]
 struct Shared {
-    slots: Mutex<Slots>,
-    changed: Condvar,
-}
-
-/// Latest values.
-#[derive(Default)]
-struct Slots {
-    wish: Option<Wish>,
-    drawn: Option<Result<Picture, String>>,
-    is_closed: bool,
+    wish: ArcSwapOption<Wish>,
+    drawn: ArcSwapOption<Result<Picture, String>>,
+    is_closed: AtomicBool,
 }
 
 impl Worker {
     fn start(mut views: Vec<Box<dyn NovelView>>, wake: Waker) -> Self {
         let shared = Arc::new(Shared::default());
         let of_thread = shared.clone();
-        std::thread::spawn(move || {
-            while let Some(Wish { view, frame, bounds, camera }) = of_thread.next_wish() {
-                let Some(view) = views.get_mut(view) else { continue };
-                let drawn = view.draw(&frame, &bounds, &camera);
-                of_thread.lock().drawn = Some(drawn);
+        let thread = std::thread::spawn(move || {
+            while let Some(wish) = of_thread.next_wish() {
+                let Wish { view, frame, bounds, camera } = &*wish;
+                let Some(view) = views.get_mut(*view) else { continue };
+                let drawn = view.draw(frame, bounds, camera);
+                of_thread.drawn.store(Some(Arc::new(drawn)));
                 wake();
             }
         });
-        Self { shared, last: None }
+        Self { shared, thread: thread.thread().clone(), last: None }
     }
 
     /// Asks for a picture, unless it was asked for last.
     fn wish(&mut self, wish: Wish) {
         if self.last.as_ref().is_none_or(|last| !last.is_same(&wish)) {
-            self.shared.lock().wish = Some(wish.clone());
-            self.shared.changed.notify_one();
+            self.shared.wish.store(Some(Arc::new(wish.clone())));
+            self.thread.unpark();
             self.last = Some(wish);
         }
     }
 
     /// The newest result that was not taken yet.
     fn take(&self) -> Option<Result<Picture, String>> {
-        self.shared.lock().drawn.take()
+        Arc::into_inner(self.shared.drawn.swap(None)?)
     }
 }
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        self.shared.lock().is_closed = true;
-        self.shared.changed.notify_one();
+        self.shared.is_closed.store(true, Ordering::Release);
+        self.thread.unpark();
     }
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Slots> {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Waits for it; none when the window is closed.
-    fn next_wish(&self) -> Option<Wish> {
-        let slots = self.lock();
-        let is_idle = |slots: &mut Slots| slots.wish.is_none() && !slots.is_closed;
-        let mut slots = self.changed.wait_while(slots, is_idle).unwrap_or_else(PoisonError::into_inner);
-        if slots.is_closed { None } else { slots.wish.take() }
+    fn next_wish(&self) -> Option<Arc<Wish>> {
+        loop {
+            if self.is_closed.load(Ordering::Acquire) {
+                return None;
+            }
+            if let Some(wish) = self.wish.swap(None) {
+                return Some(wish);
+            }
+            std::thread::park();
+        }
     }
 }
 

@@ -47,10 +47,11 @@ impl PartsBar {
         let chosen = self.chosen(parts, load);
         let now = chosen.time.unwrap_or(0);
         let time = now.saturating_add_signed(by).min(parts.num_times - 1);
-        (time != now).then(|| self.ask(Part { time: Some(time), ..chosen }, load))
+        (time != now).then(|| self.open(Part { time: Some(time), ..chosen }, load))
     }
 
-    fn ask(&mut self, part: Part, load: Option<&LoadStatus>) -> PartsWish {
+    /// Another part, which is the one to count from until the server has told of its load.
+    pub(crate) fn open(&mut self, part: Part, load: Option<&LoadStatus>) -> PartsWish {
         self.asked = Some((part, load.map_or(LoadId(0), |l| l.load)));
         self.failed = None;
         PartsWish::Open(part)
@@ -99,7 +100,7 @@ impl PartsBar {
         });
         self.height = shown.response.rect.height() + 10.0;
         if chosen != before {
-            wish = Some(self.ask(chosen, load));
+            wish = Some(self.open(chosen, load));
         }
         if wish == Some(PartsWish::Cancel) {
             self.asked = None;

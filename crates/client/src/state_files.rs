@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use egui::{RichText, Ui};
-use isinglass_formats::{MAX_STATE_BYTES, ReadState, is_state, read_state};
+use isinglass_formats::{MAX_STATE_BYTES, ReadState, SavedState, SavedVolume, is_state, read_state};
 
 use crate::background::{Background, Lost, path_from_text, write_text};
 
@@ -47,20 +47,14 @@ impl StateFiles {
     pub(crate) fn open(&mut self, ctx: &egui::Context) -> bool {
         let Some(path) = path_from_text(&self.path) else { return false };
         self.message = None;
-        self.running.start(ctx, move || match read_state(&path) {
-            Ok(read) => Outcome::Read(Box::new(read)),
-            Err(e) => Outcome::Failed(e.to_string()),
-        });
+        self.running.start(ctx, move || read(&path));
         true
     }
 
     /// Reads the state in a file that may be one, or hold something else.
     pub(crate) fn open_any(&mut self, path: PathBuf, ctx: &egui::Context) {
         self.running.start(ctx, move || match begin_of(&path) {
-            Ok(begin) if is_state(&begin) => match read_state(&path) {
-                Ok(read) => Outcome::Read(Box::new(read)),
-                Err(e) => Outcome::Failed(e.to_string()),
-            },
+            Ok(begin) if is_state(&begin) => read(&path),
             // Whoever opens other files says what is wrong with this one.
             _ => Outcome::NoState(path),
         });
@@ -140,6 +134,18 @@ impl StateFiles {
     #[cfg(test)]
     pub(crate) fn set_path(&mut self, path: &Path) {
         self.path = path.display().to_string();
+    }
+}
+
+/// A place that is none of this machine's is left out: the same voxels may be shown from elsewhere.
+fn read(path: &Path) -> Outcome {
+    match read_state(path) {
+        Ok(ReadState { state, note }) => {
+            let place = |v: SavedVolume| if v.is_here() { v } else { v.without_place() };
+            let volume = state.volume.map(place);
+            Outcome::Read(Box::new(ReadState { state: SavedState { volume, ..state }, note }))
+        }
+        Err(e) => Outcome::Failed(e.to_string()),
     }
 }
 

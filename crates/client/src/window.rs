@@ -8,6 +8,7 @@ use isinglass_formats::{SavedState, Selection};
 use isinglass_net::{Clock, Link};
 
 use crate::app::{ViewerApp, theme_preference};
+use crate::bell::Bell;
 use crate::bindings::Bindings;
 use crate::camera_controls::InitialOrbit;
 use crate::camera_path::CameraPath;
@@ -192,6 +193,22 @@ pub fn run_window_with_start(
     })
 }
 
+/// What a window shows, without the window and without the ray cast: for whoever shows it elsewhere, as tests do.
+pub struct WindowContents<S>(ViewerApp<S>);
+
+impl<S: FrameSource> WindowContents<S> {
+    /// On the frames of `source`, whose stamps are of `clock`.
+    pub fn new(options: WindowOptions, source: S, clock: Clock) -> Self {
+        let views = NovelViews::new(Vec::new(), LAYERS, Arc::new(|| {}));
+        Self(ViewerApp::new(options, views, source, clock, Arc::default()))
+    }
+
+    /// A refresh in all of `ui`.
+    pub fn show(&mut self, ui: &mut egui::Ui) {
+        self.0.show(ui);
+    }
+}
+
 /// A window that was opened.
 struct Opened {
     ctx: egui::Context,
@@ -230,8 +247,8 @@ fn open_window(
         let ctx = cc.egui_ctx.clone();
         let status = picture::install(state, &ctx).map_err(ViewerError::Device)?;
         let wake: Waker = {
-            let ctx = ctx.clone();
-            Arc::new(move || ctx.request_repaint())
+            let bell = Bell::of(&ctx);
+            Arc::new(move || bell.ring())
         };
         let views =
             NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use crate::error::FormatError;
 use crate::sniff::{self, Kind};
+use crate::state::is_state;
 use crate::{error, nifti, zarr};
 
 /// What a file or folder is, as far as its first bytes tell.
@@ -15,7 +16,9 @@ pub enum Content {
     Volume(&'static str),
     /// A folder; it may hold the slices of a volume.
     Folder,
-    /// Text: a transfer function, presets, or a state.
+    /// A saved state.
+    State,
+    /// Other text: a transfer function, or presets.
     Text,
     /// None of these; what it looks like.
     Other(&'static str),
@@ -59,7 +62,10 @@ fn of_start(start: &[u8], path: &Path) -> Content {
         Kind::Dicom => Content::Volume("DICOM"),
         Kind::Vti => Content::Volume("VTI"),
         Kind::Other("an XML document of another kind") => Content::Text,
-        Kind::Other("no header that is known") if is_text(start) => Content::Text,
+        Kind::Other("no header that is known") if is_text(start) => match is_state(start) {
+            true => Content::State,
+            false => Content::Text,
+        },
         Kind::Other(found) => Content::Other(found),
     }
 }
@@ -115,6 +121,7 @@ mod tests {
             ("a.npz", b"PK\x03\x04".to_vec(), Content::Volume("NumPy")),
             ("a.docx", b"PK\x03\x04".to_vec(), Content::Other("a ZIP archive")),
             ("a.toml", "name = \"µ\"\n".into(), Content::Text),
+            ("b.toml", "# seen\nisinglass_state = 1\n".into(), Content::State),
             ("a.json", b"[{\"ColorSpace\": \"RGB\"}]".to_vec(), Content::Text),
             ("a.xml", b"<?xml version=\"1.0\"?><MRML/>".to_vec(), Content::Text),
             ("a.nrrd", vec![0; 100], Content::Other("no header that is known")),

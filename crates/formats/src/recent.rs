@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown};
 use crate::select::{Region, Selection};
+use crate::state::{line_at, one_line};
 
 /// Servers and volumes, the one that was used last first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -80,10 +81,8 @@ impl Recent {
 
     /// What a list says, or the line and what is wrong with it.
     fn parse(text: &str) -> Result<Self, (usize, String)> {
-        let stored: Stored = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
-            (line, e.message().lines().next().unwrap_or_default().to_owned())
-        })?;
+        let stored: Stored = toml::from_str(text)
+            .map_err(|e| (line_at(text, e.span().map_or(0, |s| s.start)), one_line(e.message())))?;
         let entries = stored.recent.into_iter().filter_map(StoredEntry::entry).take(Self::MAX).collect();
         Ok(Self { folder: stored.folder, entries })
     }
@@ -235,6 +234,8 @@ mod tests {
             let text = format!("[[recent]]\nused_at = 1\n{bad}\n");
             assert_eq!(Recent::parse(&text).unwrap().entries, [], "{bad}");
         }
+        let (_, message) = Recent::parse(&format!("\"{}\" = 1", "\\u001b".repeat(5000))).unwrap_err();
+        assert!(message.len() < 400 && !message.contains(char::is_control), "{message:?}");
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("recent.toml");
         std::fs::write(&path, vec![b'#'; 1 << 17]).unwrap();

@@ -22,6 +22,7 @@ use serde::{Deserialize, de};
 use crate::error::{FormatError, io_error, quoted, shown};
 use crate::presets::{preset, preset_names};
 use crate::source::open_file;
+use crate::state::{line_at, one_line};
 use crate::transfer_import::{EXPECTED, first_transfer};
 
 /// The preset of this name, or else the file at this path: TOML, or the first look of another program's file. A colour map
@@ -105,8 +106,8 @@ pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, Fo
     let path = Path::new(path);
     let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::Syntax {
         path: shown(path),
-        line: 1 + text.bytes().take(e.span().map_or(0, |s| s.start)).filter(|&b| b == b'\n').count(),
-        problem: e.message().replace(['\n', '\r'], " "),
+        line: line_at(text, e.span().map_or(0, |s| s.start)),
+        problem: one_line(e.message()),
     })?;
     let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
     let transfer = TransferFunction {
@@ -235,6 +236,17 @@ mod tests {
     const GOOD: &str = "domain = { percentiles = [1, 99.5] }\nunit_length = { radius = 0.01 }\n\
                         [[point]]\nx = 0\ncolor = \"#ff8000\"\nopacity = 0\n\
                         [[point]]\nx = 1.0\ncolor = [1, 0.5, 0]\nopacity = 0.5\n";
+
+    /// Parsers quote what they do not understand, however long it is.
+    #[test]
+    fn what_a_message_quotes_is_cut_and_has_no_control_characters() {
+        for quoted in ["vox".repeat(3000), "\\u001b[2J".into()] {
+            let text = format!("unit_length = \"{quoted}\"\n");
+            let message = transfer_from_toml(&text, "a.toml").unwrap_err().to_string();
+            assert!(message.starts_with("a.toml: line 1: ") && message.len() < 400, "{}", message.len());
+            assert!(!message.contains(char::is_control), "{message:?}");
+        }
+    }
 
     #[test]
     fn what_is_written_is_read() {

@@ -17,7 +17,7 @@ use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     ReadState, SavedCamera, SavedState, SavedVolume, Srgb, read_state, state_from_link, state_to_link,
 };
-use isinglass_net::state_of_link;
+use isinglass_net::{Link, LinkError, state_of_link};
 
 use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume, orthographic};
 use crate::given::Given;
@@ -81,10 +81,19 @@ impl Seen {
             return Ok(volume.clone());
         }
         let saved = self.state.volume.as_ref();
-        let source = saved.and_then(|v| v.source.clone());
-        let source = source.context("the state does not say where its volume is, expected VOLUME")?;
+        let server = saved.and_then(|v| v.link().map(|_| "a server").or(v.server.as_deref()));
+        let source = saved.filter(|v| v.link().is_none()).and_then(|v| v.source.clone());
+        let source = source.with_context(|| match server {
+            Some(server) => format!("the state's volume is shown by {server}, expected VOLUME"),
+            None => "the state does not say where its volume is, expected VOLUME".into(),
+        })?;
         let selection = saved.map(|v| v.selection()).transpose().map_err(anyhow::Error::msg)?;
         Ok(volume.in_state(source, &selection.unwrap_or_default()))
+    }
+
+    /// The link of the server that shows the state's volume, if it names one.
+    pub(crate) fn link(&self) -> Option<Result<Link, LinkError>> {
+        Some(self.state.volume.as_ref()?.link()?.parse())
     }
 
     /// Opens a volume, and how it is to look. Says so if it is not the state's.
@@ -228,7 +237,7 @@ impl Seen {
     /// The state for links to a server whose look is `look`: what the look says is the server's to say, and where the volume
     /// lies on its disk nobody's to know.
     pub(crate) fn for_link(&self, look: &Look) -> Option<String> {
-        let volume = self.state.volume.clone().map(|v| SavedVolume { source: None, ..v });
+        let volume = self.state.volume.clone().map(SavedVolume::without_place);
         let state = SavedState { volume, look: Some(look.clone()), ..self.state.clone() };
         (self.state != SavedState::default()).then(|| state_to_link(&state))
     }

@@ -5,7 +5,7 @@
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
-use glam::Quat;
+use glam::{Quat, Vec3};
 use isinglass_client::camera_controls::{CameraControls, InitialOrbit};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
@@ -115,4 +115,119 @@ fn another_volume_and_unknown_keys_are_told_and_mistakes_are_one_line() {
     ] {
         assert_failed(line, &bench.run(line), code, words);
     }
+}
+
+/// A film of three times: a ball that moves, in NRRD.
+fn film() -> Vec<u8> {
+    const SIDE: usize = 16;
+    let header = "NRRD0004\ntype: uchar\ndimension: 4\nsizes: 16 16 16 3\nspacings: 1 1 1 nan\n\
+                  kinds: domain domain domain time\nencoding: raw\n\n";
+    let voxels = (0..3 * SIDE.pow(3)).map(|i| {
+        let (time, i) = (i / SIDE.pow(3), i % SIDE.pow(3));
+        let [x, y, z] = [i % SIDE, i / SIDE % SIDE, i / SIDE / SIDE].map(|n| n as f32 - 7.5);
+        let distance = ((x - 4.0 * time as f32 + 4.0).powi(2) + y * y + z * z).sqrt();
+        (255.0 - 40.0 * distance).max(0.0) as u8
+    });
+    header.bytes().chain(voxels).collect()
+}
+
+/// The third time of a film at `source`.
+fn third_time(source: &str) -> SavedState {
+    let camera = SavedCamera::of(
+        Vec3::ZERO,
+        (Quat::from_rotation_y(0.4), Vec3::new(0.0, 0.0, 40.0)),
+        Intrinsics::perspective(64, 48, 0.8),
+    );
+    let volume = SavedVolume {
+        name: "film.nrrd".into(),
+        source: Some(source.into()),
+        time: Some(2),
+        dims: [16; 3],
+        spacing: [1.0; 3],
+        range: [0.0, 235.0],
+        ..SavedVolume::default()
+    };
+    SavedState { volume: Some(volume), camera: Some(camera), look: state().look, ..SavedState::default() }
+}
+
+#[test]
+fn a_state_names_its_part_and_finds_its_file_where_both_were_moved() {
+    let bench = Bench::new();
+    bench.write("film.nrrd", film());
+    bench.write("seen.toml", third_time("/not/there/any/more/film.nrrd").to_toml());
+    bench.ok("render --state seen.toml --backend cpu -o state.png");
+    let mut first = third_time("film.nrrd");
+    first.volume.as_mut().unwrap().time = None;
+    bench.write("first.toml", first.to_toml());
+    bench.ok("render film.nrrd --time 2 --state first.toml --backend cpu -o flags.png");
+    assert!(bytes(&bench, "state.png") == bytes(&bench, "flags.png"));
+    // The control: the time counts.
+    bench.ok("render --state first.toml --backend cpu -o first.png");
+    assert!(bytes(&bench, "state.png") != bytes(&bench, "first.png"));
+
+    let mut far = third_time("film.nrrd");
+    let volume = far.volume.as_mut().unwrap();
+    (volume.source, volume.server) = (None, Some("render-01:4433".into()));
+    bench.write("far.toml", far.to_toml());
+    bench.fails("render --state far.toml -o a.png", 1, &["render-01:4433", "expected VOLUME"]);
+    bench.write("link.toml", third_time("isinglass://h:1/#cert=sha256:00").to_toml());
+    bench.fails("view --state link.toml", 1, &["the link of the state's volume"]);
+}
+
+/// A viewer that ends with the test.
+struct Viewer(std::process::Child);
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Without a link: `view` opens what the state names, by a server in the same process, and remembers it; a file that is not
+/// there is named, and the window stays.
+#[test]
+fn view_opens_the_volume_of_a_state() {
+    if !isinglass_client::display_available() {
+        assert!(
+            std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"),
+            "no display: DISPLAY names no X server that answers"
+        );
+        eprintln!("skipped: no display (run under xvfb-run to open the window)");
+        return;
+    }
+    let bench = Bench::new();
+    bench.write("film.nrrd", film());
+    bench.write("seen.toml", third_time("film.nrrd").to_toml());
+    bench.write("missing.toml", third_time("/nowhere/none.nrrd").to_toml());
+    let view = |file: &str| {
+        let mut command = bench.command(&format!("view --state {file} --backend cpu"));
+        command.env("DISPLAY", std::env::var_os("DISPLAY").unwrap_or_default());
+        command.env("XDG_STATE_HOME", bench.path("remembered")).env("RUST_LOG", "warn");
+        let log = std::fs::File::create(bench.path("log")).unwrap();
+        Viewer(command.stdout(std::process::Stdio::null()).stderr(log).spawn().unwrap())
+    };
+    let until = |viewer: &mut Viewer, file: &str, words: &[&str]| {
+        let patience = std::time::Instant::now() + std::time::Duration::from_secs(120);
+        loop {
+            let text = std::fs::read_to_string(bench.path(file)).unwrap_or_default();
+            if words.iter().all(|word| text.contains(word)) {
+                return;
+            }
+            let ended = viewer.0.try_wait().unwrap();
+            assert!(
+                ended.is_none(),
+                "the window is closed: {}",
+                std::fs::read_to_string(bench.path("log")).unwrap()
+            );
+            assert!(std::time::Instant::now() < patience, "{words:?} in {file}: {text}");
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+    };
+    let mut viewer = view("seen.toml");
+    until(&mut viewer, "remembered/isinglass/recent.toml", &["film.nrrd", "time = 2"]);
+    drop(viewer);
+    let mut viewer = view("missing.toml");
+    until(&mut viewer, "log", &["/nowhere/none.nrrd"]);
+    assert!(viewer.0.try_wait().unwrap().is_none(), "the page stays");
 }

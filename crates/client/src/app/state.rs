@@ -4,17 +4,70 @@ use std::time::Duration;
 
 use egui::{Event, ThemePreference};
 use isinglass_core::camera::Intrinsics;
-use isinglass_core::wire::Part;
+use isinglass_core::ids::LoadId;
+use isinglass_core::wire::{LoadState, LoadStatus, Part};
 use isinglass_formats::{
-    SavedCamera, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, state_from_link,
+    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, state_from_link,
     state_to_link,
 };
-use isinglass_net::state_of_link;
+use isinglass_net::{Link, State, state_of_link};
 
 use super::ViewerApp;
 use crate::frame_source::FrameSource;
 use crate::state_files::{Outcome, StateWish};
+use crate::state_part::{StatePart, names_part, save_part};
 use crate::stereo::StereoMode;
+
+/// A state that is to be shown.
+pub(super) struct ComingState {
+    read: ReadState,
+    /// Whether it was shown already, of what was there.
+    is_shown: bool,
+    asked: Option<AskedPart>,
+    /// Until then the server may say what its file holds.
+    until: Option<Duration>,
+}
+
+/// The part of the file that the server was asked for.
+#[derive(Clone, Copy)]
+struct AskedPart {
+    part: Part,
+    /// The server's newest load then.
+    before: LoadId,
+    /// Whether its reading has begun.
+    has_begun: bool,
+    /// Until then it is to begin.
+    until: Duration,
+}
+
+impl ComingState {
+    pub(super) fn new(read: ReadState) -> Self {
+        Self { read, is_shown: false, asked: None, until: None }
+    }
+}
+
+impl AskedPart {
+    /// Learns how the server's newest load stands; or why the part does not come.
+    fn follow(&mut self, now: Duration, load: Option<LoadStatus>) -> Result<(), String> {
+        let load = load.filter(|l| l.load > self.before);
+        let is_of_part = |l: &LoadStatus| l.part == self.part;
+        match load {
+            Some(load) if is_of_part(&load) => {
+                self.has_begun = true;
+                match load.state {
+                    LoadState::Failed(problem) => Err(problem),
+                    LoadState::Cancelled => Err("reading its part of the file was cancelled".into()),
+                    // Its description is on the way.
+                    LoadState::Reading { .. } | LoadState::Done => Ok(()),
+                }
+            }
+            Some(_) if self.has_begun => Err("another part of the file was asked for than it is of".into()),
+            // What others have asked for before.
+            _ if self.has_begun || now < self.until => Ok(()),
+            _ => Err("the server does not open the part of the file that it is of".into()),
+        }
+    }
+}
 
 impl<S: FrameSource> ViewerApp<S> {
     /// All that is seen, and how, in a window whose picture is `picture`. None before the volume is known.
@@ -24,14 +77,11 @@ impl<S: FrameSource> ViewerApp<S> {
         let volume = SavedVolume::of(&description.volume);
         let volume = match &self.options.volume_source {
             Some((source, selection)) => volume.opened_from(source, selection),
-            None => volume,
+            None => SavedVolume { server: self.options.link.as_ref().map(Link::place), ..volume },
         };
         let volume = match self.viewing.source().parts() {
             // The part may have been changed since.
-            Some(parts) => {
-                let Part { channel, time, level, series, .. } = parts.shown;
-                SavedVolume { channel, time, level, series, ..volume }
-            }
+            Some(parts) => save_part(volume, &parts.shown),
             None => volume,
         };
         let view = SavedView {
@@ -62,8 +112,8 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Shows what a state says. What cannot be as it says is the answer, in one line.
-    pub(super) fn restore(
+    /// Shows what a state says of the volume that is there. What cannot be as it says is the answer, in one line.
+    fn restore(
         &mut self,
         ctx: &egui::Context,
         now: Duration,
@@ -132,13 +182,14 @@ impl<S: FrameSource> ViewerApp<S> {
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
                 ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height)));
             }
-            self.restore_with_note(ctx, now, window, &state, None);
+            self.turn_to_state(ReadState { state, note: None });
         }
         if let Some(outcome) = self.state_files.take() {
             match outcome {
-                Outcome::Read(read) => {
-                    self.restore_with_note(ctx, now, window, &read.state, read.note.clone());
-                }
+                Outcome::Read(read) => match self.is_of_other_volume(&read.state) {
+                    true => self.wanted_state = Some(read),
+                    false => self.turn_to_state(*read),
+                },
                 Outcome::NoState(path) => {
                     // What the file holds, or what is wrong with it, is said there.
                     self.is_look_open = true;
@@ -163,16 +214,82 @@ impl<S: FrameSource> ViewerApp<S> {
                 texts.rfind(|t| is_link(t)).cloned()
             });
             if let Some(text) = pasted {
-                self.paste(ctx, now, window, &text);
+                self.paste(now, &text);
             }
+        }
+        self.follow_state(ctx, now, window);
+    }
+
+    fn paste(&mut self, now: Duration, link: &str) {
+        let read = state_of_link(link).map_err(|e| e.to_string());
+        match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
+            Ok(read) => self.turn_to_state(read),
+            Err(problem) => self.notice = Some((problem, now)),
         }
     }
 
-    fn paste(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics, link: &str) {
-        let read = state_of_link(link).map_err(|e| e.to_string());
-        match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
-            Ok(read) => self.restore_with_note(ctx, now, window, &read.state, read.note),
-            Err(problem) => self.notice = Some((problem, now)),
+    /// A state to be shown, in place of one that is waited for.
+    fn turn_to_state(&mut self, read: ReadState) {
+        self.coming = Some(ComingState::new(read));
+    }
+
+    /// Goes on with the state that is to be shown: first the server is asked for the part of its file that it is of.
+    fn follow_state(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics) {
+        let Some(mut coming) = self.coming.take() else { return };
+        let source = self.viewing.source();
+        if source.state() != State::Connected {
+            // What was asked for may be lost. Another server may be there next.
+            self.coming = Some(ComingState { asked: None, until: None, ..coming });
+            return;
+        }
+        let (parts, load) = (source.parts(), source.load());
+        let Some(description) = source.description() else { return };
+        let saved = coming.read.state.volume.as_ref();
+        let part = saved.zip(parts.as_deref()).map(|(v, parts)| StatePart::of(v, &description.volume, parts));
+        let mut problem = None;
+        let until = *coming.until.get_or_insert(now + PARTS_PATIENCE);
+        match (part, coming.asked) {
+            (Some(StatePart::Shown), _) => {}
+            (Some(StatePart::Elsewhere(line)), None) => problem = Some(line),
+            (Some(StatePart::Other(part)), None) => {
+                let wish = self.parts_bar.open(part, load.as_ref());
+                let before = load.map_or(LoadId(0), |l| l.load);
+                let until = now + PART_PATIENCE;
+                coming.asked = Some(AskedPart { part, before, has_begun: false, until });
+                if std::mem::take(&mut coming.is_shown) {
+                    self.notice = None;
+                }
+                self.do_part(Some(wish));
+                self.coming = Some(coming);
+                return;
+            }
+            (Some(_), Some(mut asked)) => {
+                match asked.follow(now, load) {
+                    Ok(()) => {
+                        coming.asked = Some(asked);
+                        ctx.request_repaint_after(PART_PATIENCE);
+                        self.coming = Some(coming);
+                    }
+                    Err(problem) => self.notice = Some((format!("the state is not shown: {problem}"), now)),
+                }
+                return;
+            }
+            // The server says what its file holds as soon as it has let the viewer in, if it offers any of it.
+            (None, _) if saved.is_some_and(names_part) && now < until => {
+                if !std::mem::replace(&mut coming.is_shown, true) {
+                    self.restore_with_note(ctx, now, window, &coming.read, None);
+                }
+                ctx.request_repaint_after(until.saturating_sub(now));
+                self.coming = Some(coming);
+                return;
+            }
+            (None, _) => {}
+        }
+        // What a hand has changed since stays.
+        match (coming.is_shown, problem) {
+            (true, None) => {}
+            (true, problem) => self.notice = problem.map(|problem| (problem, now)),
+            (false, problem) => self.restore_with_note(ctx, now, window, &coming.read, problem),
         }
     }
 
@@ -181,13 +298,41 @@ impl<S: FrameSource> ViewerApp<S> {
         ctx: &egui::Context,
         now: Duration,
         window: Intrinsics,
-        state: &SavedState,
-        note: Option<String>,
+        read: &ReadState,
+        problem: Option<String>,
     ) {
-        let problem = self.restore(ctx, now, window, state);
-        if let Some(note) = problem.or(note) {
+        let unlike = self.restore(ctx, now, window, &read.state);
+        if let Some(note) = problem.or(unlike).or_else(|| read.note.clone()) {
             self.notice = Some((note, now));
         }
+    }
+
+    /// Whether a state is of another volume of this machine than the one that is shown, and that can be opened here.
+    fn is_of_other_volume(&self, state: &SavedState) -> bool {
+        let named = |source: &str| match source.starts_with("builtin:") {
+            true => source.into(),
+            false => std::path::absolute(source).unwrap_or_else(|_| source.into()),
+        };
+        let present = self.options.volume_source.as_ref().filter(|_| self.opens_volumes);
+        let wanted = state.volume.as_ref().filter(|v| v.link().is_none()).and_then(|v| v.source.as_ref());
+        present.zip(wanted).is_some_and(|((present, _), wanted)| named(present) != named(wanted))
+    }
+
+    /// The line for the person at the viewer.
+    #[cfg(test)]
+    pub(crate) fn notice(&self) -> &str {
+        self.notice.as_ref().map_or("", |(text, _)| text)
+    }
+
+    /// The look that is wished for, and where the camera is.
+    #[cfg(test)]
+    pub(crate) fn seen(&self) -> Option<(isinglass_core::look::Look, isinglass_core::camera::Pose)> {
+        Some(((*self.viewing.look()?).clone(), self.controls.as_ref()?.1.pose()))
+    }
+
+    /// A state of another volume of this machine than the one that is shown; once.
+    pub(crate) fn take_state_wish(&mut self) -> Option<Box<ReadState>> {
+        self.wanted_state.take()
     }
 
     /// Does what was asked for by key or in the panel.
@@ -216,7 +361,7 @@ impl<S: FrameSource> ViewerApp<S> {
     /// A link to what is seen, for those who have a link of their own.
     pub(super) fn link_to(&self, state: SavedState) -> Option<String> {
         // Where the volume lies on a disk is not for whoever gets the link.
-        let volume = state.volume.map(|v| SavedVolume { source: None, ..v });
+        let volume = state.volume.map(SavedVolume::without_place);
         Some(self.options.link.as_ref()?.of_state(&state_to_link(&SavedState { volume, ..state })))
     }
 }
@@ -229,3 +374,8 @@ pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
         Theme::System => ThemePreference::System,
     }
 }
+
+/// How long a server that has let a viewer in may take to say what its file holds: it does so at once.
+const PARTS_PATIENCE: Duration = Duration::from_secs(3);
+/// How long it may take to begin to read a part: it does so at once, whatever it was reading.
+const PART_PATIENCE: Duration = Duration::from_secs(10);

@@ -175,7 +175,7 @@ impl Bindings {
             self.reverses_wheel = match chords {
                 [text] if text == "true" => true,
                 [text] if text == "false" => false,
-                other => return Err(BindingError::Switch(other.join(", "))),
+                other => return Err(BindingError::Switch(other.join(", ").chars().take(60).collect())),
             };
             return Ok(());
         }

@@ -127,3 +127,12 @@ fn mistakes_are_named_in_one_line() {
         assert!(!problem.contains('\n'));
     }
 }
+
+#[test]
+fn what_a_mistake_quotes_is_cut() {
+    let long = vec!["f{a=".repeat(2000)];
+    for name in Bindings::names().map(str::to_owned).chain(long.clone()) {
+        let message = Bindings::default().set(&name, &long).unwrap_err().to_string();
+        assert!(message.len() < 1500, "{name:.40}: {} bytes", message.len());
+    }
+}

@@ -9,6 +9,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use isinglass_net::ReceivedShot;
 
+use crate::bell::Bell;
+
 /// A picture that a thread writes.
 pub(super) struct Writing {
     outcome: Receiver<Result<PathBuf, String>>,
@@ -18,12 +20,12 @@ impl Writing {
     /// Writes a picture to `path`, or beside it under another number if there is a file already. Its folder is made.
     pub(super) fn start(path: PathBuf, shot: Arc<ReceivedShot>, ctx: &egui::Context) -> Self {
         let (sender, outcome) = sync_channel(1);
-        let ctx = ctx.clone();
+        let bell = Bell::of(ctx);
         let run = move || {
             let png = shot.png.as_deref().unwrap_or_default();
             // Nobody listens any more if the window is closed.
             let _ = sender.send(write(&path, png).map_err(|e| format!("{}: {e}", path.display())));
-            ctx.request_repaint();
+            bell.ring();
         };
         // Without a thread the sender is gone, and the outcome a failure.
         let _ = std::thread::Builder::new().name("picture".into()).spawn(run);

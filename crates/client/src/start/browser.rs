@@ -325,6 +325,7 @@ impl Browser {
     fn opens(&self, entry: &Entry) -> Option<bool> {
         Some(match entry.content? {
             Content::Volume(_) => self.takes_volumes,
+            Content::State => true,
             Content::Text => self.takes_texts,
             Content::Folder | Content::Other(_) => false,
         })
@@ -391,7 +392,11 @@ impl Browser {
         }
         let is_clicked = ui.horizontal(|ui| {
             let is_clicked = ui.button("Open").clicked();
-            ui.label(RichText::new("as a state, or as colours and opacities").color(color));
+            let text = match entry.is_state() {
+                true => "a saved state, with the volume that it names",
+                false => "as colours and opacities",
+            };
+            ui.add(egui::Label::new(RichText::new(text).color(color)).truncate());
             is_clicked
         });
         (opens || is_clicked.inner).then(|| entry.path.clone())

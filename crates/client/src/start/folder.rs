@@ -22,11 +22,17 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
+    /// Whether it is a state, which opens with the volume that it names.
+    pub(crate) fn is_state(&self) -> bool {
+        self.content == Some(Content::State)
+    }
+
     /// What it is, in a word or two.
     pub(crate) fn kind(&self) -> &'static str {
         match self.content {
             Some(Content::Volume(name)) => name,
             Some(Content::Other(what)) => what,
+            Some(Content::State) => "saved state",
             Some(Content::Text) => "text",
             Some(Content::Folder) => "folder",
             None if self.is_folder => "folder",

@@ -12,7 +12,7 @@ mod services;
 #[cfg(test)]
 mod tests;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use egui::{Align2, RichText, vec2};
@@ -20,7 +20,7 @@ use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion};
 use isinglass_core::look::Look;
 use isinglass_core::wire::{ClientStats, Welcome};
-use isinglass_formats::{LoadRequest, RecentEntry, RecentPlace, content_of};
+use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
 use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
 
 use self::opening::{Opened, Opening, later};
@@ -36,6 +36,14 @@ use crate::panels::{name_window, named, pane};
 use crate::parts_bar::warning;
 use crate::window::Waker;
 
+/// What dropped files are to the window.
+enum Dropped {
+    Volume(PathBuf),
+    State(Result<Box<ReadState>, String>),
+    /// For the viewer to look at.
+    Others(Vec<egui::DroppedFileHandle>),
+}
+
 /// See the module.
 pub(crate) struct StartWindow {
     app: ViewerApp<BoxedSource>,
@@ -48,7 +56,9 @@ pub(crate) struct StartWindow {
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
     problem: Option<String>,
-    dropped: Background<Result<Vec<egui::DroppedFileHandle>, PathBuf>>,
+    dropped: Background<Dropped>,
+    /// A state that was chosen in the list of files.
+    chosen: Background<Result<Box<ReadState>, String>>,
     /// Whether the list has led to a folder, or a person has gone to one.
     has_folder: bool,
     clock: Clock,
@@ -69,6 +79,8 @@ impl StartWindow {
         let here = std::env::current_dir().ok().filter(|here| here.parent().is_some());
         let folder = here.or_else(std::env::home_dir).unwrap_or_else(|| PathBuf::from("/"));
         let page = StartPage::new(folder, &wake);
+        let mut app = app;
+        app.leave_volumes_to_others();
         let mut window = Self {
             app,
             services,
@@ -80,6 +92,7 @@ impl StartWindow {
             opening: None,
             problem: None,
             dropped: Background::default(),
+            chosen: Background::default(),
             has_folder: false,
             clock,
             wake,
@@ -111,6 +124,7 @@ impl StartWindow {
             }
         }
         self.take_dropped(&ctx);
+        self.take_chosen();
         self.go_on(&ctx);
         let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
         let wish = if self.is_page_shown {
@@ -139,6 +153,10 @@ impl StartWindow {
                 self.show_page();
                 ctx.request_repaint();
             }
+            if let Some(read) = self.app.take_state_wish() {
+                self.open_state(Ok(read));
+                ctx.request_repaint();
+            }
             self.show_around(&ctx)
         };
         if let Some(wish) = wish {
@@ -156,6 +174,7 @@ impl StartWindow {
                 Err(problem) => self.problem = Some(problem),
             },
             PageWish::Open(request) => self.open(request),
+            PageWish::OpenState(path) => self.chosen.start(ctx, move || state_in(&path)),
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
             PageWish::Close => self.close(),
@@ -171,6 +190,53 @@ impl StartWindow {
         self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
     }
 
+    /// Begins to open the volume that a state names, to be seen as the state says. What is shown stays.
+    fn open_state(&mut self, read: Result<Box<ReadState>, String>) {
+        self.problem = None;
+        let opening = read.and_then(|read| {
+            let volume = read.state.volume.clone().unwrap_or_default();
+            let opening = match (volume.link(), &volume.source) {
+                (Some(link), _) => {
+                    let link = link.parse().map_err(|e| format!("The link of the state's volume: {e}"))?;
+                    Opening::connect(&link, &self.clock, &self.wake)?
+                }
+                (None, Some(source)) => {
+                    let (max_bytes, held) = (
+                        self.services.servers.max_bytes(),
+                        self.server.as_ref().map_or(0, |(_, bytes)| *bytes),
+                    );
+                    let selection = volume.selection().map_err(|e| format!("The state's region: {e}"))?;
+                    let request = LoadRequest { selection, max_bytes, ..LoadRequest::new(source.clone()) };
+                    let servers = self.services.servers.clone();
+                    Opening::local(request, held, servers, &self.clock, &self.wake)
+                }
+                (None, None) => {
+                    let place = match &volume.server {
+                        Some(server) => format!("was shown by the server {server}: connect to that"),
+                        None => "may lie anywhere: open it".into(),
+                    };
+                    let name = &volume.name;
+                    return Err(format!(
+                        "The state's volume, {name:?}, {place}, then drop the state on the picture."
+                    ));
+                }
+            };
+            Ok(opening.seen_as(*read))
+        });
+        match opening {
+            Ok(opening) => self.opening = Some(opening),
+            Err(problem) => self.problem = Some(problem),
+        }
+    }
+
+    /// Takes the state that was chosen in the list of files.
+    fn take_chosen(&mut self) {
+        let lost = |_| Err("the file could not be used".into());
+        if let Some(read) = self.chosen.take() {
+            self.open_state(read.unwrap_or_else(lost));
+        }
+    }
+
     /// Takes the next step of what is being opened.
     fn go_on(&mut self, ctx: &egui::Context) {
         let Some(opening) = &mut self.opening else { return };
@@ -178,7 +244,10 @@ impl StartWindow {
             self.opening = None;
             match ended {
                 Ok(opened) => self.show_opened(opened, ctx),
-                Err(problem) => self.problem = Some(problem),
+                Err(problem) => {
+                    tracing::warn!("{problem}");
+                    self.problem = Some(problem);
+                }
             }
         } else {
             // Its progress is not told, but asked for.
@@ -208,28 +277,37 @@ impl StartWindow {
         self.page.focus();
     }
 
-    /// Files that were dropped on the window are told apart by what they hold: volumes are opened here; everything else goes on
-    /// to the viewer, which knows presets and states.
+    /// Files that were dropped on the window are told apart by what they hold: volumes are opened here, and where nothing is
+    /// shown states with the volumes that they name; everything else goes on to the viewer, which knows presets and states.
     fn take_dropped(&mut self, ctx: &egui::Context) {
         let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
         if !files.is_empty() {
+            let takes_states = self.is_page_shown;
             self.dropped.start(ctx, move || {
-                let mut paths = files.iter().map(|file| file.path().to_owned());
-                let volume = paths.find(|path| content_of(path).is_ok_and(is_volume));
-                volume.map_or(Ok(files), Err)
+                let content = |path: &Path| content_of(path).ok();
+                let paths: Vec<_> = files.iter().map(|file| file.path().to_owned()).collect();
+                if let Some(volume) = paths.iter().find(|path| content(path).is_some_and(is_volume)) {
+                    return Dropped::Volume(volume.clone());
+                }
+                let is_state = |path: &&PathBuf| takes_states && content(path) == Some(Content::State);
+                match paths.iter().find(is_state) {
+                    Some(path) => Dropped::State(state_in(path)),
+                    None => Dropped::Others(files),
+                }
             });
         }
         match self.dropped.take() {
-            Some(Ok(Err(volume))) => {
+            Some(Ok(Dropped::Volume(volume))) => {
                 let source = volume.to_string_lossy().into_owned();
                 let max_bytes = self.services.servers.max_bytes();
                 self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
-            Some(Ok(Ok(files))) if self.is_page_shown => {
+            Some(Ok(Dropped::State(read))) => self.open_state(read),
+            Some(Ok(Dropped::Others(files))) if self.is_page_shown => {
                 let name = files.first().map(|f| f.path().display().to_string()).unwrap_or_default();
-                self.problem = Some(format!("{name}: found no volume that opens here."));
+                self.problem = Some(format!("{name}: found no volume or state that opens here."));
             }
-            Some(Ok(Ok(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
+            Some(Ok(Dropped::Others(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
             Some(Err(_)) | None => {}
         }
     }
@@ -274,9 +352,16 @@ impl StartWindow {
     }
 }
 
+/// Reads the state in a file. May wait for a disk.
+fn state_in(path: &Path) -> Result<Box<ReadState>, String> {
+    read_state(path).map(Box::new).map_err(|e| e.to_string())
+}
+
 impl eframe::App for StartWindow {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        self.show(ui);
+        let (ctx, is_watched, before) = (ui.ctx().clone(), self.app.is_watched(), *self.app.waits());
+        let after = before.watch(&ctx, is_watched, || self.show(ui));
+        *self.app.waits() = after;
     }
 }
 

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
 use isinglass_core::volume::Volume;
-use isinglass_formats::{FormatError, LoadRequest, Loading, Outline, RecentPlace, outline, state_from_link};
+use isinglass_formats::{
+    FormatError, LoadRequest, Loading, Outline, ReadState, RecentPlace, outline, state_from_link,
+};
 use isinglass_net::{Client, ClientOptions, Clock, Link, State};
 
 use super::services::{LocalServer, LocalServers};
@@ -75,12 +77,8 @@ impl Opening {
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
         let client = client(link, clock, wake)?;
         let name = format!("{}:{}", link.host, link.port);
-        let origin = Origin {
-            server_name: name.clone(),
-            link: Some(link.clone()),
-            volume_source: None,
-            state: state.map(|read| read.state),
-        };
+        let origin =
+            Origin { server_name: name.clone(), link: Some(link.clone()), volume_source: None, state };
         Ok(Self {
             name,
             place,
@@ -110,10 +108,10 @@ impl Opening {
             false => std::path::absolute(&request.source)
                 .map_or_else(|_| request.source.clone(), |path| path.to_string_lossy().into_owned()),
         };
-        let place = RecentPlace::Volume { source, selection: request.selection };
+        let place = RecentPlace::Volume { source: source.clone(), selection: request.selection };
         let origin = Origin {
             server_name: "this computer".into(),
-            volume_source: Some((request.source.clone(), request.selection)),
+            volume_source: Some((source, request.selection)),
             ..Origin::default()
         };
         let (of_thread, servers_of_thread) = (request.clone(), servers.clone());
@@ -129,6 +127,12 @@ impl Opening {
             outline: None,
             server: None,
         }
+    }
+
+    /// The same, to be seen as a state says.
+    pub(crate) fn seen_as(mut self, read: ReadState) -> Self {
+        self.origin.state = Some(read);
+        self
     }
 
     /// How far it is.

@@ -21,6 +21,8 @@ pub(crate) enum PageWish {
     Connect(Box<Link>),
     /// To see a volume of this machine.
     Open(LoadRequest),
+    /// To see what a state in a file says, of the volume that it names.
+    OpenState(PathBuf),
     /// What is being opened is not wanted any more.
     Cancel,
     /// Back to what was shown.
@@ -228,8 +230,11 @@ impl StartPage {
         title(ui, "Open a volume of this computer");
         let height = height - 34.0;
         let volumes = (&scene.services.servers, scene.held);
-        if let Some(Chosen::Volume(request)) = self.browser.show(ui, Some(volumes), height) {
-            *wish = Some(PageWish::Open(request));
+        match self.browser.show(ui, Some(volumes), height) {
+            Some(Chosen::Volume(request)) => *wish = Some(PageWish::Open(request)),
+            // Of texts the page takes states.
+            Some(Chosen::Text(path)) => *wish = Some(PageWish::OpenState(path)),
+            None => {}
         }
     }
 }

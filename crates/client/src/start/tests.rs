@@ -16,6 +16,8 @@ use isinglass_formats::{Outline, Recent, Selection};
 use isinglass_net::{Greeting, Identity, Link, Server, ServerOptions};
 use tempfile::TempDir;
 
+mod states;
+
 use super::*;
 use crate::novel_view::{LAYERS, NovelViews};
 use crate::window::WindowOptions;
@@ -445,9 +447,9 @@ fn a_slow_opening_holds_up_no_refresh_and_can_be_cancelled() {
 }
 
 #[derive(Debug)]
-struct Dropped(PathBuf);
+struct DroppedFile(PathBuf);
 
-impl egui::DroppedFile for Dropped {
+impl egui::DroppedFile for DroppedFile {
     fn path(&self) -> &Path {
         &self.0
     }
@@ -462,12 +464,12 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
     let drop_file = |stage: &mut Stage, name: &str| {
         let path = stage.folder.path().join("data").join(name);
-        stage.window.input_mut().dropped_files.push(Arc::new(Dropped(path)));
+        stage.window.input_mut().dropped_files.push(Arc::new(DroppedFile(path)));
         stage.window.run_steps(2);
     };
     drop_file(&mut stage, "notes.txt");
     until(&mut stage.window, "a message", |w| w.state().problem.is_some());
-    assert!(stage.has("notes.txt: found no volume that opens here"));
+    assert!(stage.has("notes.txt: found no volume or state that opens here"));
     drop_file(&mut stage, "film.nrrd");
     until(&mut stage.window, "the volume", is_shown);
     assert!(stage.window.state().problem.is_none());

@@ -63,9 +63,12 @@ pub struct SavedState {
 pub struct SavedVolume {
     /// File name or name of the built-in volume.
     pub name: String,
-    /// What to open it by, where that is known: a path or `builtin:NAME`.
+    /// What to open it by, where that is known: a path, `builtin:NAME`, or the link of a server.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
+    /// The server that showed it, `host:port`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub server: Option<String>,
     /// Channel of the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channel: Option<u32>,
@@ -117,6 +120,39 @@ impl SavedVolume {
         let &Self { channel, time, level, series, .. } = self;
         let region = self.region.as_deref().map(str::parse).transpose()?;
         Ok(Selection { channel, time, level, series, region })
+    }
+
+    /// The link to open it by, if it is one.
+    pub fn link(&self) -> Option<&str> {
+        self.source.as_deref().filter(|source| source.trim_start().starts_with(LINK_SCHEME))
+    }
+
+    /// The same without its place, which is not for everyone to know.
+    pub fn without_place(self) -> Self {
+        Self { source: None, server: None, ..self }
+    }
+
+    /// Whether it is to be opened from a file, and that is there. May wait for a disk.
+    pub fn is_here(&self) -> bool {
+        let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return false };
+        source.starts_with(BUILTIN) || Path::new(source).exists()
+    }
+
+    /// The volume's file where it is now: as it is named; else under the same name beside the state in the file `state`, so that
+    /// both can be moved together.
+    fn found_beside(self, state: &Path) -> Self {
+        let Some(folder) = state.parent() else { return self };
+        let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return self };
+        let named = Path::new(source);
+        let beside = match named.is_relative() {
+            true => Some(folder.join(named)),
+            false if !named.exists() => named.file_name().map(|name| folder.join(name)),
+            false => None,
+        };
+        let found = beside.filter(|path| !source.starts_with(BUILTIN) && path.exists());
+        let found =
+            found.and_then(|path| std::path::absolute(path).ok()?.into_os_string().into_string().ok());
+        Self { source: found.or(self.source), ..self }
     }
 
     /// In one line how another volume differs from the one that the state was made of, if it is another one. Names may
@@ -329,25 +365,34 @@ impl SavedState {
     }
 
     fn problem(&self) -> Option<String> {
+        let volume = || {
+            let volume = self.volume.as_ref()?;
+            let mut numbers = volume.spacing.iter().chain(&volume.range);
+            let odd = numbers.find(|x| !x.is_finite());
+            odd.map(|x| format!("the volume's spacing or range is {x}, expected finite numbers"))
+        };
         let selection = || self.volume.as_ref()?.selection().err().map(|e| format!("region: {e}"));
         let look = || self.look.as_ref()?.validate().err().map(|e| e.to_string());
         self.camera
             .as_ref()
             .and_then(SavedCamera::problem)
             .or_else(|| self.view.problem())
+            .or_else(volume)
             .or_else(selection)
             .or_else(look)
     }
 }
 
-/// The state in a file.
+/// The state in a file. A volume that is not where the state says, but beside it, is said to be there.
 ///
 /// # Errors
 /// If there is no such file, or no state of a known form in it: one line that says where.
 pub fn read_state(path: &Path) -> Result<ReadState, FormatError> {
     let mut bytes = Vec::new();
     open_file(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    state_from_bytes(&bytes, path)
+    let ReadState { state, note } = state_from_bytes(&bytes, path)?;
+    let volume = state.volume.map(|volume| volume.found_beside(path));
+    Ok(ReadState { state: SavedState { volume, ..state }, note })
 }
 
 /// The state in the bytes of a file. `path` is for messages.
@@ -380,6 +425,10 @@ const VERSION_KEY: &str = "isinglass_state";
 /// The form that is written and read here.
 const VERSION: i64 = 1;
 const EXPECTED: &str = "a saved state";
+/// How links begin.
+const LINK_SCHEME: &str = "isinglass://";
+/// How built-in volumes do.
+const BUILTIN: &str = "builtin:";
 
 #[cfg(test)]
 mod tests;

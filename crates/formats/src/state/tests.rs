@@ -174,3 +174,48 @@ fn another_volume_is_told_from_the_same_under_another_name() {
     let other = SavedVolume { dims: [5, 6, 8], ..moved };
     assert!(volume.difference(&other).unwrap().contains("5×6×8"));
 }
+
+/// One of them cannot be written, and no volume has any.
+#[test]
+fn a_volume_of_numbers_that_are_none_is_refused() {
+    for number in ["nan", "inf", "-inf", "1e999"] {
+        for key in ["range = [0.0, N]", "spacing = [N, 1.0, 1.0]"] {
+            let text = state(0).to_toml();
+            let (name, _) = key.split_once(' ').unwrap();
+            let line = text.lines().find(|line| line.starts_with(name)).unwrap();
+            let bad = text.replace(line, &key.replace('N', number));
+            let problem = from_text(&bad).unwrap_err();
+            assert!(problem.contains("expected finite numbers"), "{problem}");
+        }
+    }
+}
+
+#[test]
+fn a_volume_that_was_moved_with_its_state_is_found_beside_it() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("seen.toml");
+    let beside = folder.path().join("head.nrrd");
+    let read = |source: &str| {
+        let volume = SavedVolume { source: Some(source.into()), ..state(0).volume.unwrap() };
+        std::fs::write(&path, SavedState { volume: Some(volume), ..state(0) }.to_toml()).unwrap();
+        read_state(&path).unwrap().state.volume.unwrap()
+    };
+    // As long as it is not there, nothing is made up.
+    for source in ["/nowhere/at/all/head.nrrd", "head.nrrd", "builtin:cloud", "isinglass://h:1/#token=0"] {
+        let volume = read(source);
+        assert_eq!(volume.source.as_deref(), Some(source));
+        assert_eq!(volume.is_here(), source == "builtin:cloud", "{source}");
+    }
+    std::fs::write(&beside, "NRRD0004").unwrap();
+    for source in ["/nowhere/at/all/head.nrrd", "head.nrrd", "./head.nrrd"] {
+        let volume = read(source);
+        assert!(volume.is_here() && Path::new(volume.source.as_ref().unwrap()).is_absolute(), "{volume:?}");
+        assert_eq!(std::fs::read(volume.source.unwrap()).unwrap(), b"NRRD0004");
+    }
+    // Where it is named, it is taken from there.
+    let elsewhere = tempfile::TempDir::new().unwrap();
+    let other = elsewhere.path().join("head.nrrd");
+    std::fs::write(&other, "NRRD0005").unwrap();
+    assert_eq!(read(other.to_str().unwrap()).source.as_deref(), other.to_str());
+    assert_eq!(read("isinglass://h:1/head.nrrd").link(), Some("isinglass://h:1/head.nrrd"));
+}

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::output::write_whole;
+use isinglass_bench::progress::note;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
@@ -78,6 +79,10 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         Some(Target::Volume(_)) | None => None,
     };
     let seen = args.state.read_or(of_link, given)?;
+    let target = match (args.target, seen.link()) {
+        (None, Some(link)) => Some(Target::Server(link.context("the link of the state's volume")?)),
+        (target, _) => target,
+    };
     let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
     // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
     if !display_available() {
@@ -103,7 +108,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let is_of_volume = raw.is_some() || selection != Selection::default() || spacing.is_some();
     let limit = args.memory.bytes();
     let of_state = seen.state.volume.as_ref().filter(|v| v.source.is_some());
-    match args.target {
+    match target {
         Some(Target::Server(_)) if is_of_volume => {
             bail!(
                 "--channel, --time, --dims and the like belong to a volume, found a link; give them to `serve`"
@@ -133,7 +138,14 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         None if is_of_volume => {
             bail!("--channel, --time, --dims and the like belong to a volume, found none");
         }
-        None => run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?,
+        None => {
+            if let Some(server) = seen.state.volume.as_ref().and_then(|v| v.server.as_deref()) {
+                note(&format!(
+                    "the state was made with the server {server}: connect to that, and it is shown"
+                ));
+            }
+            run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?;
+        }
     }
     if let (Some(file), Some(recorder)) = (args.record, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);

@@ -142,13 +142,13 @@ fn ctrl_o_opens_states_and_presets_from_a_list_of_files() {
         sees(w, says);
         press(w, Modifiers::NONE, Key::Enter);
     };
-    choose(&mut w, "a", "as a state");
+    choose(&mut w, "a", "a saved state");
     wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.k == 5));
     assert_eq!(state(&w), wanted);
     assert!(!w.state().open_dialog.is_open() && !w.state().is_look_open);
     let mut w = window([640.0, 480.0]);
     w.state_mut().open_dialog.begin_at(folder.path());
-    choose(&mut w, "b", "as a state");
+    choose(&mut w, "b", "as colours and opacities");
     wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.transfer == transfer));
     assert!(w.state().is_look_open);
     // Nobody opens volumes in this window.

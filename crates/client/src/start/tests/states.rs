@@ -1,0 +1,165 @@
+//! States that are opened where their volume is not shown yet.
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_formats::{SavedCamera, SavedState, SavedVolume, preset};
+
+use super::*;
+
+/// A view of its own of the volume at `source`, which is not what a window begins with.
+fn state(source: Option<&str>) -> SavedState {
+    let pose = Pose::orbit(glam::Vec3::ZERO, 0.7, -0.4, 9.0);
+    let eye_from_center = pose.world_from_view.inverse() * pose.eye;
+    let camera = SavedCamera::of(
+        glam::Vec3::ZERO,
+        (pose.world_from_view, eye_from_center),
+        Intrinsics::perspective(640, 480, 0.6),
+    );
+    let volume = SavedVolume {
+        name: "film.nrrd".into(),
+        source: source.map(str::to_owned),
+        time: Some(2),
+        dims: [6, 5, 4],
+        spacing: [1.0; 3],
+        range: [7.0, 7.0],
+        ..SavedVolume::default()
+    };
+    SavedState {
+        volume: Some(volume),
+        camera: Some(camera),
+        look: Some(Look { k: 5, ..Look::new(preset("cubus").unwrap()) }),
+        ..SavedState::default()
+    }
+}
+
+impl Stage {
+    fn drop_file(&mut self, path: PathBuf) {
+        self.window.input_mut().dropped_files.push(Arc::new(DroppedFile(path)));
+        self.window.run_steps(2);
+    }
+
+    fn data(&self, name: &str) -> PathBuf {
+        self.folder.path().join("data").join(name)
+    }
+
+    fn write(&self, name: &str, state: &SavedState) -> PathBuf {
+        let path = self.data(name);
+        std::fs::write(&path, state.to_toml()).unwrap();
+        path
+    }
+
+    /// Whether the picture is as the state says.
+    fn is_seen_as(&self, state: &SavedState) -> bool {
+        let seen = self.window.state().app.seen();
+        let wanted = (state.look.clone().unwrap(), state.camera.unwrap().pose());
+        is_shown(&self.window) && seen == Some(wanted)
+    }
+}
+
+#[test]
+fn a_dropped_state_opens_the_volume_that_it_names_and_shows_it_as_it_says() {
+    // Where it is, and moved together with the state.
+    for moved in [false, true] {
+        let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+        let source = if moved { "/not/there/any/more/film.nrrd".into() } else { stage.data("film.nrrd") };
+        let state = state(source.to_str());
+        let path = stage.write("seen.toml", &state);
+        // The control: opened by itself, the volume is seen otherwise.
+        stage.drop_file(stage.data("film.nrrd"));
+        until(&mut stage.window, "the volume", is_shown);
+        assert!(!stage.is_seen_as(&state));
+        stage.window.key_press_modifiers(Modifiers::COMMAND, Key::N);
+        stage.window.run_steps(3);
+        stage.drop_file(path);
+        until(&mut stage.window, "the state", |w| is_shown(w) && w.state().opening.is_none());
+        assert!(stage.is_seen_as(&state), "moved: {moved}");
+        let started = stage.servers.started.lock().unwrap().clone();
+        assert_eq!(started[1].0, Selection { time: Some(2), ..Selection::default() });
+    }
+}
+
+#[test]
+fn a_state_over_another_volume_opens_its_own() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    stage.drop_file(stage.data("inner/small.nrrd"));
+    until(&mut stage.window, "the volume", is_shown);
+    let state = state(stage.data("film.nrrd").to_str());
+    let path = stage.write("seen.toml", &state);
+    stage.drop_file(path.clone());
+    until(&mut stage.window, "the other volume", |w| {
+        w.state().services.servers.max_bytes() > 0 && is_shown(w) && {
+            w.state().app.seen().is_some_and(|(look, _)| look.k == 5)
+        }
+    });
+    assert!(stage.is_seen_as(&state));
+    assert_eq!(stage.servers.started.lock().unwrap().len(), 2);
+    // Once more, and one whose volume is nowhere on this machine: it is there already, and opened no second time.
+    stage.drop_file(path);
+    until(&mut stage.window, "the state", |w| !w.state().dropped.is_busy() && w.state().opening.is_none());
+    let mut elsewhere = state.clone();
+    elsewhere.volume.as_mut().unwrap().source = Some("/nowhere/none.nrrd".into());
+    let path = stage.write("elsewhere.toml", &elsewhere);
+    stage.drop_file(path);
+    until(&mut stage.window, "the state", |w| !w.state().dropped.is_busy() && w.state().opening.is_none());
+    stage.window.run_steps(20);
+    assert_eq!(stage.servers.started.lock().unwrap().len(), 2);
+}
+
+#[test]
+fn a_state_is_chosen_in_the_list_of_files() {
+    let mut stage = Stage::new(Servers::default(), |folder| {
+        let state = state(folder.join("data/film.nrrd").to_str());
+        std::fs::write(folder.join("data/seen.toml"), state.to_toml()).unwrap();
+        Recent::default()
+    });
+    wait_for_kinds(&mut stage.window);
+    stage.window.get_by_label("files").focus();
+    stage.window.run_steps(2);
+    stage.window.event(Event::Text("see".into()));
+    stage.window.run_steps(2);
+    assert!(stage.has("a saved state, with the volume that it names"));
+    press(&mut stage.window, Key::Enter);
+    until(&mut stage.window, "the volume", is_shown);
+    assert!(stage.is_seen_as(&state(stage.data("film.nrrd").to_str())));
+}
+
+#[test]
+fn a_state_whose_volume_is_a_link_connects_to_it() {
+    let (_runtime, links) = porter(&Builtin::Shells.volume(16));
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let state = state(Some(&links[0].to_string()));
+    let path = stage.write("seen.toml", &state);
+    stage.drop_file(path);
+    until(&mut stage.window, "the server", is_shown);
+    stage.window.run_steps(3);
+    // What the server shows is another volume, which is said; where a camera may be there is for the controls to say.
+    assert_eq!(stage.window.state().app.seen().map(|(look, _)| look.k), Some(5));
+    let notice = stage.window.state().app.notice();
+    assert!(notice.contains("the state was made of") && notice.contains("16×16×16"), "{notice}");
+    assert!(stage.servers.started.lock().unwrap().is_empty());
+}
+
+#[test]
+fn what_a_state_needs_and_is_not_there_is_named_and_the_page_stays() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let cases = [
+        (Some("/nowhere/none.nrrd"), None, "/nowhere/none.nrrd"),
+        (None, None, "may lie anywhere"),
+        (None, Some("render-01:4433"), "was shown by the server render-01:4433"),
+        (Some("isinglass://h:1/#cert=sha256:00"), None, "The link of the state's volume"),
+    ];
+    for (source, server, words) in cases {
+        let mut state = state(source);
+        state.volume.as_mut().unwrap().server = server.map(str::to_owned);
+        let path = stage.write("seen.toml", &state);
+        stage.drop_file(path);
+        until(&mut stage.window, "a message", |w| w.query_all_by_label_contains(words).next().is_some());
+        assert!(stage.has("Connect to a server") && stage.window.state().opening.is_none(), "{words}");
+        assert!(!stage.window.state().has_session);
+    }
+    // A damaged one.
+    std::fs::write(stage.data("seen.toml"), "isinglass_state = 1\nvolume = 3\n").unwrap();
+    stage.drop_file(stage.data("seen.toml"));
+    until(&mut stage.window, "a message", |w| {
+        w.query_all_by_label_contains("seen.toml: line 2").next().is_some()
+    });
+}

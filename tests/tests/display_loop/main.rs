@@ -1,0 +1,279 @@
+//! Does the display loop wait for anything: the network, a disk, a lock?
+//!
+//! A real window on a real connection, while frames arrive, looks change, another volume is read from a file, the server goes
+//! away, and another one comes in its place. What is counted is how many refreshes gave up their core to wait, as the system
+//! says (`isinglass_client::Waits`), so the machine's load does not matter. Only waits at the locks of the system's allocator
+//! are excused, and counted by themselves. Like `viewer.rs` it needs a display, and runs on the main thread; the count is
+//! Linux's.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test without the harness that would allow both"
+)]
+
+mod allocator;
+mod backstage;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_client::{FrameSource, Probe, ScriptStep, Waits, WindowOptions, display_available, run_window};
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::ids::{FrameId, LookVersion};
+use isinglass_core::look::Look;
+use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, Welcome};
+use isinglass_net::{Client, Clock, LinkStats, ReceivedFrame, State};
+
+use backstage::Backstage;
+
+fn main() {
+    if !display_available() {
+        assert!(
+            std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"),
+            "no display: DISPLAY names no X server that answers"
+        );
+        println!("skipped: no display (run under xvfb-run to open the window)");
+        return;
+    }
+    if !cfg!(target_os = "linux") {
+        println!("skipped: this system does not count what a thread waits for");
+        return;
+    }
+    // The program itself shall not be read from the disk in the middle of a refresh, when a part of it is first needed.
+    let mut program = std::fs::File::open("/proc/self/exe").unwrap();
+    std::io::copy(&mut program, &mut std::io::sink()).unwrap();
+    allocator::tell_waits_of_this_thread();
+    let seen = play(Duration::ZERO);
+    println!("{seen:?}");
+    seen.assert_whole();
+    assert_eq!(seen.waits.waited, 0, "a refresh waits: {seen:?}");
+    // Who meets at the allocator's locks, and how often, is the system's matter; at every refresh it would be ours.
+    assert!(seen.waits.excused * 4 <= seen.waits.refreshes, "{seen:?}");
+    println!(
+        "ok: refreshes do not wait while frames come, looks change, volumes are read and servers come and go"
+    );
+
+    // Negative control: a source that waits for its lock a thousandth of a second.
+    let seen = play(Duration::from_millis(1));
+    println!("{seen:?}");
+    seen.assert_whole();
+    assert!(seen.waits.waited * 10 >= seen.waits.refreshes * 9, "{seen:?}");
+    println!("ok: a source that waits is seen");
+}
+
+/// What a window saw, from its first picture on.
+#[derive(Debug, Default)]
+struct Seen {
+    waits: Waits,
+    states: Vec<&'static str>,
+    num_frames: usize,
+    num_looks: usize,
+    act: Act,
+    /// The refreshes when it began.
+    act_begun_at: u64,
+    /// What was counted before the first picture.
+    begun_at: Option<Waits>,
+}
+
+/// What is going on behind the window. Each act lasts until its end has come, and at least [`REFRESHES`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Act {
+    /// A server's first volume.
+    #[default]
+    First,
+    /// Another volume is read, until its frames are there.
+    OtherVolume,
+    /// The server has ended.
+    NoServer,
+    /// Another one starts, until its frames are there.
+    OtherServer,
+    Over,
+}
+
+impl Seen {
+    fn assert_whole(&self) {
+        assert_eq!(self.act, Act::Over, "{self:?}");
+        for state in ["connected", "reconnecting"] {
+            assert!(self.states.contains(&state), "{self:?}");
+        }
+        assert!(self.num_frames > 3 && self.num_looks > 6, "{self:?}");
+    }
+
+    fn note(&mut self, probe: &Probe, client: &Client) {
+        let state = match client.state() {
+            State::Connecting { .. } => "connecting",
+            State::Connected => "connected",
+            State::Reconnecting { .. } => "reconnecting",
+            State::Refused(_) => "refused",
+        };
+        if !self.states.contains(&state) {
+            self.states.push(state);
+        }
+        let begun = *self.begun_at.get_or_insert(probe.waits);
+        let Waits { refreshes, waited, excused } = probe.waits;
+        self.waits = Waits {
+            refreshes: refreshes - begun.refreshes,
+            waited: waited - begun.waited,
+            excused: excused - begun.excused,
+        };
+    }
+}
+
+/// Turns the volume in a window, with another look at every tenth refresh, through all acts. Each refresh is held up for
+/// `delay`.
+fn play(delay: Duration) -> Seen {
+    let seen = Rc::new(RefCell::new(Seen::default()));
+    let client = Rc::new(RefCell::new(None::<Client>));
+    let backstage = Rc::new(RefCell::new(None::<Backstage>));
+    let script = {
+        let (seen, client, backstage) = (seen.clone(), client.clone(), backstage.clone());
+        let mut newest = None;
+        move |probe: &Probe| {
+            let mut seen = seen.borrow_mut();
+            assert!(probe.now < Duration::from_secs(240), "{seen:?}");
+            let backstage = backstage.borrow();
+            let backstage = backstage.as_ref().unwrap();
+            if let Some(next) = backstage.client() {
+                if let Some(before) = client.borrow_mut().replace(next) {
+                    backstage.forget(before);
+                }
+                newest = None;
+            }
+            let client = client.borrow();
+            let Some(client) = client.as_ref() else { return ScriptStep::Continue };
+            let frame = client.latest_frame();
+            if frame.is_none() && seen.begun_at.is_none() {
+                return ScriptStep::Continue;
+            }
+            seen.note(probe, client);
+            let number = frame.as_ref().map(|f| f.frame.header.frame);
+            if number.is_some() && std::mem::replace(&mut newest, number) != number {
+                seen.num_frames += 1;
+            }
+            let n = seen.waits.refreshes;
+            if n.is_multiple_of(10) {
+                let mut look = backstage::look();
+                look.transfer.points[0].opacity = (n % 100) as f32 * 0.01;
+                client.set_look(look).unwrap();
+                seen.num_looks += 1;
+            }
+            if n < seen.act_begun_at + REFRESHES {
+                return ScriptStep::Continue;
+            }
+            let time = client.parts().and_then(|parts| parts.shown.time);
+            let has_frame = frame.is_some_and(|frame| client.is_of_volume(&frame));
+            let next = match seen.act {
+                Act::First => {
+                    client.open_part(Some(Part { time: Some(1), ..Part::default() }));
+                    Act::OtherVolume
+                }
+                Act::OtherVolume if time == Some(1) && has_frame => {
+                    backstage.end_server();
+                    Act::NoServer
+                }
+                Act::NoServer if seen.states.contains(&"reconnecting") => {
+                    backstage.start_server();
+                    Act::OtherServer
+                }
+                Act::OtherServer if time == Some(0) && has_frame => Act::Over,
+                Act::Over => return ScriptStep::Close,
+                _ => return ScriptStep::Continue,
+            };
+            (seen.act, seen.act_begun_at) = (next, n);
+            ScriptStep::Continue
+        }
+    };
+    let options = WindowOptions {
+        size: [320, 240],
+        auto_orbit_degrees_per_second: 40.0,
+        script: Some(Box::new(script)),
+        ..Default::default()
+    };
+    let clock = Clock::start();
+    run_window(options, clock.clone(), {
+        let (client, backstage) = (client.clone(), backstage.clone());
+        move |wake| {
+            let servers = Backstage::new(clock, wake);
+            servers.start_server();
+            *backstage.borrow_mut() = Some(servers);
+            Ok(DelayedSource { client, delay })
+        }
+    })
+    .unwrap();
+    client.borrow_mut().take();
+    seen.take()
+}
+
+/// The network's client, shared with the script, which may put another in its place.
+struct DelayedSource {
+    client: Rc<RefCell<Option<Client>>>,
+    delay: Duration,
+}
+
+impl DelayedSource {
+    fn of_client<T>(&self, read: impl FnOnce(&Client) -> T) -> Option<T> {
+        self.client.borrow().as_ref().map(read)
+    }
+}
+
+impl FrameSource for DelayedSource {
+    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
+        self.of_client(|client| client.set_pose(pose, intrinsics));
+    }
+
+    fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        if !self.delay.is_zero() {
+            std::thread::sleep(self.delay);
+        }
+        self.of_client(Client::latest_frame)?
+    }
+
+    fn state(&self) -> State {
+        self.of_client(Client::state).unwrap_or(State::Connecting { attempt: 1, problem: None })
+    }
+
+    fn stats(&self) -> LinkStats {
+        self.of_client(Client::stats).unwrap_or_default()
+    }
+
+    fn description(&self) -> Option<Arc<Welcome>> {
+        self.of_client(Client::description)?
+    }
+
+    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
+        self.of_client(Client::look)?
+    }
+
+    fn set_look(&mut self, look: Look) {
+        self.of_client(|client| client.set_look(look).unwrap());
+    }
+
+    fn take_notice(&mut self) -> Option<String> {
+        self.of_client(Client::take_notice)?
+    }
+
+    fn note_shown(&mut self, frame: FrameId) {
+        self.of_client(|client| client.note_shown(frame));
+    }
+
+    fn report(&mut self, stats: ClientStats) {
+        self.of_client(|client| client.report(stats));
+    }
+
+    fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
+        self.of_client(|client| client.is_of_volume(frame)).unwrap_or(true)
+    }
+
+    fn parts(&self) -> Option<Arc<Parts>> {
+        self.of_client(Client::parts)?
+    }
+
+    fn load(&self) -> Option<LoadStatus> {
+        self.of_client(Client::load)?
+    }
+}
+
+/// Refreshes of an act at least.
+const REFRESHES: u64 = 30;
