@@ -71,11 +71,12 @@ impl Wishes {
     }
 
     pub(super) fn probe(&self, point: [f32; 3]) -> ProbeId {
-        let id = ProbeId(self.newest_probe.fetch_add(1, Ordering::Relaxed).wrapping_add(1));
-        if point.iter().all(|x| x.is_finite()) {
-            self.probe.store(Some(Arc::new(ProbeRequest { id, point })));
-            self.knock();
+        if !point.iter().all(|x| x.is_finite()) {
+            return ProbeId(self.newest_probe.load(Ordering::Relaxed));
         }
+        let id = ProbeId(self.newest_probe.fetch_add(1, Ordering::Relaxed).wrapping_add(1));
+        self.probe.store(Some(Arc::new(ProbeRequest { id, point })));
+        self.knock();
         id
     }
 
