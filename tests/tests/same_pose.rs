@@ -8,7 +8,6 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::codec;
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
@@ -108,14 +107,7 @@ fn check_scene(source: &str, scene: &Scene, backends: &[Backend], rules: &[Layer
         assert!(truth.pixels.iter().any(|p| p[3] > seen), "{source} shows nothing");
         for &layering in rules {
             let at = format!("{source}, {layering}, {}", backend.description());
-            let header = FrameHeader {
-                frame: FrameId(1),
-                pose: PoseId(1),
-                look: LookVersion(1),
-                camera,
-                k: 8,
-                mode: Default::default(),
-            };
+            let header = FrameHeader::alone(camera, 8);
             let frame = renderer.generate(header, layering).unwrap();
             assert_eq!(frame.header.mode, scene.settings.mode, "{at}");
             let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
@@ -159,14 +151,7 @@ fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
                 renderer.set_scene(Scene { settings, ..whole.clone() }).unwrap();
                 let truth = renderer.render(&camera).unwrap();
                 assert!(error(&truth, &uncut).max_abs_255 > 30, "{at}: nothing is cut away");
-                let header = FrameHeader {
-                    frame: FrameId(1),
-                    pose: PoseId(1),
-                    look: LookVersion(1),
-                    camera,
-                    k: 8,
-                    mode: Default::default(),
-                };
+                let header = FrameHeader::alone(camera, 8);
                 let frame = renderer.generate(header, Layering::default()).unwrap();
                 let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
                 let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();

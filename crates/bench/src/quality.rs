@@ -10,7 +10,6 @@ use std::time::Instant;
 
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
@@ -179,18 +178,6 @@ pub fn march_settings(shaded: bool) -> MarchSettings {
     MarchSettings::of(shaded, Lighting::default())
 }
 
-/// The header of a frame that answers nobody.
-pub fn header(camera: Camera, k: u8) -> FrameHeader {
-    FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(0),
-        look: LookVersion(0),
-        camera,
-        k,
-        mode: Default::default(),
-    }
-}
-
 /// Runs `body` and returns its result and milliseconds: the lesser of two times if the first was short, as a first run
 /// may have to compile shaders or fill caches.
 pub fn timed<T>(mut body: impl FnMut() -> Result<T, BenchError>) -> Result<(T, f64), BenchError> {
@@ -254,7 +241,7 @@ fn measure_scene(
     for (rule, methods) in methods_by_rule(&options.rules, &options.methods) {
         for k in rule.ks(&options.subject.ks) {
             let camera = options.subject.orbit.camera(options.frame_intrinsics, &bounds);
-            let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, header(camera, k)))?;
+            let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, FrameHeader::alone(camera, k)))?;
             let made = Made::new(options, rule, k, frame, generate_ms)?;
             for &method in methods.iter().filter(|m| **m != Method::LastImage) {
                 measure_method(backend, options, source, &made, method, &truth, rows)?;

@@ -125,7 +125,6 @@ const MAX_DISTANCE_IN_RADII: f32 = 1e4;
 
 #[cfg(test)]
 mod tests {
-    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 
     use super::*;
 
@@ -155,14 +154,7 @@ mod tests {
             let turned = Orbit { azimuth_degrees: 33.0, elevation_degrees: -12.0, ..Orbit::default() };
             let orbit = Orbit { distance_in_radii, ..turned }.upright(Some("LPS"));
             let camera = orbit.camera(intrinsics, &bounds);
-            let header = FrameHeader {
-                frame: FrameId(1),
-                pose: PoseId(0),
-                look: LookVersion(0),
-                camera,
-                k: 8,
-                mode: Default::default(),
-            };
+            let header = FrameHeader::alone(camera, 8);
             // Single precision over a few operations on numbers of the order of 10.
             assert!((radius_from_header(&header) - bounds.radius()).abs() < 1e-4);
             let again = orbit_of_frame(&Orbit { distance_in_radii: None, ..orbit }, intrinsics, &header);

@@ -187,7 +187,7 @@ mod tests {
 
     use glam::Vec3;
     use isinglass_core::camera::{Intrinsics, Pose};
-    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+
     use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
     use super::*;
@@ -215,14 +215,7 @@ mod tests {
     fn wish(width: u32) -> Wish {
         let intrinsics = Intrinsics::perspective(width, 1, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), intrinsics, &BOUNDS);
-        let header = FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(1),
-            look: LookVersion(0),
-            camera,
-            k: 4,
-            mode: Default::default(),
-        };
+        let header = FrameHeader::alone(camera, 4);
         let frame = LayeredFrame::empty(header);
         let frame = ReceivedFrame { frame, is_complete: true, is_exact: true, times: Default::default() };
         Wish { view: 0, frame: Arc::new(frame), bounds: BOUNDS, camera }

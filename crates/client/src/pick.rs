@@ -75,7 +75,7 @@ const LEAST_OPACITY: f32 = 0.02;
 #[cfg(test)]
 mod tests {
     use isinglass_core::camera::{Intrinsics, Pose};
-    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+
     use isinglass_core::layer::{FrameHeader, Segment};
 
     use isinglass_core::clip::{Clip, Plane};
@@ -96,14 +96,7 @@ mod tests {
 
     /// A slab between two depths, as fractions of near to far, in every list.
     fn slab(front: f32, back: f32, tau: f32) -> LayeredFrame {
-        let header = FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(1),
-            look: LookVersion(0),
-            camera: camera(0.0),
-            k: 2,
-            mode: Default::default(),
-        };
+        let header = FrameHeader::alone(camera(0.0), 2);
         let mut frame = LayeredFrame::empty(header);
         let level = |x: f32| (x * 65535.0) as u16;
         for i in 0..header.camera.intrinsics.num_pixels() {

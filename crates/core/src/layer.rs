@@ -40,6 +40,13 @@ pub struct FrameHeader {
     pub mode: Mode,
 }
 
+impl FrameHeader {
+    /// Of a composite frame that answers nobody.
+    pub fn alone(camera: Camera, k: u8) -> Self {
+        Self { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k, mode: Mode::default() }
+    }
+}
+
 /// W×H lists of segments. `offsets[i]..offsets[i + 1]` are the segments of list `i` (row by row from the top).
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayeredFrame {

@@ -1,7 +1,5 @@
 //! Is what a clip leaves of a volume shown exactly, by the march and by the cast, and nothing else?
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 #[path = "common/brute_force.rs"]
 mod brute_force;
 mod common;

@@ -2,20 +2,23 @@
 //! nothing else changes.
 
 mod common;
+#[path = "common/frames.rs"]
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+mod frames;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::combine::{MAX_FRAMES, choose, combine};
-use isinglass_core::kernels::layering::{Layering, generate};
-use isinglass_core::kernels::march::{Scene, render};
+use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::march::render;
 use isinglass_core::kernels::raycast::raycast;
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::procedural::Builtin;
 
 use self::common::scene;
+use self::frames::frame_of;
 
 const PICTURE: Intrinsics = Intrinsics::perspective(72, 56, 0.7);
 
@@ -24,18 +27,6 @@ fn near(azimuth_degrees: f32, pan: Vec3, bounds: &Aabb) -> Camera {
     let pose = Pose::orbit(bounds.center(), azimuth_degrees.to_radians(), 0.2, 0.8 * bounds.radius());
     let pose = Pose { eye: pose.eye + pose.world_from_view * pan, ..pose };
     Camera::new(pose, PICTURE, bounds)
-}
-
-fn frame(scene: &Scene, camera: Camera) -> LayeredFrame {
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k: 8,
-        mode: Default::default(),
-    };
-    generate(scene, header, Layering::default())
 }
 
 /// Mean and greatest difference of colours and opacity over the pixels that are `counted`.
@@ -56,7 +47,8 @@ fn one_frame_alone_is_cast_as_ever_and_the_own_pose_is_the_newest_frame_s_alone(
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let (here, there) = (near(0.0, Vec3::ZERO, &bounds), near(20.0, Vec3::ZERO, &bounds));
-    let (newest, older) = (frame(&scene, here), frame(&scene, there));
+    let (newest, older) =
+        (frame_of(&scene, here, 8, Layering::default()), frame_of(&scene, there, 8, Layering::default()));
     for camera in [here, there, near(150.0, Vec3::X, &bounds)] {
         assert_eq!(combine(&[&newest], &bounds, &camera), raycast(&newest, &bounds, &camera));
     }
@@ -84,7 +76,10 @@ fn what_the_newest_frame_does_not_see_comes_from_the_kept_ones() {
     ] {
         let [newest, kept, display] = [newest, kept, display].map(|(az, pan)| near(az, pan, &bounds));
         assert_eq!(choose(&display, &newest, &[kept], &bounds), [0]);
-        let (newest, kept) = (frame(&scene, newest), frame(&scene, kept));
+        let (newest, kept) = (
+            frame_of(&scene, newest, 8, Layering::default()),
+            frame_of(&scene, kept, 8, Layering::default()),
+        );
         let truth = render(&scene, &display);
         let alone = raycast(&newest, &bounds, &display);
         let together = combine(&[&newest, &kept], &bounds, &display);
@@ -112,8 +107,8 @@ fn no_seam_shows_where_one_frame_ends() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let width = bounds.radius() * 0.2;
-    let newest = frame(&scene, near(0.0, Vec3::ZERO, &bounds));
-    let mut kept = frame(&scene, near(0.0, Vec3::NEG_X * width, &bounds));
+    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8, Layering::default());
+    let mut kept = frame_of(&scene, near(0.0, Vec3::NEG_X * width, &bounds), 8, Layering::default());
     for i in 0..kept.num_segments() {
         let mut s = kept.segment(i);
         s.c *= 2.0;
@@ -141,8 +136,8 @@ fn no_seam_shows_where_one_frame_ends() {
 fn as_the_camera_leaves_the_newest_frame_nothing_jumps() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
-    let newest = frame(&scene, near(0.0, Vec3::ZERO, &bounds));
-    let kept = frame(&scene, near(25.0, Vec3::ZERO, &bounds));
+    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8, Layering::default());
+    let kept = frame_of(&scene, near(25.0, Vec3::ZERO, &bounds), 8, Layering::default());
     let at = |az: f32| combine(&[&newest, &kept], &bounds, &near(az, Vec3::ZERO, &bounds));
     let everywhere = |_: usize, _: usize| true;
     let mut before = at(0.0);
@@ -185,7 +180,8 @@ fn odd_cameras_are_survived() {
             Camera::new(pose, PICTURE, &bounds)
         })
         .to_vec();
-    let frames: Vec<LayeredFrame> = cameras.iter().map(|c| frame(&scene, *c)).collect();
+    let frames: Vec<LayeredFrame> =
+        cameras.iter().map(|c| frame_of(&scene, *c, 8, Layering::default())).collect();
     for camera in &cameras {
         for first in 0..frames.len() {
             let mut order: Vec<&LayeredFrame> = frames.iter().collect();

@@ -21,7 +21,7 @@ use isinglass_core::codec::{
     Assembly, Coding, EncodedFrame, HEADER_BYTES, MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS, Settings,
     bytes_by_plane, decode_chunk, encode, peek,
 };
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
 use isinglass_core::space::Aabb;
 
@@ -43,14 +43,7 @@ fn seeds() -> (Vec<Seed>, Vec<Arc<Reference>>) {
     {
         let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 5.0), intrinsics, &bounds);
-        let header = FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(2),
-            look: LookVersion(3),
-            camera,
-            k,
-            mode: Default::default(),
-        };
+        let header = FrameHeader::alone(camera, k);
         let mut frame = LayeredFrame::empty(header);
         for list in 0..intrinsics.num_pixels() {
             let (x, y) = (list % width as usize, list / width as usize);

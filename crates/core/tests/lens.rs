@@ -7,7 +7,6 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::compare;
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::lens::{
@@ -57,14 +56,7 @@ fn camera_at(azimuth: f32, bounds: &Aabb) -> Camera {
 }
 
 fn frame_of(scene: &Scene, camera: Camera) -> LayeredFrame {
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k: 12,
-        mode: Default::default(),
-    };
+    let header = FrameHeader::alone(camera, 12);
     generate(scene, header, Layering::VisibilityMerge)
 }
 

@@ -1,8 +1,6 @@
 //! Layered frames and their novel views: exact at their own pose, and from anywhere equal to a brute-force reference
 //! that intersects every segment.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 #[path = "common/brute_force.rs"]
 mod brute_force;
 mod common;
@@ -12,7 +10,6 @@ mod frames;
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::Clip;
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::render;
@@ -215,14 +212,7 @@ fn samples_converge_to_the_full_cast() {
 fn samples_see_a_homogeneous_medium_exactly() {
     let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
     let old = camera(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), 64, &bounds);
-    let mut frame = LayeredFrame::empty(FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera: old,
-        k: 3,
-        mode: Default::default(),
-    });
+    let mut frame = LayeredFrame::empty(FrameHeader::alone(old, 3));
     // Three segments a list from near to far, of one extinction along every list's own direction.
     let sigma = 0.35;
     let depth = old.far - old.near;

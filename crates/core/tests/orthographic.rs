@@ -1,7 +1,5 @@
 //! Are pictures of parallel rays right: by the march, from layered frames of either projection, and combined?
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 #[path = "common/brute_force.rs"]
 mod brute_force;
 mod common;

@@ -186,7 +186,7 @@ mod tests {
     use glam::Vec3;
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::codec::{Settings, encode};
-    use isinglass_core::ids::{FrameId, LookVersion, PoseId};
+
     use isinglass_core::layer::{FrameHeader, Segment};
     use isinglass_core::space::Aabb;
 
@@ -196,14 +196,7 @@ mod tests {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
         let intrinsics = Intrinsics::perspective(20, 130, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.1, 0.2, 6.0), intrinsics, &bounds);
-        let header = FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(2),
-            look: LookVersion(3),
-            camera,
-            k: 4,
-            mode: Default::default(),
-        };
+        let header = FrameHeader::alone(camera, 4);
         let mut frame = LayeredFrame::empty(header);
         for list in 0..20 * 130u16 {
             for i in 0..list % 5 {

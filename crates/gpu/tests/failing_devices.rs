@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{self, Layering};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::FrameHeader;
@@ -48,14 +47,7 @@ fn a_lost_device_is_an_error() {
     let bounds = scene.volume.bounds();
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k: 4,
-        mode: Default::default(),
-    };
+    let header = FrameHeader::alone(camera, 4);
     let frame = layering::generate(&scene, header, Layering::VisibilityMerge);
     let mut renderer = GpuRenderer::new(&gpu, scene.clone()).unwrap();
     let mut reprojector = GpuReprojector::new(&gpu, &frame, &bounds).unwrap();

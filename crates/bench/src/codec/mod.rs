@@ -34,7 +34,7 @@ mod webp;
 use std::collections::BTreeMap;
 
 use isinglass_core::kernels::layering::Layering;
-use isinglass_core::layer::LayeredFrame;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_gpu::Backend;
 use rayon::ThreadPool;
 use serde::Serialize;
@@ -44,7 +44,7 @@ use self::contenders::{Contender, PUBLISHED};
 use self::measure::{Judge, Measured};
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::quality::{black_srgb8, header};
+use crate::quality::black_srgb8;
 use crate::scenes::SceneSource;
 use crate::subject::{Subject, SubjectConditions};
 
@@ -270,7 +270,7 @@ impl Run<'_> {
             for contender in self.contenders {
                 let layering = contender.layering();
                 if frames.iter().all(|(of, _)| *of != layering) {
-                    let frame = renderer.generate(header(camera, k), layering)?;
+                    let frame = renderer.generate(FrameHeader::alone(camera, k), layering)?;
                     self.uncoded.push(Uncoded {
                         scene: source.name.clone(),
                         k,

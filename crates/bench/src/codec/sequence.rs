@@ -23,7 +23,7 @@ use super::measure::Judge;
 use super::{CodecOptions, FRAME_RATE_HZ};
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::quality::{black_srgb8, header};
+use crate::quality::black_srgb8;
 use crate::scenes::SceneSource;
 
 /// A camera that orbits.
@@ -159,7 +159,7 @@ pub(super) fn measure(
             let layering = contender.layering();
             if frames.iter().all(|(of, _)| *of != layering) {
                 // A frame is referred to by its number.
-                let header = FrameHeader { frame: FrameId(i + 1), ..header(camera, scene.k) };
+                let header = FrameHeader { frame: FrameId(i + 1), ..FrameHeader::alone(camera, scene.k) };
                 frames.push((layering, renderer.generate(header, layering)?));
             }
             if let Some((_, frame)) = frames.iter().find(|(of, _)| *of == layering) {

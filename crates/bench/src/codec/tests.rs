@@ -3,7 +3,7 @@ use std::sync::Arc;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
-use isinglass_core::layer::LayeredFrame;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_formats::{OpenOptions, load_transfer, open};
 use isinglass_gpu::BackendChoice;
 
@@ -19,7 +19,7 @@ pub(super) fn frame(layering: Layering, k: u8) -> LayeredFrame {
     let volume = open("builtin:shells@32", &OpenOptions::default()).unwrap();
     let bounds = volume.bounds();
     let scene = Scene::new(Arc::new(volume), &load_transfer("shells").unwrap(), MarchSettings::default());
-    generate(&scene, header(Orbit::default().camera(intrinsics(), &bounds), k), layering)
+    generate(&scene, FrameHeader::alone(Orbit::default().camera(intrinsics(), &bounds), k), layering)
 }
 
 fn options(codecs: &[&str]) -> CodecOptions {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, Segment};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
@@ -53,14 +52,7 @@ fn thin(share: f32, color: Vec3, tau: f32) -> Segment {
 }
 
 fn frame(list: impl Fn(u32, u32) -> Vec<Segment>) -> Arc<LayeredFrame> {
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera: camera(),
-        k: K,
-        mode: Default::default(),
-    };
+    let header = FrameHeader::alone(camera(), K);
     let mut frame = LayeredFrame::empty(header);
     frame.offsets.truncate(1);
     for i in 0..SIDE * SIDE {
@@ -354,14 +346,7 @@ fn frames_of_slabs_are_not_cut_again() {
     let bounds = scene.volume.bounds();
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0 * bounds.radius()), intrinsics, &bounds);
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(1),
-        camera,
-        k: 6,
-        mode: Default::default(),
-    };
+    let header = FrameHeader::alone(camera, 6);
     let count = |rule: Layering| {
         let frame = isinglass_core::kernels::layering::generate(&scene, header, rule);
         let slabs = Slabs::new(&frame, &bounds);

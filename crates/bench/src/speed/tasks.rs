@@ -19,7 +19,7 @@ use isinglass_gpu::{Backend, Renderer};
 use super::{SpeedOptions, SpeedRow};
 use crate::choices::{Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
-use crate::quality::{black_srgb8, header, march_settings};
+use crate::quality::{black_srgb8, march_settings};
 use crate::rivals::{Method, Views};
 use crate::scenes::{SceneSource, open_scene};
 
@@ -116,7 +116,7 @@ impl<'a> Tasks<'a> {
             let camera = options.orbit.camera(Intrinsics { width, height, ..options.intrinsics }, &bounds);
             for (rule, methods) in methods_by_rule(&rules, &options.methods) {
                 for k in rule.ks(&options.ks) {
-                    let header = header(camera, k);
+                    let header = FrameHeader::alone(camera, k);
                     let frame = rule.generate(&mut renderer, header)?;
                     let encoded = codec::encode(&frame, &codec::Settings::default())?;
                     let frame = Arc::new(decode(&encoded)?);

@@ -509,7 +509,7 @@ mod tests {
 
     use super::*;
     use crate::camera::{Intrinsics, Pose};
-    use crate::ids::{FrameId, LookVersion, PoseId};
+
     use crate::kernels::layering::{Layering, generate};
     use crate::kernels::march::{MarchSettings, Scene};
     use crate::layer::FrameHeader;
@@ -531,14 +531,7 @@ mod tests {
             let intrinsics = Intrinsics::perspective(60, 50, 0.8);
             Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 4.0), intrinsics, &bounds)
         };
-        let header = FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(1),
-            look: LookVersion(1),
-            camera: camera(0.3),
-            k: 6,
-            mode: Default::default(),
-        };
+        let header = FrameHeader::alone(camera(0.3), 6);
         let mut caster = Raycaster::new(&generate(&scene, header, Layering::VisibilityMerge), &bounds);
         let options = CastOptions::default();
         let (mut num_out_of_reach, mut pictures) = (0, Vec::new());

@@ -5,10 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use isinglass_bench::quality::header;
 use isinglass_bench::view::Orbit;
 use isinglass_core::codec::{Bound, Coding, EncodedFrame, Misfit, Settings, blocks};
-use isinglass_core::layer::LayeredFrame;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_formats::iglf;
 use serde_json::json;
 
@@ -62,7 +61,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
-    let frame = renderer.generate(header(camera, look.k), look.layering)?;
+    let frame = renderer.generate(FrameHeader::alone(camera, look.k), look.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let (encoded, coding, misfit) = encode(&args.codec, &frame)?;

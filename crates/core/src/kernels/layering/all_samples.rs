@@ -113,7 +113,6 @@ mod tests {
 
     use super::*;
     use crate::camera::{Camera, Intrinsics, Pose};
-    use crate::ids::{FrameId, LookVersion, PoseId};
     use crate::kernels::layering::Layering;
     use crate::kernels::march::{MarchSettings, render};
     use crate::kernels::raycast::raycast;
@@ -138,14 +137,7 @@ mod tests {
         let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * intrinsics.fit_distance());
         let camera = Camera::new(pose, intrinsics, &bounds);
-        FrameHeader {
-            frame: FrameId(1),
-            pose: PoseId(1),
-            look: LookVersion(1),
-            camera,
-            k,
-            mode: Default::default(),
-        }
+        FrameHeader::alone(camera, k)
     }
 
     /// Mean and greatest difference in 8-bit sRGB.

@@ -3,7 +3,6 @@ use glam::Vec3;
 use super::super::width::tests::with_each;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
-use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, LayeredFrame, Over, Segment};
 use crate::space::Aabb;
 
@@ -13,14 +12,7 @@ fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
     let intrinsics = Intrinsics::perspective(BLOCK as u32, BLOCK as u32, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0);
     let camera = Camera::new(pose, intrinsics, &bounds);
-    let header = FrameHeader {
-        frame: FrameId(1),
-        pose: PoseId(1),
-        look: LookVersion(0),
-        camera,
-        k: MAX_LAYERS as u8,
-        mode: Default::default(),
-    };
+    let header = FrameHeader::alone(camera, MAX_LAYERS as u8);
     let mut frame = LayeredFrame::empty(header);
     for i in 0..BLOCK_LISTS {
         for segment in list(i) {
