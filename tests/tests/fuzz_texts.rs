@@ -13,13 +13,14 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use fuzzing::{ALLOCATED, MOST, Random};
+use glam::Vec3;
 use isinglass_client::Bindings;
 use isinglass_core::look::Look;
 use isinglass_core::transfer::{Domain, TransferFunction, UnitLength};
 use isinglass_formats::{
-    Recent, RecentEntry, RecentPlace, SavedCamera, SavedState, SavedVolume, Selection, SettingValue,
-    import_transfers, preset, preset_names, settings_from_toml, state_from_bytes, state_from_link,
-    state_to_link, transfer_from_toml, transfer_to_toml,
+    Dtype, Endian, RawShape, Recent, RecentEntry, RecentPlace, SavedCamera, SavedState, SavedVolume,
+    Selection, SettingValue, VolumeSource, import_transfers, preset, preset_names, settings_from_toml,
+    state_from_bytes, state_from_link, state_to_link, transfer_from_toml, transfer_to_toml,
 };
 use isinglass_net::{Link, LinkError, state_of_link};
 
@@ -33,6 +34,9 @@ trait Target {
     /// Reads it, and holds what was read to its promises; or one line.
     fn read(bytes: &[u8], file: &Path) -> Result<(), String>;
 }
+
+const RAW: RawShape =
+    RawShape { dims: [1, 2, 3], dtype: Dtype::Half, spacing: Vec3::ONE, endian: Endian::Big, offset: 512 };
 
 fn states() -> Vec<SavedState> {
     let state = |name: &str| {
@@ -48,6 +52,8 @@ fn states() -> Vec<SavedState> {
             source: Some("/data/a b/head.nrrd".into()),
             channel: Some(2),
             region: Some("0:5,1:,:".into()),
+            given_spacing: (name == "ct").then_some([0.1, 0.2, 3.0]),
+            raw: (name == "ct").then_some(RAW),
             dims: [1, 2, 3],
             ..SavedVolume::default()
         };
@@ -268,7 +274,12 @@ impl Target for RecentLists {
         let selection = Selection { time: Some(3), region, ..Selection::default() };
         let places = [
             RecentPlace::Server { host: "::1".into(), port: 4433 },
-            RecentPlace::Volume { source: "/data/a \"b\".nii".into(), selection },
+            RecentPlace::Volume(VolumeSource { selection, ..VolumeSource::new("/data/a \"b\".nii") }),
+            RecentPlace::Volume(VolumeSource {
+                raw: Some(RAW),
+                spacing: Some(Vec3::new(0.1, 0.2, 3.0)),
+                ..VolumeSource::new("/data/scan.raw")
+            }),
         ];
         let entries =
             places.map(|place| RecentEntry { place, shows: "head µ".into(), used_at: 1_700_000_000 });

@@ -13,7 +13,7 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::prediction::STILL;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::ClientStats;
-use isinglass_formats::{LoadRequest, ReadState, Selection};
+use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
 use self::state::ComingState;
@@ -53,7 +53,7 @@ pub(crate) struct Origin {
     /// The server's link, for links to what is seen.
     pub(crate) link: Option<Link>,
     /// What the server was given to open, where that is known, for states that are saved.
-    pub(crate) volume_source: Option<(String, Selection)>,
+    pub(crate) volume_source: Option<VolumeSource>,
     /// What is shown at first in place of the first view.
     pub(crate) state: Option<ReadState>,
 }

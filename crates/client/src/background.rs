@@ -52,16 +52,21 @@ impl<T: Send + 'static> Background<T> {
     }
 }
 
-/// The whole text or nothing: a file that is there is replaced only if `replaces`, and then by one written aside.
+/// The whole text or nothing: a file that is there is replaced only if `replaces`, and then by one written aside, under a name of
+/// this process alone.
 pub(crate) fn write_text(path: &Path, text: &str, replaces: bool) -> std::io::Result<()> {
     if !replaces {
         let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
         return file.write_all(text.as_bytes());
     }
     let mut aside = path.as_os_str().to_owned();
-    aside.push(".new");
-    std::fs::write(&aside, text)?;
-    std::fs::rename(&aside, path)
+    aside.push(format!(".{}.new", std::process::id()));
+    let result = std::fs::write(&aside, text).and_then(|()| std::fs::rename(&aside, path));
+    if result.is_err() {
+        // The first error is the one to tell; what is left of the file may not even exist.
+        let _ = std::fs::remove_file(&aside);
+    }
+    result
 }
 
 /// The path that a person wrote: without blanks around it, and with `~` for the home folder.

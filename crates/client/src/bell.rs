@@ -1,4 +1,5 @@
-//! Wakes the window from other threads, and never in the middle of a refresh.
+//! Wakes the window from other threads, but not in the middle of a refresh: one that begins just as somebody rings may still
+//! meet that ring, for a moment.
 //!
 //! egui asks for a refresh under the lock of its context, which the display loop takes all the time. While the loop is at work,
 //! whoever rings only leaves a note, and the loop asks for its next refresh itself.

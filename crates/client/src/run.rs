@@ -22,7 +22,7 @@ pub struct ViewerOptions {
 pub fn run(options: ViewerOptions) -> Result<(), ViewerError> {
     let ViewerOptions { link, conditioner, mut window } = options;
     if window.server_name.is_empty() {
-        window.server_name = format!("{}:{}", link.host, link.port);
+        window.server_name = link.place();
     }
     let clock = Clock::start();
     let client_clock = clock.clone();

@@ -108,8 +108,8 @@ mod tests {
             waits.count(|| drop(lock.lock().unwrap()))
         });
         assert_eq!(waits, Waits { refreshes: 3, waited: 2, excused: 0 });
-        let before = voluntary_switches().unwrap();
         let excused = |more: bool| {
+            let before = voluntary_switches().unwrap();
             sleep();
             excuse_wait(voluntary_switches().unwrap() - before);
             if more {
@@ -118,12 +118,7 @@ mod tests {
         };
         let waits = waits.count(|| excused(false));
         assert_eq!(waits, Waits { refreshes: 4, waited: 2, excused: 1 });
-        let before = voluntary_switches().unwrap();
-        let waits = waits.count(|| {
-            sleep();
-            excuse_wait(voluntary_switches().unwrap() - before);
-            sleep();
-        });
+        let waits = waits.count(|| excused(true));
         assert_eq!(waits, Waits { refreshes: 5, waited: 3, excused: 1 });
     }
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isinglass_formats::{SavedState, Selection};
+use isinglass_formats::{SavedState, VolumeSource};
 use isinglass_net::{Clock, Link};
 
 use crate::app::{ViewerApp, theme_preference};
@@ -55,7 +55,7 @@ pub struct WindowOptions {
     /// Whether `size` is that of the state's picture, in pixels.
     pub state_sets_size: bool,
     /// What the server was given to open, where that is known, for states that are saved.
-    pub volume_source: Option<(String, Selection)>,
+    pub volume_source: Option<VolumeSource>,
     /// The server's link, for links to what is seen.
     pub link: Option<Link>,
     /// What keys and mouse do.

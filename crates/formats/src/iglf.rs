@@ -102,7 +102,9 @@ fn to_bytes(encoded: &EncodedFrame, orientation: Option<&str>) -> Vec<u8> {
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&VERSION.to_le_bytes());
     bytes.extend_from_slice(&(encoded.chunks.len() as u16).to_le_bytes());
-    let letters = orientation.and_then(|letters| letters.as_bytes().try_into().ok());
+    let letters = orientation.and_then(|letters| <[u8; 3]>::try_from(letters.as_bytes()).ok());
+    // What could not be read again is not known.
+    let letters = letters.filter(|letters| letters.iter().all(u8::is_ascii_uppercase));
     bytes.extend_from_slice(&letters.unwrap_or([0; 3]));
     for chunk in &encoded.chunks {
         bytes.extend_from_slice(&(chunk.bytes.len() as u32).to_le_bytes());
@@ -227,6 +229,11 @@ mod tests {
         write(&path, &encoded, Some("LPS")).unwrap();
         let StoredFrame { frame: decoded, orientation } = read(&path).unwrap();
         assert_eq!(orientation.as_deref(), Some("LPS"));
+        // What the reader would refuse is not written.
+        for letters in ["ras", "RA\u{0}", "R S", "é1", "RASL", ""] {
+            write(&path, &encoded, Some(letters)).unwrap();
+            assert_eq!(read(&path).unwrap().orientation, None, "{letters:?}");
+        }
         assert_eq!(decoded.depth, frame().depth);
         assert_eq!(encode(&decoded, &Settings::default()).unwrap(), encoded);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);

@@ -41,6 +41,7 @@ mod transfer;
 mod transfer_import;
 mod transfer_json;
 mod transfer_maps;
+mod volume_source;
 mod vti;
 mod warning;
 mod words;
@@ -67,4 +68,5 @@ pub use state::{
 pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
 pub use transfer_import::{ImportedTransfer, import_transfers};
 pub use transfer_maps::ColorMap;
+pub use volume_source::VolumeSource;
 pub use warning::{Warning, WarningKind};

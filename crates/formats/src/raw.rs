@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use isinglass_core::volume::{Volume, VolumeError};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
@@ -15,18 +16,45 @@ use crate::taker::Taker;
 use crate::warning::WarningKind;
 
 /// What a raw file does not say of itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RawShape {
     /// Voxels along x (fastest), y and z.
     pub dims: [u32; 3],
     /// Type of a voxel.
     pub dtype: Dtype,
     /// Distances between voxel centres, world units.
+    #[serde(default = "unit_spacing", with = "in_numbers")]
     pub spacing: Vec3,
     /// Byte order, for types of more than one byte.
+    #[serde(default)]
     pub endian: Endian,
     /// Bytes before the first voxel.
+    #[serde(default, serialize_with = "offset_in_toml")]
     pub offset: u64,
+}
+
+fn unit_spacing() -> Vec3 {
+    Vec3::ONE
+}
+
+mod in_numbers {
+    use glam::Vec3;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands it over so")]
+    pub(super) fn serialize<S: Serializer>(vector: &Vec3, serializer: S) -> Result<S::Ok, S::Error> {
+        vector.to_array().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec3, D::Error> {
+        <[f32; 3]>::deserialize(deserializer).map(Vec3::from)
+    }
+}
+
+/// TOML's numbers end at 2⁶³ − 1, as the sizes of files do.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands it over so")]
+fn offset_in_toml<S: Serializer>(offset: &u64, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_i64(i64::try_from(*offset).unwrap_or(i64::MAX))
 }
 
 /// A raw file and its shape.

@@ -2,11 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown};
+use crate::raw::RawShape;
 use crate::select::{Region, Selection};
 use crate::state::{line_at, one_line};
+use crate::volume_source::VolumeSource;
 
 /// Servers and volumes, the one that was used last first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,12 +42,7 @@ pub enum RecentPlace {
         port: u16,
     },
     /// A volume of this machine.
-    Volume {
-        /// As for [`crate::open`].
-        source: String,
-        /// Which part of it.
-        selection: Selection,
-    },
+    Volume(VolumeSource),
 }
 
 impl Recent {
@@ -54,12 +52,20 @@ impl Recent {
     /// Puts an entry first, in place of one of the same server or volume.
     pub fn note(&mut self, entry: RecentEntry) {
         let is_same = |other: &RecentEntry| match (&other.place, &entry.place) {
-            (RecentPlace::Volume { source: a, .. }, RecentPlace::Volume { source: b, .. }) => a == b,
+            (RecentPlace::Volume(a), RecentPlace::Volume(b)) => a.source == b.source,
             (a, b) => a == b,
         };
         self.entries.retain(|other| !is_same(other));
         self.entries.insert(0, entry);
         self.entries.truncate(Self::MAX);
+    }
+
+    /// Puts all of a newer list before this one.
+    pub fn note_all(&mut self, newer: Self) {
+        for entry in newer.entries.into_iter().rev() {
+            self.note(entry);
+        }
+        self.folder = newer.folder.or(self.folder.take());
     }
 
     /// Reads the file at `path`; one that is not there holds nothing.
@@ -84,17 +90,24 @@ impl Recent {
         let stored: Stored = toml::from_str(text)
             .map_err(|e| (line_at(text, e.span().map_or(0, |s| s.start)), one_line(e.message())))?;
         let entries = stored.recent.into_iter().filter_map(StoredEntry::entry).take(Self::MAX).collect();
-        Ok(Self { folder: stored.folder, entries })
+        Ok(Self { folder: stored.folder.map(PathBuf::from), entries })
     }
 
-    /// As TOML.
+    /// As TOML that [`Recent::read`] takes: without the last entries and the folder, as far as they are too long for it.
     pub fn to_toml(&self) -> String {
-        let stored = Stored {
-            folder: self.folder.clone(),
-            recent: self.entries.iter().map(StoredEntry::of).collect(),
-        };
-        // Strings and numbers alone cannot fail.
-        toml::to_string(&stored).unwrap_or_default()
+        // A path that is no text is found again by hand.
+        let folder = self.folder.as_ref().and_then(|folder| folder.to_str()).map(str::to_owned);
+        let mut stored = Stored { folder, recent: self.entries.iter().map(StoredEntry::of).collect() };
+        loop {
+            let text = toml::to_string(&stored).expect("a list is a table of texts and numbers");
+            if text.len() as u64 <= MAX_BYTES {
+                return text;
+            }
+            // The folder alone is left at the end, and may be too long too.
+            if stored.recent.pop().is_none() {
+                stored.folder = None;
+            }
+        }
     }
 }
 
@@ -102,7 +115,7 @@ impl Recent {
 #[serde(deny_unknown_fields)]
 struct Stored {
     #[serde(skip_serializing_if = "Option::is_none")]
-    folder: Option<PathBuf>,
+    folder: Option<String>,
     #[serde(default)]
     recent: Vec<StoredEntry>,
 }
@@ -127,20 +140,23 @@ struct StoredEntry {
     series: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     region: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spacing: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    raw: Option<RawShape>,
 }
 
 impl StoredEntry {
     fn of(entry: &RecentEntry) -> Self {
-        let (server, volume, selection) = match &entry.place {
-            RecentPlace::Server { host, port } => {
-                (Some(format!("{host}:{port}")), None, Selection::default())
-            }
-            RecentPlace::Volume { source, selection } => (None, Some(source.clone()), *selection),
+        let (server, volume) = match &entry.place {
+            RecentPlace::Server { host, port } => (Some(format!("{host}:{port}")), None),
+            RecentPlace::Volume(volume) => (None, Some(volume)),
         };
+        let selection = volume.map_or(Selection::default(), |v| v.selection);
         let Selection { channel, time, level, series, region } = selection;
         Self {
             server,
-            volume,
+            volume: volume.map(|v| v.source.clone()),
             shows: entry.shows.clone(),
             used_at: entry.used_at,
             channel,
@@ -148,12 +164,14 @@ impl StoredEntry {
             level,
             series,
             region: region.map(|r| r.to_string()),
+            spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
+            raw: volume.and_then(|v| v.raw),
         }
     }
 
     /// None for one that makes no sense: it is left out.
     fn entry(self) -> Option<RecentEntry> {
-        let Self { channel, time, level, series, .. } = self;
+        let Self { channel, time, level, series, spacing, raw, .. } = self;
         let place = match (self.server, self.volume) {
             (Some(server), None) => {
                 let (host, port) = server.rsplit_once(':')?;
@@ -163,7 +181,10 @@ impl StoredEntry {
             }
             (None, Some(source)) => {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
-                RecentPlace::Volume { source, selection: Selection { channel, time, level, series, region } }
+                let selection = Selection { channel, time, level, series, region };
+                let spacing = spacing.map(Vec3::from);
+                let volume = VolumeSource { source, raw, selection, spacing };
+                RecentPlace::Volume(Some(volume).filter(VolumeSource::is_finite)?)
             }
             _ => return None,
         };
@@ -180,6 +201,7 @@ const MAX_NAME: usize = 200;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dtype::{Dtype, Endian};
 
     fn server(port: u16, used_at: u64) -> RecentEntry {
         let place = RecentPlace::Server { host: "::1".into(), port };
@@ -188,7 +210,7 @@ mod tests {
 
     fn volume(source: &str, time: Option<u32>) -> RecentEntry {
         let selection = Selection { time, region: "1:5,:,7:".parse().ok(), ..Selection::default() };
-        let place = RecentPlace::Volume { source: source.into(), selection };
+        let place = RecentPlace::Volume(VolumeSource { selection, ..VolumeSource::new(source) });
         RecentEntry { place, shows: "a \"b\"".into(), used_at: 7 }
     }
 
@@ -199,9 +221,54 @@ mod tests {
         assert_eq!(Recent::read(&path).unwrap(), Recent::default(), "none is there yet");
         let mut list = Recent { folder: Some("/data/µ".into()), entries: vec![] };
         list.note(volume("/data/a b.nii", Some(3)));
+        list.note(raw_volume("/data/scan.raw"));
         list.note(server(4433, u64::from(u32::MAX)));
         std::fs::write(&path, list.to_toml()).unwrap();
         assert_eq!(Recent::read(&path).unwrap(), list);
+    }
+
+    fn raw_volume(source: &str) -> RecentEntry {
+        let raw = RawShape {
+            dims: [5, 6, 7],
+            dtype: Dtype::Half,
+            spacing: Vec3::ONE,
+            endian: Endian::Big,
+            offset: 512,
+        };
+        let spacing = Some(Vec3::new(0.1, 0.2, 3.0));
+        let place =
+            RecentPlace::Volume(VolumeSource { raw: Some(raw), spacing, ..VolumeSource::new(source) });
+        RecentEntry { place, shows: "a scan".into(), used_at: 8 }
+    }
+
+    #[test]
+    fn a_list_that_is_too_long_loses_its_oldest_entries_and_nothing_else() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("recent.toml");
+        let far = |i: usize| volume(&format!("/{i}/{}", "\u{1b}".repeat(3000)), None);
+        let list = Recent { folder: Some("/data".into()), entries: (0..Recent::MAX).map(far).collect() };
+        std::fs::write(&path, list.to_toml()).unwrap();
+        let read = Recent::read(&path).unwrap();
+        assert!((2..Recent::MAX).contains(&read.entries.len()), "{}", read.entries.len());
+        assert_eq!((&read.folder, &read.entries[..]), (&list.folder, &list.entries[..read.entries.len()]));
+        // A folder alone that is too long, or is no text.
+        let list = Recent { folder: Some("/".repeat(1 << 17).into()), entries: vec![server(1, 2)] };
+        assert_eq!(Recent::parse(&list.to_toml()), Ok(Recent::default()));
+        #[cfg(unix)]
+        {
+            use std::os::unix::ffi::OsStringExt;
+            let odd = PathBuf::from(std::ffi::OsString::from_vec(vec![b'/', 0xff]));
+            let list = Recent { folder: Some(odd), entries: vec![server(1, 2)] };
+            assert_eq!(Recent::parse(&list.to_toml()), Ok(Recent { folder: None, ..list }));
+        }
+    }
+
+    #[test]
+    fn a_newer_list_goes_before_an_older_one() {
+        let mut list = Recent { folder: Some("/old".into()), entries: vec![server(1, 1), server(2, 1)] };
+        list.note_all(Recent { folder: None, entries: vec![server(2, 9), server(3, 8)] });
+        let expected = vec![server(2, 9), server(3, 8), server(1, 1)];
+        assert_eq!(list, Recent { folder: Some("/old".into()), entries: expected });
     }
 
     #[test]
@@ -216,7 +283,7 @@ mod tests {
         list.note(server(9, 99));
         list.note(volume("/a", Some(2)));
         let volumes: Vec<_> =
-            list.entries.iter().filter(|e| matches!(e.place, RecentPlace::Volume { .. })).collect();
+            list.entries.iter().filter(|e| matches!(e.place, RecentPlace::Volume(_))).collect();
         assert_eq!(volumes, [&volume("/a", Some(2))], "another time of the same volume takes its place");
     }
 
@@ -228,9 +295,14 @@ mod tests {
         }
         assert_eq!(Recent::parse("recent = 3").unwrap_err().0, 1);
         assert!(Recent::parse("token = \"00\"").is_err(), "nothing else is in it");
-        for bad in
-            ["server = \"h\"", "server = \":1\"", "server = \"h:99999\"", "server = \"h#token=1:1\"", ""]
-        {
+        for bad in [
+            "server = \"h\"",
+            "server = \":1\"",
+            "server = \"h:99999\"",
+            "server = \"h#token=1:1\"",
+            "",
+            "volume = \"/a\"\nspacing = [1.0, nan, 1.0]",
+        ] {
             let text = format!("[[recent]]\nused_at = 1\n{bad}\n");
             assert_eq!(Recent::parse(&text).unwrap().entries, [], "{bad}");
         }

@@ -82,13 +82,12 @@ impl Seen {
         }
         let saved = self.state.volume.as_ref();
         let server = saved.and_then(|v| v.link().map(|_| "a server").or(v.server.as_deref()));
-        let source = saved.filter(|v| v.link().is_none()).and_then(|v| v.source.clone());
-        let source = source.with_context(|| match server {
+        let source = saved.map(SavedVolume::volume_source).transpose().map_err(anyhow::Error::msg)?;
+        let source = source.flatten().with_context(|| match server {
             Some(server) => format!("the state's volume is shown by {server}, expected VOLUME"),
             None => "the state does not say where its volume is, expected VOLUME".into(),
         })?;
-        let selection = saved.map(|v| v.selection()).transpose().map_err(anyhow::Error::msg)?;
-        Ok(volume.in_state(source, &selection.unwrap_or_default()))
+        Ok(volume.in_state(source))
     }
 
     /// The link of the server that shows the state's volume, if it names one.

@@ -19,5 +19,5 @@ pub use client::{
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};
-pub use link::{Link, LinkError, state_of_link};
+pub use link::{Link, LinkError, place_of, state_of_link};
 pub use server::{BindError, Greeting, Server, ServerOptions, Session, SessionClosed};

@@ -31,14 +31,18 @@ pub struct Link {
 impl Link {
     /// Where the server is, `host:port`.
     pub fn place(&self) -> String {
-        let Self { host, port, .. } = self;
-        if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
+        place_of(&self.host, self.port)
     }
 
     /// A link to the same server that shows `state` and lets nobody in.
     pub fn of_state(&self, state: &str) -> String {
         format!("{SCHEME}{}/#cert={}&state={state}", self.place(), self.fingerprint)
     }
+}
+
+/// Host and port as they are written together: an IPv6 address gets its brackets.
+pub fn place_of(host: &str, port: u16) -> String {
+    if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
 }
 
 /// What is wrong with a link.

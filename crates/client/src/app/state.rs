@@ -34,10 +34,17 @@ struct AskedPart {
     part: Part,
     /// The server's newest load then.
     before: LoadId,
-    /// Whether its reading has begun.
-    has_begun: bool,
-    /// Until then it is to begin.
+    step: AskedStep,
+    /// Until then the next step is to come.
     until: Duration,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum AskedStep {
+    Asked,
+    Reading,
+    /// Its description is on the way, or was not what was expected.
+    Read,
 }
 
 impl ComingState {
@@ -47,24 +54,36 @@ impl ComingState {
 }
 
 impl AskedPart {
-    /// Learns how the server's newest load stands; or why the part does not come.
-    fn follow(&mut self, now: Duration, load: Option<LoadStatus>) -> Result<(), String> {
+    fn new(now: Duration, part: Part, before: LoadId) -> Self {
+        Self { part, before, step: AskedStep::Asked, until: now + PART_PATIENCE }
+    }
+
+    /// Learns how the server's newest load stands. Whether the part is still to come; or why it does not.
+    fn follow(&mut self, now: Duration, load: Option<LoadStatus>) -> Result<bool, String> {
         let load = load.filter(|l| l.load > self.before);
-        let is_of_part = |l: &LoadStatus| l.part == self.part;
-        match load {
-            Some(load) if is_of_part(&load) => {
-                self.has_begun = true;
-                match load.state {
-                    LoadState::Failed(problem) => Err(problem),
-                    LoadState::Cancelled => Err("reading its part of the file was cancelled".into()),
-                    // Its description is on the way.
-                    LoadState::Reading { .. } | LoadState::Done => Ok(()),
-                }
+        let is_told = load.is_some();
+        let step = match load {
+            Some(load) if load.part == self.part => match load.state {
+                LoadState::Failed(problem) => return Err(problem),
+                LoadState::Cancelled => return Err("reading its part of the file was cancelled".into()),
+                LoadState::Reading { .. } => AskedStep::Reading,
+                LoadState::Done => AskedStep::Read,
+            },
+            Some(_) if self.step != AskedStep::Asked => {
+                return Err("another part of the file was asked for than it is of".into());
             }
-            Some(_) if self.has_begun => Err("another part of the file was asked for than it is of".into()),
             // What others have asked for before.
-            _ if self.has_begun || now < self.until => Ok(()),
-            _ => Err("the server does not open the part of the file that it is of".into()),
+            Some(_) | None => self.step,
+        };
+        // Reading takes as long as the server says that it reads.
+        if step != self.step || (step == AskedStep::Reading && is_told) {
+            (self.step, self.until) = (step, now + PART_PATIENCE);
+        }
+        match step {
+            _ if now < self.until => Ok(true),
+            AskedStep::Asked => Err("the server does not open the part of the file that it is of".into()),
+            AskedStep::Reading => Err("the server tells no more of reading the part that it is of".into()),
+            AskedStep::Read => Ok(false),
         }
     }
 }
@@ -76,7 +95,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let (_, controls) = self.controls.as_ref()?;
         let volume = SavedVolume::of(&description.volume);
         let volume = match &self.options.volume_source {
-            Some((source, selection)) => volume.opened_from(source, selection),
+            Some(source) => volume.opened_from(source),
             None => SavedVolume { server: self.options.link.as_ref().map(Link::place), ..volume },
         };
         let volume = match self.viewing.source().parts() {
@@ -254,8 +273,7 @@ impl<S: FrameSource> ViewerApp<S> {
             (Some(StatePart::Other(part)), None) => {
                 let wish = self.parts_bar.open(part, load.as_ref());
                 let before = load.map_or(LoadId(0), |l| l.load);
-                let until = now + PART_PATIENCE;
-                coming.asked = Some(AskedPart { part, before, has_begun: false, until });
+                coming.asked = Some(AskedPart::new(now, part, before));
                 if std::mem::take(&mut coming.is_shown) {
                     self.notice = None;
                 }
@@ -263,17 +281,24 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.coming = Some(coming);
                 return;
             }
-            (Some(_), Some(mut asked)) => {
-                match asked.follow(now, load) {
-                    Ok(()) => {
-                        coming.asked = Some(asked);
-                        ctx.request_repaint_after(PART_PATIENCE);
-                        self.coming = Some(coming);
-                    }
-                    Err(problem) => self.notice = Some((format!("the state is not shown: {problem}"), now)),
+            (Some(found), Some(mut asked)) => match asked.follow(now, load) {
+                Ok(true) => {
+                    coming.asked = Some(asked);
+                    ctx.request_repaint_after(asked.until.saturating_sub(now));
+                    self.coming = Some(coming);
+                    return;
                 }
-                return;
-            }
+                Ok(false) => {
+                    problem = Some(match found {
+                        StatePart::Elsewhere(line) => line,
+                        _ => "the server shows another part of its file than the state is of".into(),
+                    });
+                }
+                Err(problem) => {
+                    self.notice = Some((format!("the state is not shown: {problem}"), now));
+                    return;
+                }
+            },
             // The server says what its file holds as soon as it has let the viewer in, if it offers any of it.
             (None, _) if saved.is_some_and(names_part) && now < until => {
                 if !std::mem::replace(&mut coming.is_shown, true) {
@@ -314,8 +339,13 @@ impl<S: FrameSource> ViewerApp<S> {
             false => std::path::absolute(source).unwrap_or_else(|_| source.into()),
         };
         let present = self.options.volume_source.as_ref().filter(|_| self.opens_volumes);
-        let wanted = state.volume.as_ref().filter(|v| v.link().is_none()).and_then(|v| v.source.as_ref());
-        present.zip(wanted).is_some_and(|((present, _), wanted)| named(present) != named(wanted))
+        let wanted = state.volume.as_ref().and_then(|v| v.volume_source().ok()?);
+        present.zip(wanted).is_some_and(|(present, wanted)| {
+            named(&present.source) != named(&wanted.source)
+                // Of a raw file the same bytes, read otherwise.
+                || (wanted.raw.is_some() && wanted.raw != present.raw)
+                || (wanted.spacing.is_some() && wanted.spacing != present.spacing)
+        })
     }
 
     /// The line for the person at the viewer.
@@ -377,5 +407,46 @@ pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
 
 /// How long a server that has let a viewer in may take to say what its file holds: it does so at once.
 const PARTS_PATIENCE: Duration = Duration::from_secs(3);
-/// How long it may take to begin to read a part: it does so at once, whatever it was reading.
+/// How long it may take to begin to read a part, and to describe it once it is read: it does both at once, whatever it was doing.
 const PART_PATIENCE: Duration = Duration::from_secs(10);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_step_of_a_part_that_was_asked_for_has_its_time_and_an_end() {
+        let wanted = Part { channel: Some(2), ..Part::default() };
+        let load = |number: u32, part: Part, state: LoadState| {
+            Some(LoadStatus { load: LoadId(number), is_own: true, part, bytes_needed: 0, state })
+        };
+        let reading = |permille| load(8, wanted, LoadState::Reading { permille });
+        let done = || load(8, wanted, LoadState::Done);
+        let second = Duration::from_secs;
+        let new = || AskedPart::new(Duration::ZERO, wanted, LoadId(7));
+
+        // One that was read before, or that somebody else has asked for, is none of ours.
+        let mut asked = new();
+        assert_eq!(asked.follow(second(1), load(7, wanted, LoadState::Done)), Ok(true));
+        assert_eq!(asked.follow(second(9), load(8, Part::default(), LoadState::Done)), Ok(true));
+        assert!(asked.follow(second(10), None).unwrap_err().contains("does not open"));
+
+        // A large one is read for an hour.
+        let mut asked = new();
+        for s in 0..3600 {
+            assert_eq!(asked.follow(second(s), reading(s as u16 / 4)), Ok(true));
+        }
+        let mut silent = asked;
+        assert_eq!(silent.follow(second(3608), None), Ok(true));
+        assert!(silent.follow(second(3609), None).unwrap_err().contains("tells no more"));
+        // Once it is read it is shown soon, or never.
+        assert_eq!(asked.follow(second(3700), done()), Ok(true));
+        assert_eq!(asked.follow(second(3709), done()), Ok(true));
+        assert_eq!(asked.follow(second(3710), done()), Ok(false));
+        let other = load(9, Part::default(), LoadState::Reading { permille: 0 });
+        assert!(asked.follow(second(3701), other).unwrap_err().contains("another part"));
+        let failed = load(9, wanted, LoadState::Failed("a bad disk".into()));
+        assert_eq!(new().follow(second(1), failed), Err("a bad disk".into()));
+        assert!(new().follow(second(1), load(8, wanted, LoadState::Cancelled)).is_err());
+    }
+}

@@ -31,6 +31,8 @@ pub(crate) struct Browser {
     selected: Option<usize>,
     /// The name to select when the folder is listed.
     wanted_name: Option<String>,
+    /// One that was wanted and is not in the list.
+    missing_name: Option<String>,
     scrolls: bool,
     wants_focus: bool,
     /// The letters of a name that were typed lately, and the time of the last.
@@ -71,6 +73,7 @@ impl Browser {
             folder: Folder::open(folder, wake),
             selected: None,
             wanted_name: None,
+            missing_name: None,
             scrolls: false,
             wants_focus: false,
             typed: (String::new(), 0.0),
@@ -99,7 +102,7 @@ impl Browser {
         self.path_text = folder.display().to_string();
         self.folder = Folder::open(folder, &self.wake);
         (self.selected, self.wanted_name, self.scrolls) = (None, select, true);
-        (self.looked_at, self.takes_folder) = (None, false);
+        (self.looked_at, self.takes_folder, self.missing_name) = (None, false, None);
     }
 
     fn go_up(&mut self) {
@@ -114,12 +117,16 @@ impl Browser {
         self.takes_volumes = volumes.is_some();
         self.folder.poll();
         if let Some(name) = self.wanted_name.take_if(|_| !self.folder.is_listing) {
-            self.select(self.folder.entries.iter().position(|e| e.name == name));
+            let found = self.folder.entries.iter().position(|e| e.name == name);
+            self.select(found);
+            // A folder that cannot be listed has a line of its own.
+            self.missing_name = (found.is_none() && self.folder.problem.is_none()).then_some(name);
         }
         self.path_row(ui);
         let details = match self.entry() {
             _ if self.looked_at.is_some() => DETAILS_HEIGHT.min(height * 0.5),
             Some(entry) if self.opens(entry).is_some() && !entry.is_folder => ui.spacing().interact_size.y,
+            None if self.missing_name.is_some() => ui.spacing().interact_size.y,
             Some(_) | None => 0.0,
         };
         let list = (height - ui.spacing().interact_size.y - 16.0 - details).max(90.0);
@@ -148,7 +155,7 @@ impl Browser {
             named(&field, egui::Role::TextInput, "path");
             if field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter)) {
                 if let Some(path) = path_from_text(&self.path_text) {
-                    // A disk may be slow, but a person who presses enter waits for it anyway: the list tells what it found.
+                    // The folder is listed on a thread. What is in it, or that the name is not, is told there.
                     self.go_to_text(path);
                 }
                 self.wants_focus = true;
@@ -180,7 +187,7 @@ impl Browser {
         if self.selected != entry {
             self.looked_at = None;
         }
-        (self.selected, self.scrolls) = (entry, true);
+        (self.selected, self.scrolls, self.missing_name) = (entry, true, None);
         self.takes_folder &= entry.is_none();
     }
 
@@ -382,9 +389,13 @@ impl Browser {
 
     /// A file that is selected and no volume that opens here; whether it shall be opened.
     fn file(&self, ui: &mut Ui, opens: bool) -> Option<PathBuf> {
+        let color = quiet(ui.ctx());
+        if let Some(name) = &self.missing_name {
+            let text = format!("{name}: not in this folder, or not shown in it");
+            ui.add(egui::Label::new(RichText::new(text).color(color)).truncate());
+        }
         let entry = self.entry().filter(|entry| !entry.is_folder)?;
         let can_open = self.opens(entry)?;
-        let color = quiet(ui.ctx());
         if !can_open {
             let text = format!("{}: {}, which does not open here", entry.name, entry.kind());
             ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());

@@ -102,11 +102,7 @@ impl StartWindow {
             First::Connected { source, link } => {
                 let shows = source.description().map(|d| d.volume.name.clone()).unwrap_or_default();
                 let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
-                let origin = Origin {
-                    server_name: format!("{}:{}", link.host, link.port),
-                    link: Some(link),
-                    ..Origin::default()
-                };
+                let origin = Origin { server_name: link.place(), link: Some(link), ..Origin::default() };
                 window.show_opened(Opened { source, origin, server: None, place, shows }, ctx);
             }
             First::Volume(request) => window.open(request),
@@ -195,19 +191,16 @@ impl StartWindow {
         self.problem = None;
         let opening = read.and_then(|read| {
             let volume = read.state.volume.clone().unwrap_or_default();
-            let opening = match (volume.link(), &volume.source) {
+            let source = volume.volume_source().map_err(|e| format!("The state's region: {e}"))?;
+            let opening = match (volume.link(), source) {
                 (Some(link), _) => {
                     let link = link.parse().map_err(|e| format!("The link of the state's volume: {e}"))?;
                     Opening::connect(&link, &self.clock, &self.wake)?
                 }
                 (None, Some(source)) => {
-                    let (max_bytes, held) = (
-                        self.services.servers.max_bytes(),
-                        self.server.as_ref().map_or(0, |(_, bytes)| *bytes),
-                    );
-                    let selection = volume.selection().map_err(|e| format!("The state's region: {e}"))?;
-                    let request = LoadRequest { selection, max_bytes, ..LoadRequest::new(source.clone()) };
+                    let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
                     let servers = self.services.servers.clone();
+                    let request = source.request(servers.max_bytes());
                     Opening::local(request, held, servers, &self.clock, &self.wake)
                 }
                 (None, None) => {
@@ -257,7 +250,7 @@ impl StartWindow {
 
     fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
         let Opened { source, origin, server, place, shows } = opened;
-        let is_volume = matches!(place, RecentPlace::Volume { .. });
+        let is_volume = matches!(place, RecentPlace::Volume(_));
         let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
         self.recent.note(RecentEntry { place, shows, used_at: (self.services.calendar)() }, folder, ctx);
         later((self.app.turn_to(source, origin), std::mem::replace(&mut self.server, server)));

@@ -6,7 +6,8 @@ use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
-    FormatError, LoadRequest, Loading, Outline, ReadState, RecentPlace, outline, state_from_link,
+    FormatError, LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, outline,
+    state_from_link,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State};
 
@@ -76,7 +77,7 @@ impl Opening {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
         let client = client(link, clock, wake)?;
-        let name = format!("{}:{}", link.host, link.port);
+        let name = link.place();
         let origin =
             Origin { server_name: name.clone(), link: Some(link.clone()), volume_source: None, state };
         Ok(Self {
@@ -108,12 +109,10 @@ impl Opening {
             false => std::path::absolute(&request.source)
                 .map_or_else(|_| request.source.clone(), |path| path.to_string_lossy().into_owned()),
         };
-        let place = RecentPlace::Volume { source: source.clone(), selection: request.selection };
-        let origin = Origin {
-            server_name: "this computer".into(),
-            volume_source: Some((source, request.selection)),
-            ..Origin::default()
-        };
+        let volume = VolumeSource { source, ..request.clone().into() };
+        let place = RecentPlace::Volume(volume.clone());
+        let origin =
+            Origin { server_name: "this computer".into(), volume_source: Some(volume), ..Origin::default() };
         let (of_thread, servers_of_thread) = (request.clone(), servers.clone());
         let look = move || survey(&of_thread, held, &*servers_of_thread);
         let receiver = on_a_thread(wake, look);
@@ -231,11 +230,12 @@ impl Opening {
 
 impl Drop for Opening {
     fn drop(&mut self) {
-        // A server that is being started hands itself to nobody, and ends.
-        if let Step::Connecting(client) = std::mem::replace(&mut self.step, Step::Over) {
-            later((client, self.server.take()));
-        } else if let Some(server) = self.server.take() {
-            later(server);
+        // A server that is being started hands itself to nobody, and ends; one that is there already, or a volume that was read
+        // and not taken, would take its time here.
+        let step = std::mem::replace(&mut self.step, Step::Over);
+        let server = self.server.take();
+        if server.is_some() || !matches!(step, Step::Over) {
+            later((step, server));
         }
     }
 }

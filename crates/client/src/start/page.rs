@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use egui::{Color32, Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
-use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace};
-use isinglass_net::Link;
+use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace, VolumeSource};
+use isinglass_net::{Link, place_of};
 
 use super::browser::{Browser, Chosen};
 use super::opening::{Opening, Stage};
@@ -206,12 +206,9 @@ impl StartPage {
     /// An entry of the list was chosen.
     fn choose(&mut self, ui: &Ui, entry: &RecentEntry, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         match &entry.place {
-            RecentPlace::Volume { source, selection } => {
-                *wish = Some(PageWish::Open(LoadRequest {
-                    selection: *selection,
-                    max_bytes: scene.services.servers.max_bytes(),
-                    ..LoadRequest::new(source.clone())
-                }));
+            RecentPlace::Volume(volume) => {
+                let max_bytes = scene.services.servers.max_bytes();
+                *wish = Some(PageWish::Open(volume.clone().request(max_bytes)));
             }
             RecentPlace::Server { host, port } => {
                 // A link lets in once, and is not kept: there is nothing to call this server with.
@@ -248,10 +245,9 @@ enum RowWish {
 fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     let (name, place) = match &entry.place {
         RecentPlace::Server { host, port } => {
-            let name = if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
-            (name, format!("server, showed {}", entry.shows))
+            (place_of(host, *port), format!("server, showed {}", entry.shows))
         }
-        RecentPlace::Volume { source, selection } => {
+        RecentPlace::Volume(VolumeSource { source, raw, selection, spacing }) => {
             let part = [
                 ("channel", selection.channel),
                 ("time", selection.time),
@@ -259,7 +255,13 @@ fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
                 ("series", selection.series),
             ];
             let part = part.into_iter().filter_map(|(what, n)| n.map(|n| format!(", {what} {n}")));
-            let part: String = part.chain(selection.region.map(|r| format!(", region {r}"))).collect();
+            let region = selection.region.map(|r| format!(", region {r}"));
+            let raw = raw.map(|raw| {
+                let [x, y, z] = raw.dims;
+                format!(", raw {x}×{y}×{z} {}", raw.dtype.name())
+            });
+            let spacing = spacing.map(|s| format!(", voxels of {}×{}×{}", s.x, s.y, s.z));
+            let part: String = part.chain(region).chain(raw).chain(spacing).collect();
             (entry.shows.clone(), format!("{source}{part}"))
         }
     };

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use isinglass_formats::{Recent, RecentEntry};
 
-use crate::background::{Background, write_text};
+use crate::background::{Background, Lost, write_text};
 
 /// Reads and writes on a thread of its own: the page is there before its list.
 pub(crate) struct RecentList {
     file: Option<PathBuf>,
-    /// None until it was read.
-    list: Option<Recent>,
+    /// Until the file was read, what was noted meanwhile.
+    list: Recent,
     reading: Background<Result<Recent, String>>,
     writing: Background<Result<(), String>>,
     /// What is to be written when the disk is free again.
@@ -25,8 +25,8 @@ impl RecentList {
         if let Some(file) = file.clone() {
             reading.start(ctx, move || Recent::read(&file).map_err(|e| e.to_string()));
         }
-        let list = file.is_none().then(Recent::default);
-        Self { file, list, reading, writing: Background::default(), waiting: None, problem: None }
+        let (list, writing) = (Recent::default(), Background::default());
+        Self { file, list, reading, writing, waiting: None, problem: None }
     }
 
     /// Takes what the disk has said. Whether the list was read just now.
@@ -34,27 +34,31 @@ impl RecentList {
         if let Some(Ok(Err(problem))) = self.writing.take() {
             self.problem = Some(problem);
         }
-        self.write_on(ctx);
-        match self.reading.take() {
-            None => return false,
-            Some(Ok(Ok(list))) => self.list = Some(list),
-            // It starts anew with what is opened next.
-            Some(Ok(Err(problem))) => {
-                (self.list, self.problem) = (Some(Recent::default()), Some(problem));
+        let read = self.reading.take();
+        let is_read = read.is_some();
+        match read {
+            Some(Ok(Ok(list))) => {
+                let early = std::mem::replace(&mut self.list, list);
+                if early != Recent::default() {
+                    self.change(ctx, |list| list.note_all(early));
+                }
             }
-            Some(Err(_)) => self.list = Some(Recent::default()),
+            // It starts anew with what was and is opened.
+            Some(Ok(Err(problem))) => self.problem = Some(problem),
+            Some(Err(Lost)) | None => {}
         }
-        true
+        self.write_on(ctx);
+        is_read
     }
 
     /// The entries, newest first.
     pub(crate) fn entries(&self) -> &[RecentEntry] {
-        self.list.as_ref().map_or(&[], |list| &list.entries)
+        &self.list.entries
     }
 
     /// The folder that was looked into last.
     pub(crate) fn folder(&self) -> Option<&Path> {
-        self.list.as_ref()?.folder.as_deref()
+        self.list.folder.as_deref()
     }
 
     /// What went wrong with the file last.
@@ -80,9 +84,8 @@ impl RecentList {
     }
 
     fn change(&mut self, ctx: &egui::Context, change: impl FnOnce(&mut Recent)) {
-        let list = self.list.get_or_insert_default();
-        change(list);
-        self.waiting = Some(list.to_toml());
+        change(&mut self.list);
+        self.waiting = Some(self.list.to_toml());
         self.write_on(ctx);
     }
 

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 use egui::{Event, Key, Modifiers};
@@ -12,10 +13,11 @@ use egui_kittest::kittest::Queryable;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::VolumeDescription;
-use isinglass_formats::{Outline, Recent, Selection};
+use isinglass_formats::{Outline, Recent, Selection, VolumeSource};
 use isinglass_net::{Greeting, Identity, Link, Server, ServerOptions};
 use tempfile::TempDir;
 
+mod recents;
 mod states;
 
 use super::*;
@@ -55,15 +57,19 @@ struct Servers {
     start_gate: Option<Mutex<Receiver<()>>>,
     started: Mutex<Vec<(Selection, [u32; 3])>>,
     num_running: Arc<AtomicUsize>,
+    /// The threads on which servers ended.
+    ended_on: Arc<Mutex<Vec<ThreadId>>>,
 }
 
 struct Running {
     num_running: Arc<AtomicUsize>,
+    ended_on: Arc<Mutex<Vec<ThreadId>>>,
     runtime: Option<tokio::runtime::Runtime>,
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
+        self.ended_on.lock().unwrap().push(std::thread::current().id());
         self.num_running.fetch_sub(1, Ordering::SeqCst);
         self.runtime.take().unwrap().shutdown_background();
     }
@@ -95,7 +101,8 @@ impl LocalServers for Servers {
         self.started.lock().unwrap().push((request.selection, volume.dims()));
         self.num_running.fetch_add(1, Ordering::SeqCst);
         let (runtime, mut links) = porter(&volume);
-        let server = Running { num_running: self.num_running.clone(), runtime: Some(runtime) };
+        let (num_running, ended_on) = (self.num_running.clone(), self.ended_on.clone());
+        let server = Running { num_running, ended_on, runtime: Some(runtime) };
         Ok(LocalServer { link: links.remove(0), server: Box::new(server) })
     }
 }
@@ -118,8 +125,22 @@ impl Stage {
         Self::on_screen(servers, size, 1.0, list)
     }
 
+    fn begun_with(first: First, list: impl FnOnce(&Path) -> Recent) -> Self {
+        Self::begin(Servers::default(), first, [1280.0, 720.0], 1.0, list)
+    }
+
     fn on_screen(
         servers: Servers,
+        size: [f32; 2],
+        pixels_per_point: f32,
+        list: impl FnOnce(&Path) -> Recent,
+    ) -> Self {
+        Self::begin(servers, First::StartPage, size, pixels_per_point, list)
+    }
+
+    fn begin(
+        servers: Servers,
+        first: First,
         size: [f32; 2],
         pixels_per_point: f32,
         list: impl FnOnce(&Path) -> Recent,
@@ -145,7 +166,7 @@ impl Stage {
             let source: BoxedSource = Box::new(Nothing);
             let app = ViewerApp::new(WindowOptions::default(), views, source, clock.clone(), Arc::default());
             let wake: Waker = Arc::new(|| {});
-            StartWindow::new(app, services.clone(), First::StartPage, ctx, clock.clone(), wake)
+            StartWindow::new(app, services, first, ctx, clock, wake)
         };
         let show = move |ui: &mut egui::Ui, state: &mut StartWindow| {
             micros.fetch_add(16_667, Ordering::Relaxed);
@@ -302,10 +323,10 @@ fn the_list_opens_volumes_asks_for_links_and_forgets() {
         entries: vec![
             entry(RecentPlace::Server { host: "render-01".into(), port: 4433 }, "head.nrrd"),
             entry(
-                RecentPlace::Volume {
-                    source: folder.join("data/film.nrrd").to_string_lossy().into_owned(),
+                RecentPlace::Volume(VolumeSource {
                     selection: Selection { time: Some(2), ..Selection::default() },
-                },
+                    ..VolumeSource::new(folder.join("data/film.nrrd").to_string_lossy())
+                }),
                 "film.nrrd",
             ),
         ],
@@ -497,7 +518,7 @@ fn everything(size: [f32; 2], pixels_per_point: f32) -> Stage {
     let server = RecentPlace::Server { host: "render-01".into(), port: 4433 };
     let list = |folder: &Path| {
         let source = folder.join("data/film.nrrd").to_string_lossy().into_owned();
-        let volume = RecentPlace::Volume { source, selection: Selection::default() };
+        let volume = RecentPlace::Volume(VolumeSource::new(source));
         Recent { folder: None, entries: vec![entry(server, "head.nrrd"), entry(volume, "a film")] }
     };
     let mut stage = Stage::on_screen(Servers::default(), size, pixels_per_point, list);

@@ -38,8 +38,10 @@ use isinglass_core::wire::VolumeDescription;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::{FormatError, io_error, quoted, shown};
+use crate::raw::RawShape;
 use crate::select::Selection;
 use crate::source::open_file;
+use crate::volume_source::VolumeSource;
 
 pub(crate) use text::{line_at, one_line};
 
@@ -84,6 +86,12 @@ pub struct SavedVolume {
     /// Part of the volume, as `--region` takes it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<String>,
+    /// Distances between voxels that were given in place of the file's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_spacing: Option<[f32; 3]>,
+    /// The shape of a raw file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub raw: Option<RawShape>,
     /// Voxels along x, y, z.
     pub dims: [u32; 3],
     /// Size of a voxel, world units.
@@ -105,11 +113,22 @@ impl SavedVolume {
         }
     }
 
-    /// The same, opened from `source`.
-    pub fn opened_from(self, source: &str, selection: &Selection) -> Self {
-        let &Selection { channel, time, level, series, region } = selection;
-        let region = region.map(|r| r.to_string());
-        Self { source: Some(source.to_owned()), channel, time, level, series, region, ..self }
+    /// The same, opened from there.
+    pub fn opened_from(self, volume: &VolumeSource) -> Self {
+        let VolumeSource { source, raw, selection, spacing } = volume.clone();
+        let Selection { channel, time, level, series, region } = selection;
+        let (region, given_spacing) = (region.map(|r| r.to_string()), spacing.map(Vec3::into));
+        Self { source: Some(source), channel, time, level, series, region, given_spacing, raw, ..self }
+    }
+
+    /// What to open it from, if that is known and no server.
+    ///
+    /// # Errors
+    /// If the region is none.
+    pub fn volume_source(&self) -> Result<Option<VolumeSource>, String> {
+        let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
+        let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
+        Ok(Some(VolumeSource { source, raw: self.raw, selection, spacing }))
     }
 
     /// Which part of the file it is.
@@ -129,7 +148,7 @@ impl SavedVolume {
 
     /// The same without its place, which is not for everyone to know.
     pub fn without_place(self) -> Self {
-        Self { source: None, server: None, ..self }
+        Self { source: None, server: None, given_spacing: None, raw: None, ..self }
     }
 
     /// Whether it is to be opened from a file, and that is there. May wait for a disk.
@@ -367,8 +386,9 @@ impl SavedState {
     fn problem(&self) -> Option<String> {
         let volume = || {
             let volume = self.volume.as_ref()?;
-            let mut numbers = volume.spacing.iter().chain(&volume.range);
-            let odd = numbers.find(|x| !x.is_finite());
+            let given = [volume.given_spacing, volume.raw.map(|raw| raw.spacing.to_array())];
+            let given = given.iter().flatten().flatten();
+            let odd = volume.spacing.iter().chain(&volume.range).chain(given).find(|x| !x.is_finite());
             odd.map(|x| format!("the volume's spacing or range is {x}, expected finite numbers"))
         };
         let selection = || self.volume.as_ref()?.selection().err().map(|e| format!("region: {e}"));

@@ -4,6 +4,7 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 
 use super::*;
+use crate::dtype::{Dtype, Endian};
 
 /// Numbers that no short decimal is near to.
 fn odd(i: u32) -> f32 {
@@ -16,6 +17,12 @@ fn clip(seed: u32) -> Clip {
     let bounds = Aabb { min, max: min + Vec3::splat(1.0 / 3.0) };
     let plane = Plane::new(Vec3::new(odd(seed + 2), 1.0, -odd(seed)), odd(seed + 3));
     Clip { bounds: (seed & 1 == 1).then_some(bounds), plane: plane.filter(|_| seed & 2 == 2) }
+}
+
+fn raw(seed: u32) -> RawShape {
+    let dtype = Dtype::ALL[seed as usize % Dtype::ALL.len()];
+    let endian = [Endian::Little, Endian::Big][seed as usize / 2 % 2];
+    RawShape { dims: [9, 6, 7], dtype, spacing: Vec3::ONE, endian, offset: 512 + u64::from(seed) }
 }
 
 fn state(seed: u32) -> SavedState {
@@ -39,6 +46,8 @@ fn state(seed: u32) -> SavedState {
             source: Some("/data/a b/head.nrrd".into()),
             region: Some("1:5,:,7:".into()),
             time: Some(3),
+            given_spacing: (seed % 3 == 1).then(|| [0.1, odd(seed), 2.0]),
+            raw: (seed % 2 == 1).then(|| raw(seed)),
             dims: [5, 6, 7],
             spacing: [0.1, odd(seed), 3.0],
             range: [-1000.0, odd(seed + 5)],
@@ -189,6 +198,41 @@ fn a_volume_of_numbers_that_are_none_is_refused() {
             let is_told = problem.contains("expected finite numbers") || problem.contains("overflow");
             assert!(is_told, "{problem}");
         }
+    }
+}
+
+#[test]
+fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
+    let volume = state(1).volume.unwrap();
+    let selection = Selection { time: Some(3), region: "1:5,:,7:".parse().ok(), ..Selection::default() };
+    let source = VolumeSource {
+        source: "/data/a b/head.nrrd".into(),
+        raw: Some(raw(1)),
+        selection,
+        spacing: volume.given_spacing.map(Vec3::from),
+    };
+    assert_eq!(volume.volume_source(), Ok(Some(source.clone())));
+    let opened = SavedVolume { time: None, raw: None, ..volume.clone() }.opened_from(&source);
+    assert_eq!(opened, SavedVolume { region: Some("1:5,0:,7:".into()), ..volume.clone() });
+    let text = state(1).to_toml();
+    for line in
+        ["[volume.raw]", "dims = [9, 6, 7]", "dtype = \"uint8\"", "endian = \"little\"", "offset = 513"]
+    {
+        assert!(text.lines().any(|l| l == line), "{line} in {text}");
+    }
+    // By hand less will do.
+    let short = text.replace("endian = \"little\"\n", "").replace("offset = 513\n", "");
+    let read = from_text(&short).unwrap();
+    let raw = RawShape { offset: 0, ..raw(1) };
+    assert_eq!(read.state.volume, Some(SavedVolume { raw: Some(raw), ..volume.clone() }));
+    assert_eq!(volume.without_place().volume_source(), Ok(None));
+    for (from, to, what) in [
+        ("dtype = \"uint8\"", "dtype = \"block\"", "unknown type \"block\""),
+        ("offset = 513", "offset = -1", "invalid value"),
+        ("given_spacing = [0.1", "given_spacing = [nan", "expected finite numbers"),
+    ] {
+        let problem = from_text(&text.replace(from, to)).unwrap_err();
+        assert!(problem.contains(what), "{problem}");
     }
 }
 

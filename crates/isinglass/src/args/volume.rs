@@ -9,7 +9,7 @@ use isinglass_bench::progress::Progress;
 use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
-    Dtype, Endian, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, open, outline,
+    Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, VolumeSource, open, outline,
 };
 
 use super::LookArgs;
@@ -35,18 +35,27 @@ impl VolumeArgs {
         self.volume.as_deref().context("expected VOLUME")
     }
 
-    /// The volume that a saved state names; flags that take another part of it hold.
-    pub(crate) fn in_state(&self, source: String, saved: &Selection) -> Self {
+    /// The same, in one.
+    pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
+        let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
+        Ok(VolumeSource { source, raw, selection, spacing: self.part.spacing })
+    }
+
+    /// The volume that a saved state names; flags that take another part of it, or read it otherwise, hold.
+    pub(crate) fn in_state(&self, saved: VolumeSource) -> Self {
         let of_flags = self.part.selection();
+        let VolumeSource { source, raw, selection: saved, spacing } = saved;
+        let raw = raw.filter(|_| self.raw.shape().is_none());
         let part = PartArgs {
             channel: of_flags.channel.or(saved.channel),
             time: of_flags.time.or(saved.time),
             level: of_flags.level.or(saved.level),
             series: of_flags.series.or(saved.series),
             region: of_flags.region.or(saved.region),
-            ..self.part.clone()
+            spacing: self.part.spacing.or(spacing).or(raw.map(|r| r.spacing).filter(|s| *s != Vec3::ONE)),
         };
-        Self { volume: Some(source), raw: self.raw.clone(), part }
+        let raw = raw.map_or_else(|| self.raw.clone(), |raw| RawArgs::of(&raw));
+        Self { volume: Some(source), raw, part }
     }
 
     /// Opens the volume, after what is known before; large files show their progress.
@@ -139,6 +148,12 @@ pub(crate) struct RawArgs {
 }
 
 impl RawArgs {
+    /// The flags for a shape, but for its spacing.
+    fn of(shape: &RawShape) -> Self {
+        let &RawShape { dims, dtype, spacing: _, endian, offset } = shape;
+        Self { dims: Some(dims), dtype: Some(dtype), endian: Some(endian), offset: Some(offset) }
+    }
+
     /// The shape, if there is one.
     pub(crate) fn shape(&self) -> Option<RawShape> {
         Some(RawShape {
@@ -166,10 +181,9 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighti
 /// Opens a volume to serve within a limit of memory, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
     let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
-    let OpenOptions { raw, selection, spacing, max_bytes, .. } = options;
-    let request = LoadRequest { source: volume.source()?.to_owned(), raw, selection, spacing, max_bytes };
+    let request = volume.volume_source()?.request(options.max_bytes);
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
-    let before = loader.outline(selection, 0).map_err(|e| anyhow!(e))?;
+    let before = loader.outline(request.selection, 0).map_err(|e| anyhow!(e))?;
     let opened = show_progress(&before, |progress| {
         open(&request.source, &OpenOptions { progress: Some(progress), ..options })
     });

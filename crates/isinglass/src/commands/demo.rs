@@ -167,7 +167,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let names_volume = seen.state.volume.as_ref().is_some_and(|v| v.source.is_some());
     let volume = args.volume.or_else(|| (!names_volume).then(|| DEFAULT_SOURCE.into()));
     let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
-    let volume_source = Some((volume.source()?.to_owned(), volume.part.selection()));
+    let volume_source = Some(volume.volume_source()?);
     let (opened, look) =
         seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.layering, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);

@@ -129,10 +129,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         }
         None if of_state.is_some() => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
-            let volume = seen.volume(&volume)?;
-            let source = volume.source()?.to_owned();
-            let (selection, spacing) = (volume.part.selection(), volume.part.spacing);
-            let request = LoadRequest { source, raw, selection, spacing, max_bytes: limit };
+            let request = seen.volume(&volume)?.volume_source()?.request(limit);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
         }
         None if is_of_volume => {
@@ -165,7 +162,7 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     });
     let client = Client::connect(link, ClientOptions { wake, ..ClientOptions::default() })?;
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
-        bail!("{}:{}: {problem}", link.host, link.port);
+        bail!("{}: {problem}", link.place());
     }
     Ok((client, waker))
 }

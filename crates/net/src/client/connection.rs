@@ -24,7 +24,7 @@ use super::{ClientOptions, Shared, State, chunks, shot};
 use crate::conditioner::{ConditionedSocket, LinkModel};
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{Fingerprint, IdentityError, Mismatch, SERVER_NAME, pinned_tls, random_token};
-use crate::link::Link;
+use crate::link::{Link, place_of};
 use crate::transport::{self, AUTH_DEADLINE, SILENCE_LIMIT};
 
 /// Why there is no connection. The text is for the person at the viewer.
@@ -50,8 +50,9 @@ pub enum ConnectError {
     },
     /// Another certificate than the link's.
     #[error(
-        "the certificate at {host}:{port} is not the link's (expected {expected}, found {found}): the server was \
-         started again and printed a new link, or someone is in between"
+        "the certificate at {} is not the link's (expected {expected}, found {found}): the server was \
+         started again and printed a new link, or someone is in between",
+        place_of(host, *port)
     )]
     Certificate {
         /// Name or address.

@@ -141,3 +141,81 @@ fn carry_shot(shared: &Shared, wish: Option<ShotRequest>) {
         shot::settle(shared, id, Err(e.to_string()));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+    use std::time::{Duration, Instant};
+
+    use glam::Vec3;
+    use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+
+    use crate::client::{Client, ClientOptions};
+
+    use super::*;
+
+    fn look() -> Look {
+        let point = |x: f32| ControlPoint { x, color: [1.0; 3], opacity: x };
+        let points = vec![point(0.0), point(1.0)];
+        let (domain, unit_length) = (Domain::Full, UnitLength::Voxel);
+        Look::new(TransferFunction { name: "ramp".into(), domain, unit_length, points })
+    }
+
+    /// Every wish that a display loop has, from another thread; nothing answers at the address.
+    #[test]
+    fn wishes_are_put_down_while_others_hold_the_locks_of_all_channels_and_are_carried_over_later() {
+        let (token, cert) = ("0".repeat(32), "ab".repeat(32));
+        let link = format!("isinglass://127.0.0.1:9/#token={token}&cert=sha256:{cert}");
+        let client = Client::connect(&link.parse().unwrap(), ClientOptions::default()).unwrap();
+        let shared = &client.shared.clone();
+        let (pose, view) = (Pose::orbit(Vec3::ZERO, 0.3, 0.2, 6.0), Intrinsics::perspective(48, 40, 0.6));
+        let _client = thread::scope(|scope| {
+            // As a reader in the network's thread holds them.
+            let held = (
+                (shared.pose.borrow(), shared.look.borrow(), shared.part.borrow()),
+                (shared.report.borrow(), shared.probe.borrow(), shared.shot.borrow()),
+            );
+            let (done, is_done) = sync_channel(1);
+            let wisher = scope.spawn(move || {
+                // More than once: the messenger itself stands at the first lock by then.
+                for i in 0..50 {
+                    client.set_pose(Pose { eye: pose.eye * (1.0 + i as f32), ..pose }, view);
+                    client.set_look(look()).unwrap();
+                    client.open_part(None);
+                    client.report(ClientStats::default());
+                    client.probe([0.0; 3]);
+                    client.shoot(pose, view, [0; 3]);
+                    client.cancel_shot();
+                    thread::sleep(Duration::from_millis(1));
+                }
+                done.send(()).unwrap();
+                client
+            });
+            is_done.recv_timeout(Duration::from_secs(60)).expect("no wish meets a lock");
+            assert!(held.0.0.is_none(), "nothing went around the lock");
+            // The control: the channels' own way in does meet it.
+            let (done, is_done) = sync_channel(1);
+            scope.spawn(move || {
+                shared.report.send_modify(|_| ());
+                done.send(()).unwrap();
+            });
+            assert!(is_done.recv_timeout(Duration::from_millis(50)).is_err());
+            drop(held);
+            is_done.recv_timeout(Duration::from_secs(60)).expect("it was that lock");
+            wisher.join().unwrap()
+        });
+        let newest = pose.eye * 50.0;
+        let patience = Instant::now() + Duration::from_secs(60);
+        let has_arrived = || {
+            shared.pose.borrow().is_some_and(|p| p.pose.eye == newest)
+                && shared.look.borrow().is_some()
+                && shared.part.borrow().is_some()
+                && shared.report.borrow().is_some()
+                && shared.probe.borrow().is_some()
+        };
+        while !has_arrived() {
+            assert!(Instant::now() < patience, "the messenger has stopped");
+            thread::sleep(Duration::from_millis(2));
+        }
+    }
+}

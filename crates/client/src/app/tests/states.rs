@@ -2,8 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use isinglass_core::ids::LoadId;
 use isinglass_core::kernels::layering::Layering;
-use isinglass_formats::{SavedState, read_state};
+use isinglass_core::wire::{LoadState, Part};
+use isinglass_formats::{SavedState, VolumeSource, read_state};
 
 use super::*;
 use crate::state_files::StateWish;
@@ -208,7 +210,8 @@ fn a_copied_link_names_the_server_and_holds_no_token() {
     let token = "00112233445566778899aabbccddeeff";
     let link = format!("isinglass://far:4433/#token={token}&cert=sha256:{}", "ab".repeat(32));
     w.state_mut().options.link = Some(link.parse().unwrap());
-    w.state_mut().options.volume_source = Some(("/secret/place.nrrd".into(), Default::default()));
+    w.state_mut().options.volume_source = Some(VolumeSource::new("/secret/place.nrrd"));
+    assert_eq!(state(&w).volume.unwrap().source.as_deref(), Some("/secret/place.nrrd"));
     press(&mut w, Modifiers::COMMAND, Key::L);
     assert!(w.state().notice.clone().unwrap().0.contains("clipboard"));
     let copied = w.state().link_to(state(&w)).unwrap();
@@ -217,4 +220,43 @@ fn a_copied_link_names_the_server_and_holds_no_token() {
     let seen = isinglass_formats::state_from_link(&text).unwrap().state;
     assert_eq!((seen.camera, seen.look.clone()), (state(&w).camera, state(&w).look));
     assert_eq!(seen.volume.unwrap().source, None, "where it lies is not for others");
+}
+
+#[test]
+fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_not_waited_for() {
+    let mut w = window([640.0, 480.0]);
+    let now = Part { channel: Some(0), time: Some(0), level: Some(0), series: Some(0), region: None };
+    let parts = Parts {
+        shown: now,
+        whole_dims: [24; 3],
+        num_channels: 1,
+        num_times: 1,
+        num_series: 1,
+        levels: vec![[24; 3], [12; 3]],
+        ..Parts::default()
+    };
+    w.state_mut().viewing.source_mut().parts = Some(Arc::new(parts.clone()));
+    rest(&mut w);
+    let mut wanted = state(&w);
+    let volume = wanted.volume.as_mut().unwrap();
+    (volume.level, volume.dims) = (Some(1), [12; 3]);
+    wanted.look.as_mut().unwrap().k = 5;
+    let text = isinglass_formats::state_to_link(&wanted);
+    w.event(Event::Paste(format!("isinglass://h:1/#state={text}")));
+    rest(&mut w);
+    assert!(w.state().coming.is_some() && w.state().notice().is_empty());
+    // The server reads the level, and then shows one of another size.
+    let part = Part { level: Some(1), ..now };
+    let load = LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1, state: LoadState::Done };
+    let source = w.state_mut().viewing.source_mut();
+    source.load = Some(load);
+    source.parts = Some(Arc::new(Parts { shown: part, whole_dims: [24; 3], ..parts }));
+    rest(&mut w);
+    assert!(w.state().coming.is_some(), "its description may be on the way");
+    for _ in 0..12 {
+        w.run_steps(60);
+    }
+    assert!(w.state().coming.is_none());
+    assert!(w.state().notice().contains("the state was made of"), "{}", w.state().notice());
+    assert_eq!(w.state().seen().unwrap().0.k, 5);
 }

@@ -1,0 +1,134 @@
+//! The list of what was opened lately, and what it takes to open it again.
+
+use glam::Vec3;
+use isinglass_formats::{Dtype, Endian, RawShape, SavedState, SavedVolume};
+use isinglass_net::{Client, ClientOptions};
+
+use super::*;
+
+fn entry(place: RecentPlace, shows: &str) -> RecentEntry {
+    RecentEntry { place, shows: shows.into(), used_at: 996_400 }
+}
+
+/// What `isinglass view LINK` does: the window notes its server before the list was read.
+#[test]
+fn a_window_that_begins_connected_keeps_what_was_opened_before() {
+    let (_runtime, links) = porter(&Builtin::Shells.volume(16));
+    let client = Client::connect(&links[0], ClientOptions::default()).unwrap();
+    client.wait_connected(Duration::from_secs(60)).unwrap();
+    let first = First::Connected { source: Box::new(client), link: links[0].clone() };
+    let earlier = vec![
+        entry(RecentPlace::Server { host: "::1".into(), port: 4433 }, "head.nrrd"),
+        entry(RecentPlace::Volume(VolumeSource::new("/data/b.nrrd")), "b.nrrd"),
+    ];
+    let before = earlier.clone();
+    let mut stage = Stage::begun_with(first, |_| Recent { folder: None, entries: before });
+    let port = links[0].port;
+    let file = stage.folder.path().join("recent.toml");
+    let read = || Recent::read(&file).unwrap();
+    until(&mut stage.window, "the list's file", |_| read().entries.len() != earlier.len());
+    let places: Vec<_> = read().entries.into_iter().map(|e| e.place).collect();
+    let server = RecentPlace::Server { host: "127.0.0.1".into(), port };
+    assert_eq!(places, [server, earlier[0].place.clone(), earlier[1].place.clone()]);
+    assert_eq!(read().folder, Some(stage.folder.path().join("data")));
+    // An address with colons is written as in a link.
+    stage.window.key_press_modifiers(Modifiers::COMMAND, Key::N);
+    stage.window.run_steps(3);
+    assert!(stage.window.query_by_role_and_label(egui::Role::Button, "[::1]:4433").is_some());
+}
+
+fn raw() -> RawShape {
+    RawShape { dims: [6, 5, 2], dtype: Dtype::Uint16, spacing: Vec3::ONE, endian: Endian::Big, offset: 4 }
+}
+
+#[test]
+fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
+    let mut stage = Stage::new(Servers::default(), |folder| {
+        std::fs::write(folder.join("data/scan.raw"), [7; 124]).unwrap();
+        Recent::default()
+    });
+    let source = stage.folder.path().join("data/scan.raw").to_string_lossy().into_owned();
+    let spacing = Some(Vec3::new(1.0, 1.0, 2.5));
+    let volume = VolumeSource { raw: Some(raw()), spacing, ..VolumeSource::new(source.clone()) };
+    stage.window.state_mut().open(volume.clone().request(MAX_BYTES));
+    until(&mut stage.window, "the volume", is_shown);
+    let file = stage.folder.path().join("recent.toml");
+    until(&mut stage.window, "the list's file", |_| !Recent::read(&file).unwrap().entries.is_empty());
+    let list = Recent::read(&file).unwrap();
+    assert_eq!(list.entries[0].place, RecentPlace::Volume(volume.clone()));
+
+    stage.window.key_press_modifiers(Modifiers::COMMAND, Key::N);
+    stage.window.run_steps(3);
+    stage.window.get_by_label("Close it").click();
+    stage.window.run_steps(3);
+    let shows = &list.entries[0].shows;
+    stage.window.get_by_role_and_label(egui::Role::Button, shows).click();
+    stage.window.run_steps(2);
+    until(&mut stage.window, "the volume", is_shown);
+
+    // A state of it brings its shape along; without one the file says nothing of itself.
+    stage.window.state_mut().close();
+    for (saved, is_opened) in [(VolumeSource::new(source), false), (volume, true)] {
+        let saved = SavedVolume { name: "scan.raw".into(), dims: [6, 5, 2], ..SavedVolume::default() }
+            .opened_from(&saved);
+        let state = SavedState { volume: Some(saved), ..SavedState::default() };
+        let path = stage.folder.path().join("data/seen.toml");
+        std::fs::write(&path, state.to_toml()).unwrap();
+        stage.window.state_mut().problem = None;
+        stage.window.input_mut().dropped_files.push(Arc::new(DroppedFile(path)));
+        stage.window.run_steps(2);
+        until(&mut stage.window, "an end", |w| is_shown(w) || w.state().problem.is_some());
+        assert_eq!(is_shown(&stage.window), is_opened);
+    }
+    assert_eq!(*stage.servers.started.lock().unwrap(), [(Selection::default(), [6, 5, 2]); 3]);
+}
+
+#[test]
+fn a_name_that_is_not_in_the_folder_is_said_to_be_missing() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let go_to = |stage: &mut Stage, name: &str| {
+        let path = stage.folder.path().join("data").join(name).to_string_lossy().into_owned();
+        stage.window.get_by_label("path").focus();
+        stage.window.run_steps(2);
+        stage.window.key_press_modifiers(Modifiers::COMMAND, Key::A);
+        stage.window.event(Event::Paste(path));
+        stage.window.run_steps(2);
+        press(&mut stage.window, Key::Enter);
+        until(&mut stage.window, "the folder", |w| w.query_by_label_contains("nothing in this").is_none());
+    };
+    go_to(&mut stage, "none.nrrd");
+    until(&mut stage.window, "a line", |w| {
+        w.query_by_label_contains("none.nrrd: not in this folder").is_some()
+    });
+    go_to(&mut stage, "film.nrrd");
+    until(&mut stage.window, "a header", |w| w.query_by_label_contains("6×5×4 uint8").is_some());
+    assert!(!stage.has("not in this folder"));
+}
+
+/// What takes time to end does so elsewhere, also what nobody has taken yet.
+#[test]
+fn a_server_that_started_and_was_not_taken_ends_on_another_thread() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
+    stage.window.state_mut().open(VolumeSource::new(source).request(MAX_BYTES));
+    let servers = stage.servers.clone();
+    let num_running = || servers.num_running.load(Ordering::SeqCst);
+    let patience = Instant::now() + Duration::from_secs(60);
+    // No refresh: the window is to find it there, and is told to cancel first.
+    while num_running() == 0 {
+        assert!(Instant::now() < patience, "it never started");
+        let opening = stage.window.state_mut().opening.as_mut().unwrap();
+        if opening.stage() != opening::Stage::Preparing {
+            assert!(opening.poll().is_none());
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    std::thread::sleep(Duration::from_millis(20));
+    stage.window.state_mut().opening = None;
+    while num_running() > 0 {
+        assert!(Instant::now() < patience, "it runs on");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let ended_on = servers.ended_on.lock().unwrap().clone();
+    assert!(ended_on.len() == 1 && ended_on[0] != std::thread::current().id());
+}
