@@ -82,7 +82,8 @@ fn sample_line(line: Line, acc: ptr<function, Over>) {
             let sample = sample_at(line, stretch.ends.x + part * (f32(i) + 0.5), stands_for, stretch, along);
             put(acc, sample);
         }
-        if (ends_cast(*acc)) {
+        // Of a projection all samples are taken.
+        if (compositing() == BY_OVER && ends_cast(*acc)) {
             return;
         }
         num_before = num;

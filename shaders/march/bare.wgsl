@@ -1,6 +1,6 @@
 // A rendering composites surfaces without thickness.
 
-fn crossing(step: Step, enters: bool, lattice: Lattice) -> u32 {
+fn crossing(step: Step, to_greater: bool, lattice: Lattice) -> u32 {
     return sink_step(step);
 }
 

@@ -1,14 +1,14 @@
 // Where the values pass those of surfaces. Twin of `cross` in crates/core/src/kernels/march/modes.rs. The part behind this
 // one says what becomes of a crossing:
-//   fn crossing(step: Step, enters: bool, lattice: Lattice) -> u32
+//   fn crossing(step: Step, to_greater: bool, lattice: Lattice) -> u32
 
 fn take(between: Between) -> u32 {
     var pace = NO_STEP;
-    let enters = between.x1 > between.x0;
+    let to_greater = between.x1 > between.x0;
     let num = table.num_surfaces;
     var last = between.s0;
     for (var n = 0u; n < num; n++) {
-        let surface = table.surfaces[select(num - 1u - n, n, enters)];
+        let surface = table.surfaces[select(num - 1u - n, n, to_greater)];
         let is_before = between.x0 < surface.x;
         if (is_before == (between.x1 < surface.x)) {
             continue;
@@ -30,7 +30,7 @@ fn take(between: Between) -> u32 {
         last = s;
         let alpha = opacity(surface.tau);
         let c = surface.color * (shade(between.origin + between.dir * s) * alpha);
-        pace = crossing(Step(c, surface.tau, s, s, alpha), enters, between.lattice);
+        pace = crossing(Step(c, surface.tau, s, s, alpha), to_greater, between.lattice);
         if (pace == 0u) {
             break;
         }

@@ -48,6 +48,8 @@ struct TransferTable {
     num_surfaces: u32,
     // Steps whose greatest key is not above this do not matter.
     key_limit: f32,
+    // Whether the matter of surfaces lies on the side of the lesser values.
+    has_lesser_bodies: u32,
 }
 
 // core::kernels::march::modes::Surface.

@@ -1,5 +1,6 @@
 //! What the tests that cross crates share.
 
+pub mod host;
 pub mod twins;
 
 use std::path::PathBuf;

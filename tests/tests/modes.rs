@@ -77,6 +77,29 @@ fn renderings_and_frames_are_those_of_the_twin() {
     }
 }
 
+/// Seen from aside, as the filling is seen from nowhere else.
+#[test]
+fn surfaces_are_filled_on_the_side_that_the_scene_says() {
+    let Some(gpu) = gpu() else { return };
+    let (name, scene) = scenes_in(Mode::Iso).swap_remove(0);
+    let bounds = scene.volume.bounds();
+    let (own, beside) = (camera(&scene, 25.0, (80, 64)), camera(&scene, 50.0, (80, 64)));
+    let view =
+        |frame: &LayeredFrame| Raycaster::new(frame, &bounds).picture(&beside, &CastOptions::default());
+    let of = |has_lesser_bodies| {
+        let scene = Scene { has_lesser_bodies, ..scene.clone() };
+        let expected = layering::generate(&scene, header(own, 8), Layering::default());
+        let mut renderer = GpuRenderer::new(gpu, scene).unwrap();
+        (view(&renderer.generate(header(own, 8), Layering::default()).unwrap()), view(&expected))
+    };
+    let both = [false, true].map(of);
+    for (found, expected) in &both {
+        let turned = Difference::of(found, expected);
+        assert!(turned.is_tolerable() || turned.is_another_choice(), "{name}: {turned:?}");
+    }
+    Difference::of(&both[1].0, &both[0].1).assert_noticed(&name);
+}
+
 #[test]
 fn novel_views_are_those_of_the_twin() {
     let Some(gpu) = gpu() else { return };

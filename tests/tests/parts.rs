@@ -4,7 +4,6 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -14,14 +13,13 @@ use glam::Vec3;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{LoadState, Part, Parts};
 use isinglass_formats::load_transfer;
-use isinglass_gpu::Backend;
-use isinglass_net::{Client, ClientOptions};
-use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, start};
+use isinglass_net::Client;
+use isinglass_server::{Loaded, Loader, Survey};
+use isinglass_tests::host::Host;
 
 const SIZE: Intrinsics = Intrinsics::perspective(48, 40, 0.6);
 
@@ -83,40 +81,26 @@ impl Loader for Film {
 }
 
 struct Stage {
-    runtime: tokio::runtime::Runtime,
-    server: RunningServer,
+    host: Host,
     film: Arc<Film>,
     gate: SyncSender<()>,
 }
 
 fn stage(has_gate: bool) -> Stage {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     let (gate, opened) = sync_channel(1);
     let film = Arc::new(Film { gate: has_gate.then(|| Mutex::new(opened)), num_cancelled: Mutex::new(0) });
-    let options = ServeOptions {
-        volume: Arc::new(volume(0)),
-        look: Look::new(load_transfer("shells").unwrap()),
-        backend: Backend::Cpu,
-        listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-        plan: Plan::EXACT,
-        max_viewers: 4,
-        library: Some(Library { parts: parts(0), loader: film.clone() }),
-    };
-    let server = runtime.block_on(async { start(options) }).unwrap();
-    Stage { runtime, server, film, gate }
+    Stage { host: Host::new(volume(0), "shells", parts(0), film.clone()), film, gate }
 }
 
 impl Stage {
     fn viewer(&self) -> Client {
-        let link = self.runtime.block_on(self.server.mint_link(None)).unwrap();
-        let client = Client::connect(&link, ClientOptions::default()).unwrap();
-        client.wait_connected(Duration::from_secs(30)).unwrap();
+        let client = self.host.viewer();
         client.set_pose(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 6.0), SIZE);
         client
     }
 
     fn end(self) {
-        self.runtime.block_on(self.server.close());
+        self.host.end();
     }
 }
 

@@ -7,7 +7,6 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::cell::RefCell;
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -19,15 +18,13 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_client::{FrameSize, Refresh, ScriptStep, WindowContents, WindowOptions};
 use isinglass_core::kernels::march::{Scene, render};
-use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{Part, Parts};
 use isinglass_formats::{SavedState, load_transfer, read_state, state_to_link};
-use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, Clock};
-use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, start};
+use isinglass_server::{Loaded, Loader, Survey};
+use isinglass_tests::host::Host;
 use isinglass_tests::twins::Difference;
 
 /// A file with three channels, of which the one in the middle cannot be read.
@@ -65,33 +62,16 @@ impl Loader for Cells {
 }
 
 struct Stage {
-    runtime: tokio::runtime::Runtime,
-    server: RunningServer,
+    host: Host,
     /// Somebody else, who turns the server back to its first channel.
     other: Client,
 }
 
 impl Stage {
     fn new() -> Self {
-        let runtime =
-            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-        let options = ServeOptions {
-            volume: Arc::new(volume(0)),
-            look: Look::new(load_transfer("shells").unwrap()),
-            backend: Backend::Cpu,
-            listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            plan: Plan::EXACT,
-            max_viewers: 2,
-            library: Some(Library { parts: parts(0), loader: Arc::new(Cells) }),
-        };
-        let (server, link) = runtime.block_on(async {
-            let server = start(options).unwrap();
-            let link = server.mint_link(None).await.unwrap();
-            (server, link)
-        });
-        let other = Client::connect(&link, ClientOptions::default()).unwrap();
-        other.wait_connected(Duration::from_secs(60)).unwrap();
-        Self { runtime, server, other }
+        let host = Host::new(volume(0), "shells", parts(0), Arc::new(Cells));
+        let other = host.viewer();
+        Self { host, other }
     }
 
     /// The first channel is shown again.
@@ -105,7 +85,7 @@ impl Stage {
     }
 
     fn window(&self, state: Option<SavedState>) -> Window {
-        let link = self.runtime.block_on(self.server.mint_link(None)).unwrap();
+        let link = self.host.link();
         let clock = Clock::start();
         let options = ClientOptions { clock: clock.clone(), ..ClientOptions::default() };
         let client = Client::connect(&link, options).unwrap();
@@ -128,7 +108,7 @@ impl Stage {
 
     fn end(self) {
         drop(self.other);
-        self.runtime.block_on(self.server.close());
+        self.host.end();
     }
 }
 

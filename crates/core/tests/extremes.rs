@@ -8,7 +8,6 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec;
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
@@ -39,9 +38,7 @@ fn through_everything(scene: &Scene, pose: Pose) -> Picture {
     let picture = render(scene, &camera);
     assert!(is_finite(&picture), "{pose:?}");
     for layering in Layering::ALL {
-        let (frame, look) = (FrameId(1), LookVersion(1));
-        let header = FrameHeader { frame, pose: PoseId(1), look, camera, k: 3, mode: Default::default() };
-        let made = generate(scene, header, layering);
+        let made = generate(scene, FrameHeader::alone(camera, 3), layering);
         made.validate().unwrap();
         let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes).collect();

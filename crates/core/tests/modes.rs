@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, Shading, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
@@ -38,11 +37,6 @@ fn camera(scene: &Scene, azimuth: f32) -> Camera {
     let intrinsics = Intrinsics::perspective(32, 26, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * intrinsics.fit_distance());
     Camera::new(pose, intrinsics, &bounds)
-}
-
-fn header(camera: Camera, k: u8) -> FrameHeader {
-    let mode = Mode::default();
-    FrameHeader { frame: FrameId(1), pose: PoseId(1), look: LookVersion(1), camera, k, mode }
 }
 
 /// Each ray that meets the box, its way in it, and what the picture has there, as sRGB.
@@ -272,7 +266,7 @@ fn skipping_empty_bricks_changes_nothing() {
 fn frame_of(mode: Mode, k: u8, layering: Layering) -> (Scene, Camera, LayeredFrame) {
     let scene = Scene::new(noise(), &ramp(180.0), settings(mode));
     let camera = camera(&scene, 0.4);
-    let frame = generate(&scene, header(camera, k), layering);
+    let frame = generate(&scene, FrameHeader::alone(camera, k), layering);
     frame.validate().unwrap();
     assert_eq!(frame.header.mode, mode);
     (scene, camera, frame)
@@ -362,7 +356,7 @@ fn samples_of_a_homogeneous_body_have_its_mean() {
     let scene = Scene::new(Arc::new(Field::Constant(0.8).volume(24)), &ramp(2.0), settings(Mode::Average));
     let bounds = scene.volume.bounds();
     let own = camera(&scene, 0.4);
-    let frame = generate(&scene, header(own, 4), Layering::default());
+    let frame = generate(&scene, FrameHeader::alone(own, 4), Layering::default());
     let caster = Raycaster::new(&frame, &bounds);
     for num_samples in [0, 1, 7] {
         let options = CastOptions { num_samples, ..CastOptions::default() };

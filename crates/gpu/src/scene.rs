@@ -118,7 +118,9 @@ fn table_words(scene: &march::Scene) -> Vec<f32> {
         words.extend([color.x, color.y, color.z, *tau, *x, 0.0, 0.0, 0.0]);
     }
     let key_limit = key_limit(scene.settings.mode, &scene.table);
-    words.extend([f32::from_bits(scene.surfaces.len() as u32), key_limit, 0.0, 0.0]);
+    let [num_surfaces, has_lesser_bodies] =
+        [scene.surfaces.len() as u32, u32::from(scene.has_lesser_bodies)].map(f32::from_bits);
+    words.extend([num_surfaces, key_limit, has_lesser_bodies, 0.0]);
     words
 }
 

@@ -25,8 +25,12 @@ pub struct Misfit {
     pub shift_pixels: f32,
 }
 
+/// An encoded frame, its coding, and how far it is off.
+type Kept = (EncodedFrame, Coding, Misfit);
+
 impl Bound {
-    /// How far `decoded` is off `frame`, of the same camera.
+    /// How far `decoded` is off `frame`, of the same camera. Lists of a projection keep their depths in every coding that they
+    /// have, and what is seen of them has no middle: they do not shift.
     pub fn misfit(&self, frame: &LayeredFrame, decoded: &LayeredFrame) -> Misfit {
         let picture = |f: &LayeredFrame| f.flatten().to_srgb8([0.0; 3]);
         let differences = picture(frame).into_iter().zip(picture(decoded)).map(|(a, b)| a.abs_diff(b));
@@ -34,9 +38,9 @@ impl Bound {
         let pixels_per_unit = self.turn_radians.sin().abs() / blocks::relayer::units_per_pixel(camera);
         // Lists that are hardly there have no middle, nor one that shows.
         let middles = |n| Some((middle(frame, n)?, middle(decoded, n)?));
-        let shifts = (0..camera.intrinsics.num_pixels())
-            .filter_map(middles)
-            .map(|(a, b)| (a - b).abs() * pixels_per_unit);
+        let is_projection = frame.header.mode.is_projection();
+        let num_lists = if is_projection { 0 } else { camera.intrinsics.num_pixels() };
+        let shifts = (0..num_lists).filter_map(middles).map(|(a, b)| (a - b).abs() * pixels_per_unit);
         Misfit { picture_255: differences.max().unwrap_or(0), shift_pixels: shifts.fold(0.0, f32::max) }
     }
 
@@ -49,7 +53,7 @@ impl Bound {
     ///
     /// # Errors
     /// Those of the codings; [`CodecError::Bound`] if even the exact coding is off by more.
-    pub fn encode(&self, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding, Misfit), CodecError> {
+    pub fn encode(&self, frame: &LayeredFrame) -> Result<Kept, CodecError> {
         let attempt = |coding: Coding| {
             let (encoded, _) = coding.encode(frame, None)?;
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
@@ -57,34 +61,42 @@ impl Bound {
             Ok((encoded, coding, misfit))
         };
         let in_blocks = |quality| attempt(Coding::Blocks(blocks::Settings { quality, is_split: false }));
-        let mut best = match in_blocks(MAX_QUALITY) {
-            Err(CodecError::Projection(_)) => {
-                attempt(Coding::Exact(Settings { color_bits: 8, num_groups: 1 }))?
-            }
-            best => best?,
-        };
-        if self.holds(&best.2) && matches!(best.1, Coding::Blocks(_)) {
-            // Least qualities that may hold, and the least that is known to.
-            let (mut least, mut known) = (0, MAX_QUALITY);
-            while least < known {
-                let quality = (least + known) / 2;
-                let found = in_blocks(quality)?;
-                if self.holds(&found.2) {
-                    known = quality;
-                    best = found;
-                } else {
-                    least = quality + 1;
-                }
-            }
-            return Ok(best);
-        }
-        for color_bits in [8, 10] {
-            best = attempt(Coding::Exact(Settings { color_bits, num_groups: 1 }))?;
+        if !frame.header.mode.is_projection() {
+            let best = in_blocks(MAX_QUALITY)?;
             if self.holds(&best.2) {
-                return Ok(best);
+                return self.coarsest(best, in_blocks);
             }
         }
-        Err(CodecError::Bound(best.2.picture_255))
+        let mut least = u8::MAX;
+        for color_bits in [8, 10] {
+            let found = attempt(Coding::Exact(Settings { color_bits, num_groups: 1 }))?;
+            if self.holds(&found.2) {
+                return Ok(found);
+            }
+            least = found.2.picture_255;
+        }
+        Err(CodecError::Bound(least))
+    }
+
+    /// The least quality of blocks that keeps the bound, where the greatest, `best`, does.
+    fn coarsest(
+        &self,
+        mut best: Kept,
+        in_blocks: impl Fn(u8) -> Result<Kept, CodecError>,
+    ) -> Result<Kept, CodecError> {
+        // Least qualities that may hold, and the least that is known to.
+        let (mut least, mut known) = (0, MAX_QUALITY);
+        while least < known {
+            let quality = (least + known) / 2;
+            let found = in_blocks(quality)?;
+            if self.holds(&found.2) {
+                known = quality;
+                best = found;
+            } else {
+                least = quality + 1;
+            }
+        }
+        Ok(best)
     }
 }
 
@@ -107,24 +119,37 @@ const LEAST_OPACITY: f32 = 1.0 / 128.0;
 mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics, Pose};
-    use crate::codec::tests::soft_scene;
-    use crate::ids::{FrameId, LookVersion, PoseId};
+    use crate::codec::tests::{soft, soft_scene};
     use crate::kernels::layering::{Layering, generate};
+    use crate::kernels::march::{MarchSettings, Scene};
     use crate::layer::FrameHeader;
+    use crate::mode::Mode;
     use crate::volume::procedural::Builtin;
 
     fn made(builtin: Builtin) -> LayeredFrame {
-        let scene = soft_scene(builtin);
+        frame_of(&soft_scene(builtin))
+    }
+
+    fn frame_of(scene: &Scene) -> LayeredFrame {
         let bounds = scene.volume.bounds();
         let intrinsics = Intrinsics::perspective(96, 80, 0.6);
         let distance = bounds.radius() * intrinsics.fit_distance();
         let camera = Camera::new(Pose::orbit(glam::Vec3::ZERO, 0.5, 0.3, distance), intrinsics, &bounds);
-        let (frame, pose, look) = (FrameId(1), PoseId(1), LookVersion(1));
-        generate(
-            &scene,
-            FrameHeader { frame, pose, look, camera, k: 12, mode: Default::default() },
-            Layering::VisibilityMerge,
-        )
+        generate(scene, FrameHeader::alone(camera, 12), Layering::VisibilityMerge)
+    }
+
+    #[test]
+    fn a_projection_is_coded_exactly_and_does_not_shift() {
+        for mode in [Mode::Mip, Mode::MinIp, Mode::Average] {
+            let scene = soft_scene(Builtin::Cloud);
+            let settings = MarchSettings { mode, ..scene.settings };
+            let frame = frame_of(&scene.with_look(&soft(), settings));
+            assert!(frame.header.mode == mode && frame.num_segments() > 0);
+            let bound = Bound { picture_255: 2, shift_pixels: 0.0, turn_radians: 0.2 };
+            let (encoded, coding, misfit) = bound.encode(&frame).unwrap();
+            assert!(matches!(coding, Coding::Exact(_)) && encoded.chunks.iter().all(|c| c.is_base), "{mode}");
+            assert!(misfit.picture_255 <= 2 && misfit.shift_pixels == 0.0, "{mode}: {misfit:?}");
+        }
     }
 
     /// What is encoded is decoded anew and measured anew, and what costs fewer bytes would not have kept the bound.

@@ -8,7 +8,7 @@ use super::{CodecError, MAX_BANDS, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, TILE, at_mo
 use crate::camera::{Camera, Intrinsics, Pose, Projection};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, MAX_K};
-use crate::mode::Mode;
+use crate::mode::{Compositing, Mode};
 
 /// What a chunk says of itself and of its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -154,6 +154,13 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
             what: "mode of a frame in blocks",
             found: mode.to_string(),
             expected: "composite or iso".into(),
+        });
+    }
+    if mode.compositing() == Compositing::Mean && num_chunks != num_base {
+        return Err(CodecError::Header {
+            what: "number of chunks of an average",
+            found: num_chunks.to_string(),
+            expected: num_base.to_string(),
         });
     }
     let frame = FrameHeader { frame, pose, look, camera, k, mode };

@@ -251,7 +251,9 @@ fn encode_while(
     let intrinsics = frame.header.camera.intrinsics;
     let width = intrinsics.width as usize;
     let num_bands = header::num_bands(intrinsics.height);
-    let base_k = if settings.num_groups == 1 { MAX_K } else { base_k(frame) };
+    // A mean has all of its lists at once: the picture of some would be too dark.
+    let is_whole = settings.num_groups == 1 || frame.header.mode.compositing() == Compositing::Mean;
+    let base_k = if is_whole { MAX_K } else { base_k(frame) };
     let bands: Vec<_> = (0..num_bands)
         .into_par_iter()
         .map(|band| {

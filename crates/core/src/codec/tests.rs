@@ -87,9 +87,9 @@ fn full_frame(width: u32, height: u32, k: u8) -> LayeredFrame {
 }
 
 /// A built-in volume of 48³ voxels through a smooth transfer function.
-pub(super) fn soft_scene(builtin: Builtin) -> Scene {
+pub(super) fn soft() -> TransferFunction {
     let p = |x, color, opacity| ControlPoint { x, color, opacity };
-    let transfer = TransferFunction {
+    TransferFunction {
         name: "soft".into(),
         domain: Domain::Full,
         unit_length: UnitLength::Radius(1.0),
@@ -98,8 +98,11 @@ pub(super) fn soft_scene(builtin: Builtin) -> Scene {
             p(0.5, [0.9, 0.6, 0.3], 0.9),
             p(1.0, [1.0, 0.9, 0.7], 0.999),
         ],
-    };
-    Scene::new(builtin.volume(48).into(), &transfer, MarchSettings::default())
+    }
+}
+
+pub(super) fn soft_scene(builtin: Builtin) -> Scene {
+    Scene::new(builtin.volume(48).into(), &soft(), MarchSettings::default())
 }
 
 fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {

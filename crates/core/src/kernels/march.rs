@@ -87,6 +87,8 @@ pub struct Scene {
     pub table: TransferTable,
     /// The surfaces of [`Mode::Iso`], by ascending position.
     pub surfaces: Vec<Surface>,
+    /// Whether the matter of surfaces lies on the side of the lesser values.
+    pub has_lesser_bodies: bool,
     /// Bricks that the mode leaves visible.
     pub occupancy: Occupancy,
     /// Brightness of the voxels, if `settings` ask for shading or lighting.
@@ -102,16 +104,28 @@ impl Scene {
         let histogram = Arc::new(Histogram::of(&volume));
         let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
         let occupancy = modes::occupancy(&bricks, settings.mode, &table, &surfaces);
+        let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &volume, &settings.clip);
         let illumination = illuminate(&volume, &table, &surfaces, settings, None);
-        Self { volume, bricks, histogram, table, surfaces, occupancy, illumination, settings }
+        Self {
+            volume,
+            bricks,
+            histogram,
+            table,
+            surfaces,
+            has_lesser_bodies,
+            occupancy,
+            illumination,
+            settings,
+        }
     }
 
     /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
         let occupancy = modes::occupancy(&self.bricks, settings.mode, &table, &surfaces);
+        let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &self.volume, &settings.clip);
         let illumination = illuminate(&self.volume, &table, &surfaces, settings, Some(&self.illumination));
-        Self { table, surfaces, occupancy, illumination, settings, ..self.clone() }
+        Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
     }
 
     /// What is left of the volume.
@@ -289,7 +303,8 @@ impl<'a, T: Texels> Marcher<'a, T> {
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
         }
-        let mut thicken = Thicken::new(sink, lattice, self.scene.volume.spacing().min_element());
+        let voxel = self.scene.volume.spacing().min_element();
+        let mut thicken = Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies);
         self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut thicken);
         thicken.finish();
     }

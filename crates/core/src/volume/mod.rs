@@ -13,7 +13,7 @@ pub mod procedural;
 mod shade;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
-pub use extinction::{Detail, Matter, Sheet};
+pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
 pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::{Histogram, parting_value};
 pub use illumination::Illumination;

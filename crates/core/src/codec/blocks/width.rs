@@ -72,12 +72,19 @@ fn of_machine() -> Width {
 #[cfg(test)]
 pub(super) mod tests {
     #[cfg(target_arch = "x86_64")]
-    use std::sync::atomic::{AtomicU8, Ordering};
+    use std::sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU8, Ordering},
+    };
 
     #[cfg(target_arch = "x86_64")]
     use super::*;
 
-    /// The widest that functions run with; it makes no difference to tests that run at once.
+    /// One test at a time has functions run as it says.
+    #[cfg(target_arch = "x86_64")]
+    static TURN: Mutex<()> = Mutex::new(());
+
+    /// The widest that functions run with; it makes no difference to tests that run at once and do not say.
     #[cfg(target_arch = "x86_64")]
     static MOST: AtomicU8 = AtomicU8::new(Width::Avx512 as u8);
 
@@ -89,9 +96,12 @@ pub(super) mod tests {
     /// What a function gives with each width.
     #[cfg(target_arch = "x86_64")]
     pub(in crate::codec::blocks) fn with_each<T>(mut run: impl FnMut() -> T) -> [T; 3] {
+        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let found = [Width::Any, Width::Avx2, Width::Avx512].map(|most| {
             MOST.store(most as u8, Ordering::Relaxed);
-            run()
+            let found = run();
+            assert_eq!(width(), most.min(of_machine()), "somebody else has said another width");
+            found
         });
         MOST.store(Width::Avx512 as u8, Ordering::Relaxed);
         found

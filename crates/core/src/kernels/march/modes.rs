@@ -188,15 +188,15 @@ impl<T: Texels> Marcher<'_, T> {
         })
     }
 
-    /// The surfaces that lie between two samples. A step that the surface's matter lies behind begins at the crossing and
-    /// ends behind it, one that leaves matter ends in front of it; [`super::surfaces`] makes segments of these.
+    /// The surfaces that lie between two samples. A step into greater values begins at the crossing and ends behind it, one into
+    /// lesser values ends in front of it; [`super::surfaces`] makes segments of these.
     fn cross(&self, ends: &Between, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Pace> {
         let mut pace = None;
-        let enters = ends.x1 > ends.x0;
+        let to_greater = ends.x1 > ends.x0;
         let num = self.scene.surfaces.len();
         let mut last = ends.s0;
         for i in 0..num {
-            let surface = &self.scene.surfaces[if enters { i } else { num - 1 - i }];
+            let surface = &self.scene.surfaces[if to_greater { i } else { num - 1 - i }];
             if (ends.x0 < surface.x) == (ends.x1 < surface.x) {
                 continue;
             }
@@ -222,7 +222,7 @@ impl<T: Texels> Marcher<'_, T> {
             });
             let alpha = opacity(surface.tau);
             let c = surface.color * (brightness * alpha);
-            let s1 = if enters { f32::INFINITY } else { f32::NEG_INFINITY };
+            let s1 = if to_greater { f32::INFINITY } else { f32::NEG_INFINITY };
             let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
             pace = Some(next);
             if next == Pace::Stop {

@@ -3,14 +3,17 @@
 //! A surface has none, but in a layered frame it needs some: a new ray passes from list to list, and where the surface
 //! lies deeper in one list than in the next by more than it is thick, the ray slips through. What an opaque surface
 //! encloses is seen from nowhere outside, so its crossings are filled up with its own matter: from where a ray enters half
-//! way to where it leaves, with the colour of the front, and from there on with that of the back. A ray has the same
-//! colours as without. A translucent surface is [`THICKNESS_IN_VOXELS`] thick, on the side of the greater values, and no
-//! thicker than half the way to the next crossing.
+//! way to where it leaves, with the colour of the front, and from there on with that of the back. Opaque matter is made so
+//! dense that the ray it was met by has its colours as without, but for the e^−τ, at most 1/2980, that came through the surface. A
+//! translucent surface is [`THICKNESS_IN_VOXELS`] thick and no thicker than half the way to the next crossing. Both lie on
+//! the side of the bodies: of the greater values, or of the lesser ones where opaque surfaces enclose those
+//! ([`has_lesser_bodies`]); on the other side, a body of lesser values would fill all that is open behind it.
 
 use super::modes::Surface;
 use super::{Lattice, Pace, Sink, Step, opacity};
+use crate::clip::Clip;
 use crate::transfer::TransferTable;
-use crate::volume::Sheet;
+use crate::volume::{Sheet, Volume, has_lesser_bodies};
 
 /// The surfaces as light meets them.
 pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> {
@@ -21,6 +24,11 @@ pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> 
     each.collect()
 }
 
+/// Whether the bodies that opaque surfaces enclose in what is left of a volume lie among the lesser values.
+pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
+    has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()).bounds)
+}
+
 /// Hands crossings on as segments that do not overlap.
 pub(super) struct Thicken<'a, S> {
     sink: &'a mut S,
@@ -28,6 +36,7 @@ pub(super) struct Thicken<'a, S> {
     pending: Option<Pending>,
     lattice: Lattice,
     voxel: f32,
+    has_lesser_bodies: bool,
     has_stopped: bool,
 }
 
@@ -40,8 +49,8 @@ struct Pending {
 
 impl<'a, S: Sink> Thicken<'a, S> {
     /// `voxel` is the least spacing.
-    pub(super) fn new(sink: &'a mut S, lattice: Lattice, voxel: f32) -> Self {
-        Self { sink, pending: None, lattice, voxel, has_stopped: false }
+    pub(super) fn new(sink: &'a mut S, lattice: Lattice, voxel: f32, has_lesser_bodies: bool) -> Self {
+        Self { sink, pending: None, lattice, voxel, has_lesser_bodies, has_stopped: false }
     }
 
     /// Hands on the last crossing, too.
@@ -75,7 +84,7 @@ impl<'a, S: Sink> Thicken<'a, S> {
 
 impl<S: Sink> Sink for Thicken<'_, S> {
     fn step(&mut self, step: Step) -> Pace {
-        let (place, enters) = (step.s0, step.s1 > step.s0);
+        let (place, enters) = (step.s0, (step.s1 > step.s0) != self.has_lesser_bodies);
         let mut pace = Pace::Step;
         // An opaque body that the ray begins in would hide what is in it.
         let mut before = place - self.reach(&step).min(THICKNESS_IN_VOXELS * self.voxel);

@@ -23,6 +23,11 @@ pub struct Sheet {
     pub is_opaque: bool,
 }
 
+/// Whether the bodies of opaque sheets lie among the lesser values. `bounds` are those of what is shown.
+pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, bounds: &Aabb) -> bool {
+    Body::of(sheets, volume, bounds).is_some_and(|body| !body.is_greater)
+}
+
 /// A stored number, and on which side of it bodies lie.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Body {
@@ -65,7 +70,8 @@ impl Body {
     }
 }
 
-/// The share of the faces of a box where stored numbers are at or above one.
+/// The share of the faces of a box where stored numbers are at or above one, by at most [`FACE_SAMPLES`] voxels a side of a face:
+/// no more than a draft can wait for.
 fn share_above(volume: &Volume, bounds: &Aabb, stored: f32) -> f32 {
     let dims = volume.dims().map(|d| d as i32);
     let (spacing, first) = (volume.spacing(), volume.bounds().min);
@@ -83,19 +89,28 @@ fn share_above(volume: &Volume, bounds: &Aabb, stored: f32) -> f32 {
         let area =
             f64::from(spacing[a] / spacing.max_element()) * f64::from(spacing[b] / spacing.max_element());
         for face in [range[axis].0, range[axis].1] {
-            let mut num_above = 0u64;
-            for i in range[a].0..=range[a].1 {
-                for j in range[b].0..=range[b].1 {
+            let (mut num_above, mut num) = (0u32, 0u32);
+            for i in sampled(range[a]) {
+                for j in sampled(range[b]) {
                     let mut at = [0; 3];
                     (at[axis], at[a], at[b]) = (face, i, j);
-                    num_above += u64::from(volume.stored_at(at[0], at[1], at[2]) >= stored);
+                    num_above += u32::from(volume.stored_at(at[0], at[1], at[2]) >= stored);
+                    num += 1;
                 }
             }
-            above += area * num_above as f64;
-            all += area * f64::from(range[a].1 - range[a].0 + 1) * f64::from(range[b].1 - range[b].0 + 1);
+            let [na, nb] = [a, b].map(|axis| f64::from(range[axis].1 - range[axis].0 + 1));
+            let of_face = area * na * nb;
+            above += of_face * f64::from(num_above) / f64::from(num);
+            all += of_face;
         }
     }
     (above / all) as f32
+}
+
+/// Voxels between two, both taken in, at equal distances and from their middle.
+fn sampled((lo, hi): (i32, i32)) -> impl Iterator<Item = i32> {
+    let apart = (hi - lo) / FACE_SAMPLES + 1;
+    (lo + (apart - 1) / 2..=hi).step_by(apart as usize)
 }
 
 impl Extinction {
@@ -171,5 +186,39 @@ impl Extinction {
     }
 }
 
+/// Which side most of a face lies on is told by so many rows of so many voxels.
+const FACE_SAMPLES: i32 = 128;
 /// What comes through a full cell.
 const FULL_TRANSMITTANCE: f32 = 1e-6;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+
+    #[test]
+    fn faces_are_told_apart_by_a_bounded_number_of_voxels() {
+        for (lo, hi) in [(0, 0), (0, 1), (3, 130), (0, 127), (0, 128), (5, 2047), (0, 300)] {
+            let found: Vec<i32> = sampled((lo, hi)).collect();
+            assert!(
+                !found.is_empty() && found.len() <= FACE_SAMPLES as usize,
+                "{lo}..={hi}: {}",
+                found.len()
+            );
+            assert!(found.iter().all(|i| (lo..=hi).contains(i)));
+            let is_all = hi - lo < FACE_SAMPLES;
+            assert_eq!(found.len() == (hi - lo + 1) as usize, is_all, "{lo}..={hi}");
+        }
+        // Long along x. The faces across x have few voxels and count by their size: 5 of 9 rows of the others are above.
+        let dims = [600u32, 9, 9];
+        let at = |i: u32| i / 600 % 9;
+        let voxels = (0..600 * 81).map(|i| if at(i) < 5 { 200 } else { 0 }).collect();
+        let of = |voxels| Volume::new(dims, Vec3::ONE, Voxels::U8(voxels), (1.0, 0.0), Default::default());
+        let volume = of(voxels).unwrap();
+        // Along y: one face is above, one below, and of those along z and across x 5 of 9.
+        let expected = (5400.0 + 2.0 * 3000.0 + 2.0 * 45.0) / (4.0 * 5400.0 + 2.0 * 81.0);
+        let found = share_above(&volume, &volume.bounds(), 100.0);
+        assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+    }
+}

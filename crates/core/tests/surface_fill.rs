@@ -1,0 +1,87 @@
+//! What opaque surfaces are filled up with: their bodies, whichever side those lie on, and nothing beside.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::clip::Clip;
+use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::mode::{Iso, Isos, Mode};
+use isinglass_core::picture::Picture;
+use isinglass_core::space::Aabb;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::{Lighting, Volume, Voxels};
+
+const SIDE: u32 = 48;
+
+/// A sphere in the middle whose values are greater than 0, or lesser.
+fn sphere(is_greater: bool) -> Arc<Volume> {
+    let at = |i: u32| i as f32 + 0.5 - 0.5 * SIDE as f32;
+    let value = |i: u32| 12.0 - Vec3::new(at(i % SIDE), at(i / SIDE % SIDE), at(i / SIDE / SIDE)).length();
+    let voxels = (0..SIDE.pow(3)).map(|i| if is_greater { value(i) } else { -value(i) });
+    let voxels = Voxels::F32(voxels.collect());
+    Arc::new(Volume::new([SIDE; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap())
+}
+
+fn white() -> TransferFunction {
+    let p = |x, opacity| ControlPoint { x, color: [1.0; 3], opacity };
+    TransferFunction {
+        name: "white".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Voxel,
+        points: vec![p(0.0, 0.5), p(1.0, 0.5)],
+    }
+}
+
+fn scene(is_greater: bool, clip: Clip) -> Scene {
+    let isos = Isos::new(&[Iso { value: 0.0, opacity: 1.0 }]).unwrap();
+    let of = MarchSettings::of(true, Lighting::default());
+    Scene::new(sphere(is_greater), &white(), MarchSettings { mode: Mode::Iso, isos, clip, ..of })
+}
+
+/// The share of the picture that a frame made from the front has otherwise than the renderer, seen from the side.
+fn share_off(scene: &Scene, degrees: f32) -> f32 {
+    let bounds = scene.volume.bounds();
+    let intrinsics = Intrinsics::perspective(120, 100, 0.6);
+    let camera = |azimuth: f32| {
+        let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.1, bounds.radius() * intrinsics.fit_distance());
+        Camera::new(pose, intrinsics, &bounds)
+    };
+    let frame = generate(scene, FrameHeader::alone(camera(0.0), 8), Layering::VisibilityMerge);
+    let (to, srgb) = (camera(degrees.to_radians()), |p: &Picture| p.to_srgb8([0.0; 3]));
+    let (seen, truth) = (srgb(&raycast(&frame, &bounds, &to)), srgb(&render(scene, &to)));
+    // Half of white: a pixel that matter covers or not, not one whose shade differs.
+    let is_off = |(a, b): (&[u8], &[u8])| a[0].abs_diff(b[0]) > 60;
+    let num_off = seen.chunks_exact(3).zip(truth.chunks_exact(3)).filter(|&pair| is_off(pair)).count();
+    num_off as f32 / (120.0 * 100.0)
+}
+
+#[test]
+fn bodies_of_lesser_values_are_filled_as_those_of_greater_ones_and_leave_open_what_is_open() {
+    let (greater, lesser) = (scene(true, Clip::default()), scene(false, Clip::default()));
+    assert!(!greater.has_lesser_bodies && lesser.has_lesser_bodies);
+    let filled_beside = Scene { has_lesser_bodies: false, ..lesser.clone() };
+    let found = [&greater, &lesser, &filled_beside].map(|scene| share_off(scene, 20.0));
+    // From its own side nothing tells them apart.
+    let own = [&greater, &lesser, &filled_beside].map(|scene| share_off(scene, 0.0));
+    assert_eq!(own, [0.0; 3]);
+    assert!(found[0] < 0.005 && found[1] < 0.005, "{found:?}");
+    // The control: what fills the open space behind the sphere is a shadow of matter beside it.
+    assert!(found[2] > 0.02, "{found:?}");
+}
+
+#[test]
+fn bodies_are_those_of_what_is_left_of_a_volume() {
+    // Inside of the sphere all around is greater.
+    let bounds = Some(Aabb { min: Vec3::splat(-5.0), max: Vec3::splat(5.0) });
+    let inside = Clip { bounds, ..Clip::default() };
+    assert!(scene(true, inside).has_lesser_bodies && !scene(false, inside).has_lesser_bodies);
+    let whole = scene(true, Clip::default());
+    let clipped = whole.with_look(&white(), MarchSettings { clip: inside, ..whole.settings });
+    assert!(clipped.has_lesser_bodies, "another clip is another look");
+}
