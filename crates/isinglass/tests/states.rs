@@ -11,7 +11,10 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::look::Look;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_formats::{SavedCamera, SavedState, SavedView, SavedVolume, Srgb, preset, state_to_link};
+use isinglass_formats::{
+    Dtype, Endian, RawShape, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, VolumeSource, preset,
+    state_to_link,
+};
 
 use common::{Bench, assert_failed};
 
@@ -115,6 +118,41 @@ fn another_volume_and_unknown_keys_are_told_and_mistakes_are_one_line() {
     ] {
         assert_failed(line, &bench.run(line), code, words);
     }
+}
+
+#[test]
+fn a_state_of_a_raw_file_brings_what_the_file_does_not_say_and_flags_hold() {
+    let bench = Bench::new();
+    // The first time of the film.
+    let offset = 100;
+    let voxels = film().split_off(film().len() - 3 * 16 * 16 * 16);
+    let scan = bench.write("scan.raw", [vec![0xff; 100], voxels].concat());
+    let raw =
+        RawShape { dims: [16; 3], dtype: Dtype::Uint8, spacing: Vec3::ONE, endian: Endian::Little, offset };
+    let given = VolumeSource {
+        raw: Some(raw),
+        spacing: Some(Vec3::new(1.0, 1.0, 2.0)),
+        ..VolumeSource::new(scan.to_str().unwrap())
+    };
+    let state = third_time("");
+    let volume = SavedVolume { time: None, dims: [16; 3], ..state.volume.clone().unwrap() };
+    let state_of = |source: &VolumeSource| SavedState {
+        volume: Some(volume.clone().opened_from(source)),
+        ..state.clone()
+    };
+    bench.write("seen.toml", state_of(&given).to_toml());
+    let shape = format!("--dims 16,16,16 --dtype uint8 --offset {offset}");
+    let render = |what: &str, name: &str| {
+        bench.ok(&format!("render {what} --state seen.toml --backend cpu -o {name}"));
+        bytes(&bench, name)
+    };
+    let flags = render(&format!("{} {shape} --spacing 1,1,2", scan.display()), "flags.png");
+    assert!(render("", "state.png") == flags);
+    // The controls: flags that read it otherwise hold, and without its shape it says nothing of itself.
+    assert!(render("--spacing 1,1,1", "other.png") != flags);
+    assert!(render("--dims 16,16,8 --dtype uint8", "other.png") != flags);
+    bench.write("bare.toml", state_of(&VolumeSource::new(scan.to_str().unwrap())).to_toml());
+    assert_failed("bare", &bench.run("render --state bare.toml -o a.png"), 1, &["scan.raw"]);
 }
 
 /// A film of three times: a ball that moves, in NRRD.
