@@ -41,7 +41,6 @@ mod in_numbers {
     use glam::Vec3;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands it over so")]
     pub(super) fn serialize<S: Serializer>(vector: &Vec3, serializer: S) -> Result<S::Ok, S::Error> {
         vector.to_array().serialize(serializer)
     }
@@ -52,7 +51,6 @@ mod in_numbers {
 }
 
 /// TOML's numbers end at 2⁶³ − 1, as the sizes of files do.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands it over so")]
 fn offset_in_toml<S: Serializer>(offset: &u64, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_i64(i64::try_from(*offset).unwrap_or(i64::MAX))
 }
