@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 22] = [
+const SOURCES: [&str; 23] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
@@ -16,6 +16,7 @@ const SOURCES: [&str; 22] = [
     "crates/core/src/codec/contexts.rs",
     "crates/core/src/codec/rans.rs",
     "crates/core/src/codec/blocks/band.rs",
+    "crates/core/src/codec/blocks/bands.rs",
     "crates/core/src/codec/blocks/chunk.rs",
     "crates/core/src/codec/blocks/coding.rs",
     "crates/core/src/codec/blocks/coding",

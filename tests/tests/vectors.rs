@@ -26,12 +26,14 @@ const VECTORS: [(&str, u64); 5] = [
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
-const BLOCKS: [(&str, Option<&str>, u64); 5] = [
+const BLOCKS: [(&str, Option<&str>, u64); 7] = [
     ("blocks-2-shells", None, 0xf758_9055_db80_deef),
     ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
     ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
     ("blocks-2-cloud-split", None, 0x4d1c_6e0e_748b_a15c),
     ("blocks-2-cubus-coarse", None, 0xa9b9_07db_c481_ed57),
+    ("blocks-2-own-bands", None, 0x8932_3ba5_9a25_c0d7),
+    ("blocks-2-own-bands-turned", Some("blocks-2-own-bands"), 0xbdf2_38a3_a0e9_f57e),
 ];
 
 fn path(name: &str) -> PathBuf {
@@ -144,6 +146,8 @@ fn make_missing_vectors() {
         (turned(13, 0.52), 60, false),
         (frame_at(14, 0.5, "builtin:cloud@32", [64, 64], 12, merge), 90, true),
         (frame_at(15, 0.5, "builtin:cubus@32", [50, 81], 4, Layering::EqualTransmittance), 10, false),
+        (frame_at(16, 0.5, shells, [40, 260], 8, merge), 40, false),
+        (frame_at(17, 0.52, shells, [40, 260], 8, merge), 40, true),
     ]) {
         let path = path(name);
         let settings = blocks::Settings { quality, is_split };

@@ -38,9 +38,15 @@ fn seeds() -> (Vec<Seed>, Vec<Arc<Reference>>) {
     let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
     let mut random = Random(1);
     let (mut seeds, mut all) = (vec![], vec![]);
-    for (width, height, k, noise) in
-        [(17, 33, 8, 0), (20, 70, 4, 300), (5, 3, 32, 40), (64, 130, 1, 5), (1, 1, 2, 0), (33, 31, 3, 9000)]
-    {
+    for (width, height, k, noise) in [
+        (17, 33, 8, 0),
+        (20, 70, 4, 300),
+        (5, 3, 32, 40),
+        (64, 130, 1, 5),
+        (1, 1, 2, 0),
+        (33, 31, 3, 9000),
+        (24, 260, 6, 100),
+    ] {
         let intrinsics = Intrinsics::perspective(width, height, 0.6);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 5.0), intrinsics, &bounds);
         let header = FrameHeader::alone(camera, k);
@@ -140,7 +146,7 @@ fn mutated(seeds: &[Seed], random: &mut Random) -> (usize, Vec<u8>) {
             }
             // Another reference, or one where none was.
             9 if len >= HEADER_BYTES + 5 => {
-                bytes[HEADER_BYTES] = random.of(&[0, 1, 2, 3, 1, 3]);
+                bytes[HEADER_BYTES] = random.of(&[0, 1, 2, 3, 1, 3, 4, 5, 6, 7]);
                 bytes[HEADER_BYTES + 1..][..4].copy_from_slice(&(random.below(6) as u32).to_le_bytes());
             }
             // Cameras from which everything is far away, or nothing.

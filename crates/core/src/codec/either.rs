@@ -1,5 +1,6 @@
 //! Chunks of either mode, and frames put together from them.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::blocks::{self, BlocksAssembly, BlocksChunk, Reference, References};
@@ -23,6 +24,14 @@ impl DecodedChunk {
         match self {
             Self::Exact(chunk) => &chunk.header,
             Self::Blocks(chunk) => &chunk.header,
+        }
+    }
+
+    /// Rows of lists that the chunk covers.
+    pub fn rows(&self) -> Range<u32> {
+        match self {
+            Self::Exact(chunk) => chunk.header.rows(),
+            Self::Blocks(chunk) => chunk.rows(),
         }
     }
 

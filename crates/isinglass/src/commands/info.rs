@@ -123,7 +123,7 @@ impl Spent {
             spent.push(ChunkSpent {
                 group: usize::from(!chunk.header().is_base()),
                 band: chunk.header().band,
-                rows: chunk.header().rows(),
+                rows: chunk.rows(),
                 segments: chunk.num_segments(),
                 planes: codec::bytes_by_plane(bytes)?,
             });

@@ -97,10 +97,9 @@ impl Band {
         let first_cell = self.cells.len();
         let mut ends = [0; BLOCK_LISTS];
         if lists.num_layers > 0 {
-            for (i, end) in ends.iter_mut().enumerate() {
-                self.cells.extend(lists.list(i));
-                *end = (self.cells.len() - first_cell) as u16;
-            }
+            let total: u32 = lists.present.iter().map(|present| present.count_ones()).sum();
+            self.cells.resize(first_cell + total as usize, Cell::default());
+            lists.write(&mut self.cells[first_cell..], &mut ends);
         }
         self.push_block(first_plane, first_cell, &ends);
     }
@@ -182,12 +181,19 @@ impl Lists {
         self.kappa = [1.0; BLOCK_LISTS];
     }
 
-    /// The cells of list `i`.
-    fn list(&self, i: usize) -> impl Iterator<Item = Cell> {
-        lists_of(self.present[i].into()).map(move |layer| {
-            let Cells { front, back, u, ycc } = &self.layers[layer];
-            Cell { front: front[i], back: back[i], u: u[i], ycc: [ycc[0][i], ycc[1][i], ycc[2][i]] }
-        })
+    /// Writes all cells, list by list, and where those of each list end.
+    fn write(&self, out: &mut [Cell], ends: &mut [u16; BLOCK_LISTS]) {
+        let mut out = out.iter_mut();
+        let mut end = 0;
+        for (i, (present, list_end)) in self.present.iter().zip(ends).enumerate() {
+            for (layer, out) in lists_of(u64::from(*present)).zip(&mut out) {
+                let Cells { front, back, u, ycc } = &self.layers[layer % MAX_LAYERS];
+                *out =
+                    Cell { front: front[i], back: back[i], u: u[i], ycc: [ycc[0][i], ycc[1][i], ycc[2][i]] };
+                end += 1;
+            }
+            *list_end = end;
+        }
     }
 
     /// Appends a cell to each list of the mask, between the planes as far as they leave room behind the cell before: it
@@ -248,12 +254,12 @@ fn place_any(
 
 /// As the machine has it: without a thought for NaN.
 #[inline(always)]
-fn greater(a: f32, b: f32) -> f32 {
+pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
 #[inline(always)]
-fn lesser(a: f32, b: f32) -> f32 {
+pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 

@@ -1,12 +1,14 @@
 //! The payload of a chunk of the rate mode, and the chunks of a frame put together.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::super::header::{ChunkHeader, HEADER_BYTES};
-use super::super::{CodecError, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most};
+use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most};
 use super::band::{Band, Cell, blocks_along};
+use super::bands::Borders;
 use super::coding::{BandCoder, Nothing, Place};
 use super::entropy::Decoder;
 use super::model::{BLOCK, MAX_LAYERS};
@@ -26,29 +28,39 @@ pub(super) struct Head {
     pub(super) reference: Option<FrameId>,
     /// Whether the corrections of the picture are chunks of their own; otherwise each follows its base.
     pub(super) is_split: bool,
+    /// Where the bands end; none if they are as high as each other, like those of exact frames.
+    pub(super) borders: Option<Borders>,
 }
 
 impl Head {
-    pub(super) fn to_bytes(self) -> [u8; HEAD_BYTES] {
-        let mut bytes = [0; HEAD_BYTES];
-        bytes[0] = u8::from(self.reference.is_some()) | u8::from(self.is_split) << 1;
-        bytes[1..5].copy_from_slice(&self.reference.unwrap_or(FrameId(0)).0.to_le_bytes());
-        bytes[5..].copy_from_slice(&self.steps.to_bytes());
+    pub(super) fn to_bytes(self) -> Vec<u8> {
+        let flags = [self.reference.is_some(), self.is_split, self.borders.is_some()];
+        let mut bytes = Vec::with_capacity(HEAD_BYTES + 2 * MAX_BANDS);
+        bytes.push(flags.iter().rev().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
+        bytes.extend(self.reference.unwrap_or(FrameId(0)).0.to_le_bytes());
+        bytes.extend(self.steps.to_bytes());
+        if let Some(borders) = self.borders {
+            borders.write(&mut bytes);
+        }
         bytes
     }
 
-    fn from_bytes(bytes: [u8; HEAD_BYTES]) -> Result<Self, CodecError> {
-        let damaged = |problem: String| CodecError::Payload { plane: "head", problem };
-        let [flags, a, b, c, d, steps @ ..] = bytes;
-        let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
-        let reference = match (flags, frame) {
-            (0 | 2, FrameId(0)) => None,
-            (1 | 3, _) => Some(frame),
-            _ => return Err(damaged(format!("flags {flags} with reference {frame}"))),
+    /// Takes it from the front of a payload.
+    fn read(bytes: &mut &[u8], header: &ChunkHeader) -> Result<Self, CodecError> {
+        let Some((fixed, rest)) = bytes.split_first_chunk::<HEAD_BYTES>() else {
+            let expected = HEADER_BYTES + HEAD_BYTES;
+            return Err(CodecError::Length { found: HEADER_BYTES + bytes.len(), expected });
         };
+        let damaged = |problem: String| CodecError::Payload { plane: "head", problem };
+        let [flags, _, _, _, _, steps @ ..] = *fixed;
+        let reference = named(fixed)?;
         let steps = Steps::from_bytes(steps)
             .ok_or_else(|| damaged(format!("steps {steps:02x?}, expected positive ones")))?;
-        Ok(Self { steps, reference, is_split: flags & 2 != 0 })
+        *bytes = rest;
+        let num_rows = blocks_along(header.frame.camera.intrinsics.height);
+        let has_borders = flags & HAS_BORDERS != 0;
+        let borders = has_borders.then(|| Borders::read(bytes, header.num_base, num_rows)).transpose()?;
+        Ok(Self { steps, reference, is_split: flags & IS_SPLIT != 0, borders })
     }
 
     /// Whether a band has corrections.
@@ -57,10 +69,23 @@ impl Head {
     }
 }
 
+/// The frame that the fixed part of a head names.
+fn named(&[flags, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<FrameId>, CodecError> {
+    let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
+    let is_known = flags & !(IS_PREDICTED | IS_SPLIT | HAS_BORDERS) == 0;
+    match (flags & IS_PREDICTED != 0, frame) {
+        (false, FrameId(0)) if is_known => Ok(None),
+        (true, _) if is_known => Ok(Some(frame)),
+        _ => {
+            let problem = format!("flags {flags} with reference {frame}");
+            Err(CodecError::Payload { plane: "head", problem })
+        }
+    }
+}
+
 /// The frame that a chunk of the rate mode says it is predicted from, if the bytes are such a chunk.
 pub fn reference_named(bytes: &[u8]) -> Option<FrameId> {
-    let head = bytes.get(HEADER_BYTES..)?.first_chunk()?;
-    Head::from_bytes(*head).ok()?.reference
+    named(bytes.get(HEADER_BYTES..)?.first_chunk()?).ok()?
 }
 
 /// A decoded chunk of the rate mode.
@@ -80,6 +105,13 @@ enum Content {
 }
 
 impl BlocksChunk {
+    /// Rows of lists that the chunk covers.
+    pub fn rows(&self) -> Range<u32> {
+        let Place { first_row, num_rows, size, .. } = place(&self.header, self.head.borders);
+        let row = |block: usize| (block * BLOCK).min(size[1]) as u32;
+        row(first_row)..row(first_row + num_rows)
+    }
+
     /// Number of segments.
     pub fn num_segments(&self) -> usize {
         match &self.content {
@@ -90,13 +122,21 @@ impl BlocksChunk {
 }
 
 /// The blocks of a band of a frame.
-pub(super) fn place(header: &ChunkHeader) -> Place {
-    let rows = header.rows();
+pub(super) fn place(header: &ChunkHeader, borders: Option<Borders>) -> Place {
+    let intrinsics = header.frame.camera.intrinsics;
+    let rows = match borders {
+        Some(borders) => borders.rows(header.band, blocks_along(intrinsics.height)),
+        None => {
+            let rows = header.rows();
+            let first = rows.start as usize / BLOCK;
+            first..first + blocks_along(rows.len() as u32)
+        }
+    };
     Place {
-        across: blocks_along(header.frame.camera.intrinsics.width),
-        first_row: rows.start as usize / BLOCK,
-        num_rows: blocks_along(rows.len() as u32),
-        size: [header.frame.camera.intrinsics.width as usize, header.frame.camera.intrinsics.height as usize],
+        across: blocks_along(intrinsics.width),
+        first_row: rows.start,
+        num_rows: rows.len(),
+        size: [intrinsics.width as usize, intrinsics.height as usize],
     }
 }
 
@@ -107,9 +147,7 @@ pub(in super::super) fn decode(
     references: &References,
 ) -> Result<BlocksChunk, CodecError> {
     let found = bytes.len();
-    let Some((head, coded)) = bytes.get(HEADER_BYTES..).and_then(<[u8]>::split_first_chunk) else {
-        return Err(CodecError::Length { found, expected: HEADER_BYTES + HEAD_BYTES });
-    };
+    let mut coded = bytes.get(HEADER_BYTES..).unwrap_or_default();
     if found != header.chunk_bytes() {
         return Err(CodecError::Length { found, expected: header.chunk_bytes() });
     }
@@ -117,12 +155,12 @@ pub(in super::super) fn decode(
         let expected = MAX_LAYERS.to_string();
         return Err(CodecError::Header { what: "k", found: header.frame.k.to_string(), expected });
     }
-    let head = Head::from_bytes(*head)?;
+    let head = Head::read(&mut coded, &header)?;
     if !head.is_split && header.num_chunks != header.num_base {
         let problem = "chunks of corrections, but they are said to follow the bases".into();
         return Err(CodecError::Payload { plane: "head", problem });
     }
-    let place = place(&header);
+    let place = place(&header, head.borders);
     let (decoder, content) = if header.is_base() {
         let reference = match head.reference {
             Some(name) => {
@@ -189,7 +227,7 @@ impl BlocksAssembly {
             return Err(contradiction(what));
         }
         if self.head.is_some_and(|head| head != chunk.head) {
-            return Err(contradiction("other steps or another reference"));
+            return Err(contradiction("other steps, another reference or other bands"));
         }
         if self.seen >> header.index.0 & 1 == 1 {
             return Err(CodecError::Duplicate(header.index));
@@ -220,7 +258,8 @@ impl BlocksAssembly {
                     Arc::new(band)
                 }
                 (None, _) => {
-                    let place = place(&ChunkHeader { band: number as u8, ..self.first });
+                    let borders = self.head.and_then(|head| head.borders);
+                    let place = place(&ChunkHeader { band: number as u8, ..self.first }, borders);
                     let mut band = Band::new(place.across);
                     (0..place.across * place.num_rows)
                         .for_each(|_| band.push(0, &super::band::Lists::default()));
@@ -321,5 +360,9 @@ fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
 
 /// Segments that are packed at once.
 const BATCH: usize = 32;
-/// Bytes of [`Head`].
+/// Bits of the first byte of a head.
+const IS_PREDICTED: u8 = 1;
+const IS_SPLIT: u8 = 2;
+const HAS_BORDERS: u8 = 4;
+/// Bytes of [`Head`] without borders.
 pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

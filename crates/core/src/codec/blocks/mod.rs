@@ -15,6 +15,7 @@
 mod width;
 
 mod band;
+mod bands;
 mod chunk;
 mod coding;
 mod encode;
@@ -43,6 +44,7 @@ use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, a
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
 use crate::wanted::{ALWAYS, Wanted};
+use bands::Borders;
 use chunk::Head;
 use model::MAX_LAYERS;
 use motion::Motion;
@@ -88,8 +90,10 @@ pub(super) fn encode_while(
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
     let (rule, steps) = steps::from_quality(settings.quality, &camera);
-    let head = Head { steps, reference: reference.map(Reference::frame), is_split: settings.is_split };
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
+    let borders = Borders::of(frame, num_bands);
+    let head =
+        Head { steps, reference: reference.map(Reference::frame), is_split: settings.is_split, borders };
     let first = ChunkHeader {
         frame: frame_header,
         color_bits: 0,
@@ -103,7 +107,7 @@ pub(super) fn encode_while(
         .into_par_iter()
         .with_max_len(1)
         .map(|band| {
-            let place = chunk::place(&ChunkHeader { band, ..first });
+            let place = chunk::place(&ChunkHeader { band, ..first }, borders);
             let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
             encode::band(frame, place, rule, &head, motion, wanted)
         })
@@ -119,15 +123,16 @@ pub(super) fn encode_while(
     }
     parts.append(&mut corrections);
     let num_chunks = parts.len() as u8;
+    let head = head.to_bytes();
     let chunks = parts
         .into_iter()
         .enumerate()
         .map(|(index, (band, coded))| {
             let index = ChunkIndex(index as u16);
-            let payload_bytes = (chunk::HEAD_BYTES + coded.len()) as u32;
+            let payload_bytes = (head.len() + coded.len()) as u32;
             let header = ChunkHeader { index, num_chunks, band, payload_bytes, ..first };
             let mut bytes = header.to_bytes().to_vec();
-            bytes.extend_from_slice(&head.to_bytes());
+            bytes.extend_from_slice(&head);
             bytes.extend_from_slice(&coded);
             at_most("bytes in a chunk", bytes.len(), MAX_CHUNK_BYTES)?;
             Ok(Chunk { index, is_base: header.is_base(), bytes })

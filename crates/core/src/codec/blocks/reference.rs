@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, Cell, CellsOf};
+use super::band::{Band, Cell, CellsOf, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::Shift;
-use super::scales::{Scales, f32_from_fixed, scales};
+use super::scales::{Scales, f32_from_fixed, scales, whole};
 use super::steps::Steps;
 use super::transform::Plane;
 use crate::ids::FrameId;
@@ -159,14 +159,19 @@ fn fetch_any(
     let mut has_any = false;
     for row in 0..rows {
         let y = inner_y + row;
+        let dy = row as f32 - fy - MIDDLE;
+        let mut between = Between::NOWHERE;
+        for column in 0..LANES {
+            let dx = column as f32 - fx - MIDDLE;
+            let low = front.z + front.dx * dx + front.dy * dy + shift.z;
+            let high = (back.z + back.dx * dx + back.dy * dy + shift.z).max(low + least_length);
+            between.set(column, low, high);
+        }
         for column in 0..columns {
             let x = inner_x + column;
             let cells = blocks[y / BLOCK][x / BLOCK].list(y % BLOCK * BLOCK + x % BLOCK);
             if !cells.is_empty() {
-                let (dx, dy) = (column as f32 - fx - MIDDLE, row as f32 - fy - MIDDLE);
-                let low = front.z + front.dx * dx + front.dy * dy + shift.z;
-                let high = (back.z + back.dx * dx + back.dy * dy + shift.z).max(low + least_length);
-                has_any |= content.set(row, column, &between(scales, cells, low, high));
+                has_any |= content.set(row, column, &between.content(column, scales, cells));
             }
         }
     }
@@ -248,43 +253,70 @@ impl Contents {
     }
 }
 
-/// The parts of a list's cells between two depths, composited: the colour of parts is that of their cells, mixed by
-/// what of them is seen.
-#[inline(always)]
-fn between(scales: &Scales, cells: &[Cell], low: f32, high: f32) -> Content {
-    let mut sum = Content::default();
-    let mut tau = 0.0;
-    let mut kappa = 1.0;
-    let mut count = 0;
-    for cell in cells {
-        let (front, back) = (f32::from(cell.front), f32::from(cell.back));
-        if back <= low {
-            continue;
-        }
-        if front >= high {
-            break;
-        }
-        let part = (back.min(high) - front.max(low)) / (back - front);
-        let code = if part > WHOLE {
-            cell.u
-        } else {
-            scales.code(scales.u_from_tau(scales.tau[usize::from(cell.u)] * part))
-        };
-        let alpha = scales.alpha[usize::from(code)];
-        let seen = kappa * alpha;
-        for (sum, value) in sum.ycc.iter_mut().zip(cell.ycc) {
-            *sum += seen * f32_from_fixed(value);
-        }
-        sum.u = scales.u(code);
-        sum.alpha += seen;
-        tau += scales.tau[usize::from(code)];
-        kappa *= 1.0 - alpha;
-        count += 1;
+/// Between which two depths the lists of a row are looked at.
+struct Between {
+    low: [f32; LANES],
+    high: [f32; LANES],
+    /// A cell is in front of these depths if it ends at this depth unit or before, and behind if it begins at this one or
+    /// after.
+    in_front: [u32; LANES],
+    behind: [u32; LANES],
+}
+
+impl Between {
+    const NOWHERE: Self =
+        Self { low: [0.0; LANES], high: [0.0; LANES], in_front: [0; LANES], behind: [0; LANES] };
+
+    #[inline(always)]
+    fn set(&mut self, i: usize, low: f32, high: f32) {
+        (self.low[i], self.high[i]) = (low, high);
+        // No cell ends at 0 or before, and none goes on beyond 65535.
+        let units = |depth: f32| whole(lesser(depth, BEYOND_ALL));
+        self.in_front[i] = units(low);
+        let below = units(high);
+        self.behind[i] = below + u32::from((below as i32 as f32) < high);
     }
-    if count > 1 {
-        sum.u = scales.u_from_tau(tau);
+
+    /// The parts of a list's cells between the two depths, composited: the colour of parts is that of their cells, mixed
+    /// by what of them is seen.
+    #[inline(always)]
+    fn content(&self, i: usize, scales: &Scales, cells: &[Cell]) -> Content {
+        let (low, high) = (self.low[i], self.high[i]);
+        let mut sum = Content::default();
+        let mut tau = 0.0;
+        let mut kappa = 1.0;
+        let mut count = 0;
+        for cell in cells {
+            if u32::from(cell.back) <= self.in_front[i] {
+                continue;
+            }
+            if u32::from(cell.front) >= self.behind[i] {
+                break;
+            }
+            let (front, back) = (f32::from(cell.front), f32::from(cell.back));
+            let part = (lesser(back, high) - greater(front, low)) / (back - front);
+            let [of_cell, alpha] = scales.tau_and_alpha(cell.u);
+            let (code, [of_part, alpha]) = if part > WHOLE {
+                (cell.u, [of_cell, alpha])
+            } else {
+                let code = scales.code_of_one(scales.u_from_tau(of_cell * part));
+                (code, scales.tau_and_alpha(code))
+            };
+            let seen = kappa * alpha;
+            for (sum, value) in sum.ycc.iter_mut().zip(cell.ycc) {
+                *sum += seen * f32_from_fixed(value);
+            }
+            sum.u = scales.u(code);
+            sum.alpha += seen;
+            tau += of_part;
+            kappa *= 1.0 - alpha;
+            count += 1;
+        }
+        if count > 1 {
+            sum.u = scales.u_from_tau(tau);
+        }
+        sum
     }
-    sum
 }
 
 /// Frames that are kept: a frame names none that is older.
@@ -294,4 +326,8 @@ pub const MAX_REFERENCES: usize = 12;
 const MAX_AHEAD: usize = 10;
 /// Part of a cell that is taken for all of it.
 const WHOLE: f32 = 0.999;
+/// Depth units beyond all matter.
+const BEYOND_ALL: f32 = 70_000.0;
+/// Lists of a row that are looked at, with some to fill vectors.
+const LANES: usize = 16;
 const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;

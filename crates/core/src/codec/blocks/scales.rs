@@ -15,14 +15,15 @@ use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
 /// Tables by the code of u.
 pub(super) struct Scales {
-    /// Optical depth, a half float; positive from code 1 on.
-    pub(super) tau: Box<[f32]>,
-    /// The bits of the half float.
+    /// The bits of τ as a half float.
     pub(super) tau_half: Box<[u16]>,
-    /// 1 − e^−τ.
+    /// α = 1 − e^−τ.
     pub(super) alpha: Box<[f32]>,
-    /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on.
-    u_at: Box<[f32]>,
+    /// Optical depth τ, a half float, positive from code 1 on, and α.
+    tau_and_alpha: Box<[[f32; 2]; CODES as usize]>,
+    /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and by how much the next is
+    /// more. As long as a power of two, so that a masked place is within.
+    u_at: Box<[[f32; 2]; PLACES]>,
     /// Codes to a unit of u, and back.
     codes_per_u: f32,
     u_per_code: f32,
@@ -37,13 +38,17 @@ pub(super) fn scales() -> &'static Scales {
 impl Scales {
     fn new() -> Self {
         let u_max = u_from_tau(f64::from(TAU_MAX));
-        let u_at: Box<[f32]> = (0..OCTAVES * PER_OCTAVE + 2)
-            .map(|i| {
-                let mantissa = 1.0 + (i % PER_OCTAVE) as f64 / PER_OCTAVE as f64;
-                let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
-                u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
-            })
-            .collect();
+        let u_of_place = |i: usize| {
+            let mantissa = 1.0 + (i % PER_OCTAVE) as f64 / PER_OCTAVE as f64;
+            let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
+            u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
+        };
+        let mut u_at = Box::new([[0.0; 2]; PLACES]);
+        let mut next = u_of_place(0);
+        for (i, at) in u_at.iter_mut().enumerate().take(OCTAVES * PER_OCTAVE + 1) {
+            let u = std::mem::replace(&mut next, u_of_place(i + 1));
+            *at = [u, next - u];
+        }
         let tau_half: Box<[u16]> = (0..CODES)
             .map(|code| {
                 let u = u_max * f64::from(code) / f64::from(CODES - 1);
@@ -54,9 +59,14 @@ impl Scales {
             })
             .collect();
         let tau: Box<[f32]> = tau_half.iter().map(|&half| unpack_halves(half.into()).0).collect();
+        let alpha: Box<[f32]> = tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect();
+        let mut tau_and_alpha = Box::new([[0.0; 2]; CODES as usize]);
+        for ((both, tau), alpha) in tau_and_alpha.iter_mut().zip(&tau).zip(&alpha) {
+            *both = [*tau, *alpha];
+        }
         Self {
-            alpha: tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect(),
-            tau,
+            alpha,
+            tau_and_alpha,
             tau_half,
             u_at,
             codes_per_u: (f64::from(CODES - 1) / u_max) as f32,
@@ -70,8 +80,22 @@ impl Scales {
         let bits = tau.clamp(LEAST_TAU, TAU_MAX).to_bits();
         let place = (bits - LEAST_TAU.to_bits()) >> REST_BITS;
         let part = (bits & ((1 << REST_BITS) - 1)) as f32 * (1.0 / (1 << REST_BITS) as f32);
-        let [low, high] = [0, 1].map(|i| self.u_at[place as usize + i]);
-        low + (high - low) * part
+        let [u, growth] = self.u_at[place as usize % PLACES];
+        u + growth * part
+    }
+
+    /// τ and α of a code.
+    #[inline(always)]
+    pub(super) fn tau_and_alpha(&self, code: u16) -> [f32; 2] {
+        self.tau_and_alpha[usize::from(code % CODES)]
+    }
+
+    /// As [`Scales::code`], for one cell where no vectors are made of many.
+    #[inline(always)]
+    pub(super) fn code_of_one(&self, u: f32) -> u16 {
+        let code = u * self.codes_per_u + 0.5;
+        let most = f32::from(CODES - 1);
+        ((if code < most { code } else { most }) as u16).max(1)
     }
 
     /// The code of a cell with matter: at least 1.
@@ -83,6 +107,7 @@ impl Scales {
     }
 
     /// u of a code.
+    #[inline(always)]
     pub(super) fn u(&self, code: u16) -> f32 {
         f32::from(code) * self.u_per_code
     }
@@ -170,6 +195,8 @@ const PER_OCTAVE: usize = 1 << (23 - REST_BITS);
 const REST_BITS: u32 = 17;
 const LEAST_OCTAVE: i32 = -24;
 const OCTAVES: usize = 34;
+const PLACES: usize = 4096;
+const _: () = assert!(OCTAVES * PER_OCTAVE < PLACES && CODES.is_power_of_two());
 /// 2^[`LEAST_OCTAVE`], the least half float.
 const LEAST_TAU: f32 = 5.960_464_5e-8;
 
@@ -182,12 +209,19 @@ mod tests {
     #[test]
     fn codes_are_their_own_nearest_and_rise() {
         let s = scales();
-        assert!(s.tau.is_sorted() && s.tau[0] == 0.0 && s.tau[1] > 0.0 && s.tau[4095] == TAU_MAX);
+        let tau = s.tau_and_alpha.map(|[tau, _]| tau);
+        assert!(tau.is_sorted() && tau[0] == 0.0 && tau[1] > 0.0 && tau[4095] == TAU_MAX);
         assert!(s.alpha.is_sorted() && s.alpha[0] == 0.0 && s.alpha[4095] == 1.0);
         for code in 1..CODES {
             assert_eq!(s.code(s.u(code)), code);
+            let of_half = unpack_halves(s.tau_half[usize::from(code)].into()).0;
+            assert_eq!(s.tau_and_alpha(code), [of_half, s.alpha[usize::from(code)]]);
         }
         assert_eq!((s.code(-1.0), s.code(9.0)), (1, 4095));
+        for i in -100..30_000 {
+            let u = i as f32 * 0.000_07;
+            assert_eq!(s.code_of_one(u), s.code(u), "{u}");
+        }
     }
 
     #[test]
@@ -199,7 +233,7 @@ mod tests {
             let found = f64::from(s.u_from_tau(tau));
             // Straight lines between 64 places an octave: (1/64)²/8 of the curvature, and the rounding of floats.
             assert!((found - exact).abs() < 2e-5, "{tau} {found} {exact}");
-            let back = s.tau[usize::from(s.code(found as f32))];
+            let [back, _] = s.tau_and_alpha(s.code(found as f32));
             // Half a code is 1.5e-4 of u; the least slope of u over ln(τ) is near τ = 1/2 and at the ends.
             let slope = f64::from(s.u_from_tau(tau * 1.01)) - found;
             assert!(f64::from((back / tau).ln().abs()) < 0.01 * (1.6e-4 / slope) + 2e-3, "{tau} {back}");

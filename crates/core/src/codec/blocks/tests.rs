@@ -110,6 +110,49 @@ fn what_decodes_is_what_the_encoder_worked_with() {
 }
 
 #[test]
+fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
+    let scene = scene(Builtin::Shells);
+    let four = made(&scene, 1, 48, 272, 0.0);
+    let (encoded, reference) = encode(&four, &Settings { quality: 60, is_split: true }, None).unwrap();
+    assert_eq!(encoded.chunks.len(), 8);
+    let none = References::default();
+    let decoded: Vec<_> = encoded.chunks.iter().map(|c| decode_chunk(&c.bytes, &none).unwrap()).collect();
+    let rows: Vec<_> = decoded.iter().map(DecodedChunk::rows).collect();
+    assert_eq!(rows[..4], rows[4..]);
+    assert!(rows[..4].iter().cloned().flatten().eq(0..272));
+    // The object is in the middle, so bands there are lower than those beside.
+    assert!(rows[1].len() < rows[0].len() && rows[2].len() < rows[3].len(), "{rows:?}");
+    assert_ne!(rows[0], decoded[0].header().rows());
+    let mut assembly = Assembly::new(decoded[0].header());
+    // The last first; what is missing is empty, and stays where it is.
+    for chunk in decoded.into_iter().rev() {
+        assembly.insert(chunk).unwrap();
+        assembly.to_frame().validate().unwrap();
+    }
+    assert_eq!(assembly.to_frame(), reference.to_frame());
+
+    // Moved by a row in one chunk only, the borders contradict those of the others, even if the chunk still decodes.
+    let at = HEADER_BYTES + chunk::HEAD_BYTES;
+    let mut moved = encoded.chunks[7].bytes.clone();
+    moved[at] += 1;
+    let mut assembly = Assembly::new(&peek(&encoded.chunks[0].bytes).unwrap());
+    assembly.insert(decode_chunk(&encoded.chunks[0].bytes, &none).unwrap()).unwrap();
+    let is_refused =
+        |found: CodecError| matches!(found, CodecError::Contradiction { .. } | CodecError::Payload { .. });
+    assert!(is_refused(decode_chunk(&moved, &none).and_then(|c| assembly.insert(c)).unwrap_err()));
+    for (n, value) in [(0, 0u16), (1, 0), (2, 34), (2, u16::MAX)] {
+        let mut forged = encoded.chunks[0].bytes.clone();
+        forged[at + 2 * n..][..2].copy_from_slice(&value.to_le_bytes());
+        let found = decode_chunk(&forged, &none).unwrap_err();
+        assert!(matches!(found, CodecError::Payload { plane: "head", .. }), "{found}");
+    }
+    // Without the bit the bands are as high as each other, and the borders are no bits of blocks.
+    let mut without = encoded.chunks[0].bytes.clone();
+    without[HEADER_BYTES] &= !4;
+    assert!(decode_chunk(&without, &none).is_err());
+}
+
+#[test]
 fn the_picture_survives_at_its_pose_and_beside_it() {
     // Measured .0011 and .0052 of DSSIM for 9.5 kB, .0007 and .0026 for 3.2 kB, .0014 and .0131 for 7.5 kB: a quarter more
     // is allowed. Thin shells in so small a picture lose most beside the pose.

@@ -95,8 +95,7 @@ impl Merge {
         }
         let limit = rule.error_per_layer() * (SAMPLES as f32 / BLOCK_LISTS as f32);
         while self.groups.len() > 1 {
-            let least = self.costs.iter().fold(f32::INFINITY, |least, cost| lesser(*cost, least));
-            let cheapest = self.costs.iter().position(|cost| *cost == least).unwrap_or(0);
+            let (cheapest, least) = cheapest(&self.costs);
             // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
             // when the search would end.
             let is_dear = least > limit && self.groups.len() <= MAX_LAYERS;
@@ -188,6 +187,27 @@ impl Merge {
         self.groups[index] = Group { misfit_of_union, is_stale: false, ..a };
         self.costs[index] = cost;
     }
+}
+
+/// The first of the least numbers, and its place.
+#[inline(always)]
+fn cheapest(costs: &[f32]) -> (usize, f32) {
+    let mut lanes = [f32::INFINITY; LEAST_LANES];
+    let (whole, rest) = costs.as_chunks::<LEAST_LANES>();
+    for costs in whole {
+        for (lane, cost) in lanes.iter_mut().zip(costs) {
+            *lane = lesser(*cost, *lane);
+        }
+    }
+    for (lane, cost) in lanes.iter_mut().zip(rest) {
+        *lane = lesser(*cost, *lane);
+    }
+    let least = lanes.into_iter().fold(f32::INFINITY, lesser);
+    let chunk =
+        whole.iter().position(|costs| costs.iter().fold(false, |found, cost| found | (*cost == least)));
+    let first = chunk.unwrap_or(whole.len()) * LEAST_LANES;
+    let place = costs[first..].iter().position(|cost| *cost == least);
+    (place.map_or(0, |place| first + place), least)
 }
 
 impl Group {
@@ -292,5 +312,26 @@ const MIN_DISTANCE: f32 = 20.0;
 const MIN_DIFFERENCES: usize = 4;
 /// One over the least transmittance in front of a colour.
 const PER_KAPPA_MAX: f32 = 1e4;
+/// Numbers that the least is sought among at a time.
+const LEAST_LANES: usize = 16;
 /// Bins of depth that ends of segments are sorted into.
 const BINS: usize = 512;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cheapest_is_the_first_of_the_least() {
+        for num in 1..70 {
+            for salt in 0..40 {
+                let costs: Vec<f32> = (0..num).map(|i| ((i * 7 + salt * 13) % 11) as f32).collect();
+                let least = costs.iter().copied().fold(f32::INFINITY, f32::min);
+                let place = costs.iter().position(|cost| *cost == least).unwrap();
+                assert_eq!(cheapest(&costs), (place, least));
+            }
+        }
+        assert_eq!(cheapest(&[f32::INFINITY; 20]), (0, f32::INFINITY));
+        assert_eq!(cheapest(&[]), (0, f32::INFINITY));
+    }
+}
