@@ -103,20 +103,25 @@ pub(super) fn encode_while(
         band: 0,
         payload_bytes: 0,
     };
-    let bands: Vec<_> = (0..num_bands)
+    // From both ends, so that a thread with two neighbours in this order has one from the border and one from the middle:
+    // what either takes longer than was thought evens out.
+    let from_both_ends = |n: u8| if n.is_multiple_of(2) { n / 2 } else { num_bands - 1 - n / 2 };
+    let mut bands: Vec<_> = (0..num_bands)
         .into_par_iter()
         .with_max_len(1)
-        .map(|band| {
+        .map(|n| {
+            let band = from_both_ends(n);
             let place = chunk::place(&ChunkHeader { band, ..first }, borders);
             let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
-            encode::band(frame, place, rule, &head, motion, wanted)
+            Ok((band, encode::band(frame, place, rule, &head, motion, wanted)?))
         })
-        .collect::<Result<_, _>>()?;
+        .collect::<Result<_, CodecError>>()?;
+    bands.sort_unstable_by_key(|(band, _)| *band);
 
     let mut parts = Vec::with_capacity(2 * bands.len());
     let mut corrections = Vec::new();
     let mut decoded = Vec::with_capacity(bands.len());
-    for (band, encoded) in (0..).zip(bands) {
+    for (band, encoded) in bands {
         parts.push((band, encoded.base));
         corrections.extend(encoded.corrections.map(|bytes| (band, bytes)));
         decoded.push(Arc::new(encoded.decoded));
