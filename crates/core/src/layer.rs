@@ -128,6 +128,14 @@ impl LayeredFrame {
         self.c_b_tau.push(c_b_tau);
     }
 
+    /// The same for several at once.
+    pub fn extend(&mut self, segments: &[Segment]) {
+        let packed = segments.iter().map(Segment::pack);
+        self.depth.extend(packed.clone().map(|words| words[0]));
+        self.c_rg.extend(packed.clone().map(|words| words[1]));
+        self.c_b_tau.extend(packed.map(|words| words[2]));
+    }
+
     /// The picture from the frame's own pose: every list composited as the mode has it. Premultiplied linear.
     pub fn flatten(&self) -> crate::picture::Picture {
         let i = self.header.camera.intrinsics;

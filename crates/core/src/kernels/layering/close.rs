@@ -10,13 +10,13 @@ use crate::camera::Camera;
 use crate::layer::{DEPTH_UNITS, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::mode::Compositing;
 
-/// Hands on the segments of a list, front to back.
+/// Hands on the segments of a list, front to back, if there are any.
 pub(super) fn list(
     camera: &Camera,
     compositing: Compositing,
     list: &mut SegmentList,
     s_per_depth: f32,
-    mut push: impl FnMut(Segment),
+    push: impl FnOnce(&[Segment]),
 ) {
     let Some(last) = list.len.checked_sub(1) else { return };
     let first_front = units(camera, list.segments[0].s0 / s_per_depth);
@@ -42,7 +42,7 @@ pub(super) fn list(
         segment.front = segment.front.min(segment.back - MIN_UNITS);
         end = segment.front;
     }
-    closed.iter().for_each(|segment| push(*segment));
+    push(closed);
 }
 
 /// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than [`MIN_UNITS`] is made so thick.

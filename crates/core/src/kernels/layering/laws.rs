@@ -104,7 +104,9 @@ fn trace(
             let marcher = Marcher::new(scene, texels);
             marcher.march(&ray, lattice, &mut all);
             marcher.march(&ray, lattice, &mut seen);
-            generate_list(scene, &marcher, &of, K, layering, &mut visibility_merge::Gather::default())
+            let (mut gather, mut list) = (visibility_merge::Gather::default(), SegmentList::default());
+            generate_list(scene, &marcher, &of, K, layering, &mut gather, &mut list);
+            list
         });
         if !all.steps.is_empty() {
             let list = list.segments[..list.len].to_vec();

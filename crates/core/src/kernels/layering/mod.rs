@@ -199,21 +199,22 @@ fn generate_with<T: Texels>(
     gather_rows(header, wanted, |y, row| {
         let mut gather = visibility_merge::Gather::default();
         let mut projected = projection::Gather::new(scene);
+        let mut list = SegmentList::default();
         for x in 0..camera.intrinsics.width {
             let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
             let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-            let mut list = if mode.is_projection() {
-                match scene.lattice(&of.ray, of.near * s_per_depth) {
+            if mode.is_projection() {
+                list = match scene.lattice(&of.ray, of.near * s_per_depth) {
                     Some(lattice) => {
                         let lengths = (k, longest, threshold);
                         projection::list(marcher, &of.ray, lattice, layering, lengths, &mut projected)
                     }
                     None => SegmentList::default(),
-                }
+                };
             } else {
-                generate_list(scene, marcher, &of, k, layering, &mut gather)
-            };
-            close::list(&camera, mode.compositing(), &mut list, s_per_depth, |segment| row.push(&segment));
+                generate_list(scene, marcher, &of, k, layering, &mut gather, &mut list);
+            }
+            close::list(&camera, mode.compositing(), &mut list, s_per_depth, |segments| row.extend(segments));
             row.offsets.push(row.depth.len() as u32);
         }
     })
@@ -244,19 +245,36 @@ fn gather_rows(
             Some(row)
         })
         .collect::<Option<_>>()?;
-    let mut frame = LayeredFrame::empty(header);
-    frame.offsets.truncate(1);
     let total = rows.iter().map(LayeredFrame::num_segments).sum();
-    frame.depth.reserve_exact(total);
-    frame.c_rg.reserve_exact(total);
-    frame.c_b_tau.reserve_exact(total);
-    for row in rows {
-        let base = frame.depth.len() as u32;
-        frame.offsets.extend(row.offsets.iter().map(|o| o + base));
-        frame.depth.extend_from_slice(&row.depth);
-        frame.c_rg.extend_from_slice(&row.c_rg);
-        frame.c_b_tau.extend_from_slice(&row.c_b_tau);
+    let mut frame = LayeredFrame {
+        depth: vec![0; total],
+        c_rg: vec![0; total],
+        c_b_tau: vec![0; total],
+        ..LayeredFrame::empty(header)
+    };
+    // Memory that nobody has written to comes page by page, which takes longer than copying: so that is done in parallel, too.
+    let (mut depth, mut c_rg, mut c_b_tau) =
+        (&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]);
+    let mut first = 0;
+    let mut places = Vec::with_capacity(rows.len());
+    for (row, offsets) in rows.into_iter().zip(frame.offsets[1..].chunks_mut(width as usize)) {
+        let num = row.num_segments();
+        let planes = [&mut depth, &mut c_rg, &mut c_b_tau].map(|plane| {
+            let (own, rest) = std::mem::take(plane).split_at_mut(num);
+            *plane = rest;
+            own
+        });
+        places.push((row, first, offsets, planes));
+        first += num as u32;
     }
+    places.into_par_iter().for_each(|(row, first, offsets, [depth, c_rg, c_b_tau])| {
+        for (offset, in_row) in offsets.iter_mut().zip(&row.offsets) {
+            *offset = first + in_row;
+        }
+        depth.copy_from_slice(&row.depth);
+        c_rg.copy_from_slice(&row.c_rg);
+        c_b_tau.copy_from_slice(&row.c_b_tau);
+    });
     Some(frame)
 }
 
@@ -272,7 +290,7 @@ struct RayOfFrame<'a> {
     s_per_depth: f32,
 }
 
-/// The list of one ray; `gather` is for the rule that needs it.
+/// Makes of `list` that of one ray; `gather` is for the rule that needs it.
 fn generate_list<T: Texels>(
     scene: &Scene,
     marcher: &Marcher<'_, T>,
@@ -280,17 +298,20 @@ fn generate_list<T: Texels>(
     k: usize,
     layering: Layering,
     gather: &mut visibility_merge::Gather,
-) -> SegmentList {
+    list: &mut SegmentList,
+) {
     let &RayOfFrame { basis, near, threshold, ref ray, s_per_depth } = of;
-    let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return SegmentList::default() };
-    match layering {
+    list.len = 0;
+    let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return };
+    *list = match layering {
         Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
             let most =
                 if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
             let tolerance = visibility_merge::tolerance(threshold, k);
             gather.begin(lattice.h, tolerance);
             marcher.march(ray, lattice, gather);
-            gather.reduce(most, threshold)
+            gather.reduce(most, threshold, list);
+            return;
         }
         Layering::EqualTransmittance => {
             let mut profile = equal_transmittance::Profile::default();
@@ -302,7 +323,7 @@ fn generate_list<T: Texels>(
         Layering::EqualLength => {
             let mut extent = equal_length::Extent::default();
             marcher.march(ray, lattice, &mut extent);
-            let Some(mut cuts) = extent.cuts(k) else { return SegmentList::default() };
+            let Some(mut cuts) = extent.cuts(k) else { return };
             marcher.march(ray, lattice, &mut cuts);
             cuts.finish()
         }
@@ -321,7 +342,7 @@ fn generate_list<T: Texels>(
             marcher.march(ray, lattice, &mut cuts);
             cuts.finish()
         }
-    }
+    };
 }
 
 /// A part of a step without any opacity is divided by this; no visible one is so small.

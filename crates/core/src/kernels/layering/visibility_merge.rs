@@ -50,9 +50,9 @@ pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Ca
     threshold_by(scene, camera, k, Gather::default, |gather, ray, lattice, sample| {
         gather.begin(lattice.h, 0.0);
         marcher.march(ray, lattice, gather);
-        let pieces = gather.finish();
-        sample.add(pieces.len, |note| {
-            pieces.join(1, f32::INFINITY, note);
+        gather.finish();
+        sample.add(gather.pieces.len, |note| {
+            gather.pieces.join(&mut gather.way, 1, f32::INFINITY, note);
         });
     })
 }

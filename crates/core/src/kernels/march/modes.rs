@@ -182,10 +182,12 @@ impl<T: Texels> Marcher<'_, T> {
             let step = Step { s0, s1, c: color * tau, tau: 0.0, alpha: 0.0 };
             return (tau > 0.0).then(|| sink.step(step));
         }
-        (tau > TAU_MIN).then(|| {
-            let alpha = opacity(tau);
-            sink.step(Step { s0, s1, c: color * (brightness * alpha), tau, alpha })
-        })
+        // No closure: the compiler would leave it where wider instructions are not allowed.
+        if tau <= TAU_MIN {
+            return None;
+        }
+        let alpha = opacity(tau);
+        Some(sink.step(Step { s0, s1, c: color * (brightness * alpha), tau, alpha }))
     }
 
     /// The surfaces that lie between two samples. A step into greater values begins at the crossing and ends behind it, one into

@@ -1,6 +1,6 @@
 //! Gathering the steps of a ray into at most [`MAX_K`] pieces.
 
-use super::pieces::Pieces;
+use super::pieces::{Pieces, Way};
 use super::{MOVED_WEIGHT, OpenSegment, VISIBILITY_FLOOR};
 use crate::kernels::layering::{SegmentList, append};
 use crate::kernels::march::{Pace, Sink, Step, has_avx2};
@@ -21,25 +21,101 @@ pub struct Gather {
     /// The shader gathers step by step. Here some wait, as a processor would guess wrong what becomes of each, and then
     /// forget the march that it has begun behind it.
     num_waiting: usize,
-    waiting: [Step; MAX_WAITING],
-    /// Transmittance in front of the first that waits.
-    transmittance_gathered: f32,
+    waiting: Waiting,
     len: usize,
     rows: Rows,
+    /// What was gathered, and work space.
+    pub(super) pieces: Pieces,
+    pub(super) way: Way,
 }
 
 /// Pieces, front to back, each of their numbers in a row of its own: for work on eight at a time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rows {
-    pub(super) s0: [f32; MAX_K + 1],
-    pub(super) s1: [f32; MAX_K + 1],
-    pub(super) tau: [f32; MAX_K + 1],
-    pub(super) alpha: [f32; MAX_K + 1],
-    pub(super) c: [[f32; MAX_K + 1]; 3],
+    pub(super) s0: [f32; ROW],
+    pub(super) s1: [f32; ROW],
+    pub(super) tau: [f32; ROW],
+    pub(super) alpha: [f32; ROW],
+    pub(super) c: [[f32; ROW]; 3],
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
-    pub(super) visibility: [f32; MAX_K + 1],
+    pub(super) visibility: [f32; ROW],
     /// What merging has cost up to now.
-    spent: [f32; MAX_K + 1],
+    spent: [f32; ROW],
+}
+
+/// Steps that wait, each of their numbers in a row of its own, like those of pieces.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    s0: [f32; WAITING_ROW],
+    s1: [f32; WAITING_ROW],
+    tau: [f32; WAITING_ROW],
+    alpha: [f32; WAITING_ROW],
+    c: [[f32; WAITING_ROW]; 3],
+    visibility: [f32; WAITING_ROW],
+    /// What a piece of each and the step behind it costs.
+    pair_cost: [f32; MAX_WAITING],
+    /// The same with two behind it.
+    triple_cost: [f32; MAX_WAITING],
+}
+
+impl Waiting {
+    #[inline(always)]
+    fn set(&mut self, i: usize, step: &Step, visibility: f32) {
+        self.s0[i] = step.s0;
+        self.s1[i] = step.s1;
+        self.tau[i] = step.tau;
+        self.alpha[i] = step.alpha;
+        for (row, c) in self.c.iter_mut().zip(step.c.to_array()) {
+            row[i] = c;
+        }
+        self.visibility[i] = visibility;
+    }
+
+    #[inline(always)]
+    fn step(&self, i: usize) -> Step {
+        Step {
+            s0: self.s0[i],
+            s1: self.s1[i],
+            c: glam::Vec3::new(self.c[0][i], self.c[1][i], self.c[2][i]),
+            tau: self.tau[i],
+            alpha: self.alpha[i],
+        }
+    }
+
+    /// Finds what pieces cost that begin with each of the first `num` steps, eight at a time.
+    #[inline(always)]
+    fn find_costs(&mut self, num: usize, steps_per_length: f32) {
+        for i in 0..num.next_multiple_of(8).min(MAX_WAITING) {
+            let mut piece = self.step(i);
+            let next = self.step(i + 1);
+            let pair_cost = merge_cost(&piece, &next, steps_per_length) * self.visibility[i];
+            append(&mut piece, &next);
+            let triple_cost = merge_cost(&piece, &self.step(i + 2), steps_per_length) * self.visibility[i];
+            self.pair_cost[i] = pair_cost;
+            self.triple_cost[i] = triple_cost + pair_cost;
+        }
+    }
+
+    /// One bit for each step, set where a piece that begins with it takes the step behind it, and where it takes one more
+    /// after that.
+    #[inline(always)]
+    fn merging(&self, num: usize, tolerance: f32) -> (u64, u64) {
+        (bits_up_to(&self.pair_cost, num, tolerance), bits_up_to(&self.triple_cost, num, tolerance))
+    }
+}
+
+/// One bit for each of the first `num` costs, and maybe some behind, set where it is no more than `tolerance`.
+#[inline(always)]
+fn bits_up_to(costs: &[f32; MAX_WAITING], num: usize, tolerance: f32) -> u64 {
+    let mut all = 0;
+    for (at, costs) in costs.as_chunks::<8>().0.iter().enumerate().take(num.div_ceil(8)) {
+        let mut bits = 0u32;
+        for (m, cost) in costs.iter().enumerate() {
+            bits |= u32::from(*cost <= tolerance) << m;
+        }
+        all |= u64::from(bits) << (8 * at);
+    }
+    all
 }
 
 impl Rows {
@@ -51,6 +127,26 @@ impl Rows {
             c: glam::Vec3::new(self.c[0][i], self.c[1][i], self.c[2][i]),
             tau: self.tau[i],
             alpha: self.alpha[i],
+        }
+    }
+
+    /// Puts `num` steps from number `i` on at `at`. What is behind them may be written over.
+    #[inline(always)]
+    fn put(&mut self, at: usize, waiting: &Waiting, i: usize, num: usize) {
+        for done in (0..num).step_by(8) {
+            let (to, from) = (at + done, i + done);
+            let copy = |row: &mut [f32; ROW], steps: &[f32; WAITING_ROW]| {
+                row[to..to + 8].copy_from_slice(&steps[from..from + 8]);
+            };
+            copy(&mut self.s0, &waiting.s0);
+            copy(&mut self.s1, &waiting.s1);
+            copy(&mut self.tau, &waiting.tau);
+            copy(&mut self.alpha, &waiting.alpha);
+            for (row, steps) in self.c.iter_mut().zip(&waiting.c) {
+                copy(row, steps);
+            }
+            copy(&mut self.visibility, &waiting.visibility);
+            self.spent[to..to + 8].fill(0.0);
         }
     }
 
@@ -73,89 +169,135 @@ impl Gather {
     /// once.
     pub fn begin(&mut self, h: f32, tolerance: f32) {
         (self.h, self.steps_per_length, self.tolerance) = (h, h.recip(), tolerance);
-        (self.transmittance, self.transmittance_gathered) = (1.0, 1.0);
+        self.transmittance = 1.0;
         (self.num_waiting, self.len) = (0, 0);
     }
 
     /// Merges the steps that wait into the last piece, or opens pieces with them.
+    ///
+    /// What becomes of a step is as good as a coin's toss, and each waits for what became of the one before. So what pieces
+    /// of up to three steps cost is found beforehand, for all of them at once.
     #[inline(always)]
     fn take_waiting(&mut self) {
         let num = std::mem::take(&mut self.num_waiting);
-        let mut transmittance = self.transmittance_gathered;
-        let last = self.len.saturating_sub(1);
-        // The last piece; it is in no row meanwhile.
+        let Self { waiting, rows, tolerance, steps_per_length, .. } = self;
+        waiting.find_costs(num, *steps_per_length);
+        let (mut pairs, mut triples) = waiting.merging(num, *tolerance);
+        let mut len = self.len;
+        let last = len.saturating_sub(1);
         let (mut open, mut visibility, mut spent) =
-            (self.rows.piece(last), self.rows.visibility[last], self.rows.spent[last]);
-        for step in &self.waiting[..num] {
-            let visibility_of_step = transmittance.max(VISIBILITY_FLOOR);
-            transmittance *= 1.0 - step.alpha;
-            if self.len > 0 {
-                let cost = merge_cost(&open, step, self.steps_per_length) * visibility + spent;
-                if cost <= self.tolerance {
-                    append(&mut open, step);
-                    spent = cost;
-                    continue;
+            (rows.piece(last), rows.visibility[last], rows.spent[last]);
+        let mut i = 0;
+        'piece: loop {
+            if len > 0 {
+                while i < num {
+                    let step = waiting.step(i);
+                    let cost = merge_cost(&open, &step, *steps_per_length) * visibility + spent;
+                    if cost <= *tolerance {
+                        append(&mut open, &step);
+                        spent = cost;
+                        i += 1;
+                    } else {
+                        break;
+                    }
                 }
-                self.rows.set(self.len - 1, &open, visibility, spent);
+                rows.set(len - 1, &open, visibility, spent);
             }
-            (open, visibility, spent) = (*step, visibility_of_step, 0.0);
-            self.len += 1;
-            if self.len > MAX_K {
-                self.rows.set(MAX_K, &open, visibility, spent);
-                (self.len, self.tolerance) = thin_out(&mut self.rows, self.tolerance, self.steps_per_length);
-                let last = self.len - 1;
-                (open, visibility, spent) =
-                    (self.rows.piece(last), self.rows.visibility[last], self.rows.spent[last]);
+            // Step i opens a piece.
+            while i < num {
+                // So do those behind it, until one takes the next, or is the last.
+                let singles = (pairs >> i | 1 << (num - 1 - i)).trailing_zeros() as usize;
+                let singles = singles.min(MAX_K - len);
+                rows.put(len, waiting, i, singles);
+                len += singles;
+                i += singles;
+                (open, visibility, spent) = (waiting.step(i), waiting.visibility[i], 0.0);
+                i += 1;
+                if len == MAX_K {
+                    rows.set(MAX_K, &open, visibility, spent);
+                    (len, *tolerance) = thin_out(rows, *tolerance, *steps_per_length);
+                    (pairs, triples) = waiting.merging(num, *tolerance);
+                    let last = len - 1;
+                    (open, visibility, spent) = (rows.piece(last), rows.visibility[last], rows.spent[last]);
+                    continue 'piece;
+                }
+                len += 1;
+                if i < num {
+                    append(&mut open, &waiting.step(i));
+                    spent = waiting.pair_cost[i - 1];
+                    i += 1;
+                    if i < num && triples >> (i - 2) & 1 != 0 {
+                        append(&mut open, &waiting.step(i));
+                        spent = waiting.triple_cost[i - 2];
+                        i += 1;
+                        continue 'piece;
+                    }
+                }
+                rows.set(len - 1, &open, visibility, spent);
             }
+            break;
         }
-        if self.len > 0 {
-            self.rows.set(self.len - 1, &open, visibility, spent);
-        }
-        self.transmittance_gathered = transmittance;
+        self.len = len;
     }
 
-    /// The list of at most `most` segments, and of no more than joins below `threshold` leave.
-    pub fn reduce(&mut self, most: usize, threshold: f32) -> SegmentList {
+    /// Makes of `list` that of at most `most` segments, and of no more than joins below `threshold` leave.
+    pub fn reduce(&mut self, most: usize, threshold: f32, list: &mut SegmentList) {
+        list.len = 0;
         if self.len + self.num_waiting == 0 {
-            return SegmentList::default();
+            return;
         }
         #[cfg(target_arch = "x86_64")]
         if has_avx2() {
             #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
             // SAFETY: this processor has them.
-            return unsafe { self.reduce_avx2(most, threshold) };
+            unsafe {
+                self.reduce_avx2(most, threshold, list);
+            }
+            return;
         }
-        self.finish().reduce(most, threshold)
+        self.finish();
+        self.pieces.reduce(&mut self.way, most, threshold, list);
     }
 
     /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn reduce_avx2(&mut self, most: usize, threshold: f32) -> SegmentList {
-        self.finish().reduce(most, threshold)
+    fn reduce_avx2(&mut self, most: usize, threshold: f32, list: &mut SegmentList) {
+        self.finish();
+        self.pieces.reduce(&mut self.way, most, threshold, list);
     }
 
     /// What was gathered.
     #[inline(always)]
-    pub(super) fn finish(&mut self) -> Pieces {
+    pub(super) fn finish(&mut self) {
         self.take_waiting();
-        Pieces::new(&self.rows, self.len, self.h)
+        self.pieces.take(&self.rows, self.len, self.h);
     }
 }
 
 impl Default for Gather {
     fn default() -> Self {
-        let row = [0.0; MAX_K + 1];
+        let (row, steps) = ([0.0; ROW], [0.0; WAITING_ROW]);
         Self {
             h: 1.0,
             steps_per_length: 1.0,
             tolerance: 0.0,
             transmittance: 1.0,
             num_waiting: 0,
-            waiting: [Step::default(); MAX_WAITING],
-            transmittance_gathered: 1.0,
+            waiting: Waiting {
+                s0: steps,
+                s1: steps,
+                tau: steps,
+                alpha: steps,
+                c: [steps; 3],
+                visibility: steps,
+                pair_cost: [0.0; MAX_WAITING],
+                triple_cost: [0.0; MAX_WAITING],
+            },
             len: 0,
             rows: Rows { s0: row, s1: row, tau: row, alpha: row, c: [row; 3], visibility: row, spent: row },
+            pieces: Pieces::default(),
+            way: Way::default(),
         }
     }
 }
@@ -163,7 +305,7 @@ impl Default for Gather {
 impl Sink for Gather {
     #[inline(always)]
     fn step(&mut self, step: Step) -> Pace {
-        self.waiting[self.num_waiting] = step;
+        self.waiting.set(self.num_waiting, &step, self.transmittance.max(VISIBILITY_FLOOR));
         self.num_waiting += 1;
         if self.num_waiting == MAX_WAITING {
             self.take_waiting();
@@ -232,5 +374,93 @@ fn merge_cost(a: &OpenSegment, b: &OpenSegment, steps_per_length: f32) -> f32 {
 
 /// Steps that wait at most.
 const MAX_WAITING: usize = 64;
+/// Room for them, and for eight at a time from each on.
+const WAITING_ROW: usize = MAX_WAITING + 8;
+/// Room for pieces, and for eight at a time from each on.
+const ROW: usize = MAX_K + 8;
 /// Costs below this are equal.
 const COST_LEAST: f32 = 1e-20;
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::kernels::raycast::opacity;
+
+    /// Steps of length 1, some of them missing, with colours and depths that change slowly and now and then jump.
+    pub(in super::super) fn steps(seed: u32, num: u32) -> Vec<Step> {
+        let mut random = seed;
+        let mut step = Step { tau: 0.05, c: glam::Vec3::splat(0.5), ..Step::default() };
+        let mut steps = vec![];
+        for i in 0..num {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let share = (random >> 8) as f32 / (1 << 24) as f32;
+            if random >> 28 == 0 {
+                step.tau = share * 0.3;
+                step.c = glam::Vec3::new(share, 1.0 - share, 0.3);
+            }
+            step.tau = step.tau * (0.98 + 0.04 * share) + 1e-4;
+            if random >> 28 != 1 {
+                let alpha = opacity(step.tau);
+                steps.push(Step { s0: i as f32, s1: (i + 1) as f32, alpha, c: step.c * alpha, ..step });
+            }
+        }
+        steps
+    }
+
+    /// What the shader does: step after step.
+    fn one_by_one(steps: &[Step], mut tolerance: f32) -> Vec<[u32; 9]> {
+        let mut rows = Gather::default().rows;
+        let (mut len, mut transmittance) = (0usize, 1.0f32);
+        for step in steps {
+            let visibility = transmittance.max(VISIBILITY_FLOOR);
+            transmittance *= 1.0 - step.alpha;
+            if let Some(last) = len.checked_sub(1) {
+                let (mut open, visibility) = (rows.piece(last), rows.visibility[last]);
+                let cost = merge_cost(&open, step, 1.0) * visibility + rows.spent[last];
+                if cost <= tolerance {
+                    append(&mut open, step);
+                    rows.set(last, &open, visibility, cost);
+                    continue;
+                }
+            }
+            rows.set(len, step, visibility, 0.0);
+            len += 1;
+            if len > MAX_K {
+                (len, tolerance) = thin_out(&mut rows, tolerance, 1.0);
+            }
+        }
+        bits(&rows, len)
+    }
+
+    fn bits(rows: &Rows, len: usize) -> Vec<[u32; 9]> {
+        let bits = |i: usize| {
+            let OpenSegment { s0, s1, tau, alpha, c } = rows.piece(i);
+            [s0, s1, tau, alpha, c.x, c.y, c.z, rows.visibility[i], rows.spent[i]].map(f32::to_bits)
+        };
+        (0..len).map(bits).collect()
+    }
+
+    #[test]
+    fn steps_that_waited_are_gathered_as_those_one_by_one() {
+        let (mut num_pieces, mut num_noticed) = (0, 0);
+        for seed in 1..20 {
+            for num in [1, 2, 3, 9, 30, 63, 64, 65, 66, 130, 700] {
+                for tolerance in [0.0, 0.002, 0.02, 0.3] {
+                    let steps = steps(seed, num);
+                    let mut gather = Gather::default();
+                    gather.begin(1.0, tolerance);
+                    for &step in &steps {
+                        let _ = gather.step(step);
+                    }
+                    gather.finish();
+                    let expected = one_by_one(&steps, tolerance);
+                    assert_eq!(bits(&gather.rows, gather.len), expected, "{seed} {num} {tolerance}");
+                    num_pieces += expected.len();
+                    // Negative control: where more is merged at once, the pieces are others.
+                    num_noticed += usize::from(one_by_one(&steps, 1.5 * tolerance + 0.001) != expected);
+                }
+            }
+        }
+        assert!(num_pieces > 5000 && num_noticed > 300, "{num_pieces} {num_noticed}");
+    }
+}

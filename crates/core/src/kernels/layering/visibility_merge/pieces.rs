@@ -1,9 +1,10 @@
 //! Joining the pieces of a ray to groups, and settling the borders between these.
 
-use glam::{Vec3, Vec4};
+use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use super::gather::Rows;
 use super::{ALPHA_LEAST, COLOR_DARK, COLOR_WEIGHT, OpenSegment, SETTLED_SHARE, SegmentList};
+use crate::kernels::layering::append;
 use crate::kernels::raycast::{greater, lesser, opacity};
 use crate::layer::{MAX_K, Over};
 
@@ -19,6 +20,19 @@ pub(super) struct Pieces {
     visibility: [f32; MAX_K],
     /// Error of each piece joined with the one behind it; infinite for the last.
     pair_error: [f32; MAX_K],
+    /// Error of each piece joined with the two behind it, without meaning for the last two.
+    triple_error: [f32; MAX_K],
+}
+
+/// Points on the way through a group: the ends of its parts and of the gaps between them, but for its own ends.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Way {
+    /// World distance from the front of the group.
+    s: [f32; MAX_POINTS],
+    /// World distance from the point before.
+    length: [f32; MAX_POINTS],
+    /// What a ray has collected there.
+    collected: [Vec4; MAX_POINTS],
 }
 
 /// A piece, or what of it is in a group.
@@ -40,12 +54,34 @@ pub(super) struct Groups {
     error: [f32; MAX_K],
 }
 
+impl Default for Pieces {
+    fn default() -> Self {
+        let numbers = [0.0; MAX_K];
+        Self {
+            len: 0,
+            h: 1.0,
+            color_weight: 0.0,
+            pieces: [Part::default(); MAX_K],
+            visibility: numbers,
+            pair_error: numbers,
+            triple_error: numbers,
+        }
+    }
+}
+
+impl Default for Way {
+    fn default() -> Self {
+        let numbers = [0.0; MAX_POINTS];
+        Self { s: numbers, length: numbers, collected: [Vec4::ZERO; MAX_POINTS] }
+    }
+}
+
 impl Pieces {
+    /// Takes the first `len` pieces of `rows`.
     #[inline(always)]
-    pub(super) fn new(rows: &Rows, len: usize, h: f32) -> Self {
-        let mut pieces = [Part::default(); MAX_K];
+    pub(super) fn take(&mut self, rows: &Rows, len: usize, h: f32) {
         let mut over = Over::default();
-        for (i, part) in pieces.iter_mut().enumerate().take(len) {
+        for (i, part) in self.pieces.iter_mut().enumerate().take(len) {
             let piece = rows.piece(i);
             *part =
                 Part { s0: piece.s0, s1: piece.s1, collects: piece.c.extend(piece.alpha), tau: piece.tau };
@@ -55,21 +91,26 @@ impl Pieces {
         // The slope of sRGB. Errors of colour show in proportion to it, those of opacity less.
         let slope = 0.5 / over.c.max_element().max(COLOR_DARK).sqrt();
         let root = slope.sqrt();
-        let mut visibility = [0.0; MAX_K];
-        for (weight, in_front) in visibility.iter_mut().zip(&rows.visibility) {
+        for (weight, in_front) in self.visibility.iter_mut().zip(&rows.visibility) {
             *weight = in_front * root;
         }
-        let color_weight = COLOR_WEIGHT * slope;
+        (self.len, self.h, self.color_weight) = (len, h, COLOR_WEIGHT * slope);
         // Eight at a time, and no more than there are.
-        let mut pair_error = match len {
-            0..=8 => pair_errors::<8>(rows, &visibility, color_weight, h),
-            9..=16 => pair_errors::<16>(rows, &visibility, color_weight, h),
-            _ => pair_errors::<MAX_K>(rows, &visibility, color_weight, h),
+        self.pair_error = match len {
+            0..=8 => pair_errors::<8>(rows, &self.visibility, self.color_weight, h),
+            9..=16 => pair_errors::<16>(rows, &self.visibility, self.color_weight, h),
+            17..=24 => pair_errors::<24>(rows, &self.visibility, self.color_weight, h),
+            _ => pair_errors::<MAX_K>(rows, &self.visibility, self.color_weight, h),
         };
-        for error in &mut pair_error[len.saturating_sub(1)..] {
+        self.triple_error = match len {
+            0..=8 => triple_errors::<8>(rows, &self.visibility, self.color_weight, h),
+            9..=16 => triple_errors::<16>(rows, &self.visibility, self.color_weight, h),
+            17..=24 => triple_errors::<24>(rows, &self.visibility, self.color_weight, h),
+            _ => triple_errors::<MAX_K>(rows, &self.visibility, self.color_weight, h),
+        };
+        for error in &mut self.pair_error[len.saturating_sub(1)..] {
             *error = f32::INFINITY;
         }
-        Self { len, h, color_weight, pieces, visibility, pair_error }
     }
 
     /// How far the colour and opacity that a ray collects on its way from border `from` to border `to` are from what it
@@ -78,55 +119,56 @@ impl Pieces {
     /// that length; a power above one holds apart what is far apart. Found by trial at K = 4: with the power 1 thin shells
     /// were a tenth worse, with 3/2 dark and diffuse matter was.
     #[inline(always)]
-    fn group_error(&self, from: f32, to: f32) -> f32 {
+    fn group_error(&self, way: &mut Way, from: f32, to: f32) -> f32 {
         let (first, last) = pieces_between(from, to);
         if first == last {
             return 0.0;
         }
-        self.error_of(first, last, &self.part(first, from, to), &self.part(last, from, to))
+        self.error_of(way, first, last, &self.part(first, from, to), &self.part(last, from, to))
     }
 
     /// The same for the pieces `first` to `last`, with what of these two is in the group.
     #[inline(always)]
-    fn error_of(&self, first: usize, last: usize, front: &Part, back: &Part) -> f32 {
+    fn error_of(&self, way: &mut Way, first: usize, last: usize, front: &Part, back: &Part) -> f32 {
         let (mut composite, mut tau) = (front.collects, front.tau);
-        for part in &self.pieces[first + 1..last] {
-            composite += part.collects * (1.0 - composite.w);
-            tau += part.tau;
-        }
-        composite += back.collects * (1.0 - composite.w);
-        tau += back.tau;
-        let (s_front, s_back) = (front.s0, back.s1);
-        let length = s_back - s_front;
-        let tau_per_length = tau / length;
-        let per_opacity = composite / composite.w.max(ALPHA_LEAST);
-        let distance = |s: f32, collected: Vec4| {
-            let share = opacity(tau_per_length * (s - s_front));
-            self.distance(collected - per_opacity * share)
+        let mut num = 0;
+        let mut point = |s: f32, length: f32, collected: Vec4| {
+            way.s[num] = s - front.s0;
+            way.length[num] = length;
+            way.collected[num] = collected;
+            num += 1;
         };
-        // Twice the error. Both ways agree at the two ends of the group.
-        let (mut error, mut distance_before) = (0.0, 0.0);
-        let (mut part, mut collected) = (front, front.collects);
+        let mut part = front;
         for i in first + 1..=last {
             let next = if i < last { &self.pieces[i] } else { back };
-            let distance_end = distance(part.s1, collected);
-            error += (distance_before + distance_end) * (part.s1 - part.s0);
-            distance_before = distance_end;
+            point(part.s1, part.s1 - part.s0, composite);
             if next.s0 > part.s1 {
-                distance_before = distance(next.s0, collected);
-                error += (distance_end + distance_before) * (next.s0 - part.s1);
+                point(next.s0, next.s0 - part.s1, composite);
             }
-            collected += next.collects * (1.0 - collected.w);
+            composite += next.collects * (1.0 - composite.w);
+            tau += next.tau;
             part = next;
         }
-        error += distance_before * (s_back - part.s0);
+        let length = back.s1 - front.s0;
+        let tau_per_length = tau / length;
+        let per_opacity = composite / composite.w.max(ALPHA_LEAST);
+        let weights = Vec3::splat(self.color_weight).extend(1.0);
+        // Twice the error. Both ways agree at the two ends of the group.
+        let (mut error, mut distance_before) = (0.0, 0.0);
+        for begin in (0..num).step_by(8) {
+            let mut share = [0.0; 8];
+            for (share, s) in share.iter_mut().zip(&way.s[begin..begin + 8]) {
+                *share = opacity(tau_per_length * s);
+            }
+            for (m, share) in share.into_iter().enumerate().take(num - begin) {
+                let difference = (way.collected[begin + m] - per_opacity * share).abs() * weights;
+                let distance = greatest(difference);
+                error += (distance_before + distance) * way.length[begin + m];
+                distance_before = distance;
+            }
+        }
+        error += distance_before * (back.s1 - back.s0);
         0.5 * error * weight_of_length(length, self.h) * self.visibility[first]
-    }
-
-    #[inline(always)]
-    fn distance(&self, difference: Vec4) -> f32 {
-        let d = difference.abs();
-        greater(d.w, self.color_weight * greater(greater(d.x, d.y), d.z))
     }
 
     /// What of piece `i` is between the borders `from` and `to`: matter is spread evenly in a piece.
@@ -171,11 +213,17 @@ impl Pieces {
     /// Joins groups, cheapest first, until there are at most `most` and the next join costs more than `threshold`.
     /// `note` is told the number of groups and the greatest cost so far before each join.
     #[inline(always)]
-    pub(super) fn join(&self, most: usize, threshold: f32, mut note: impl FnMut(usize, f32)) -> Groups {
+    pub(super) fn join(
+        &self,
+        way: &mut Way,
+        most: usize,
+        threshold: f32,
+        mut note: impl FnMut(usize, f32),
+    ) -> Groups {
         // By the first piece of a group: the group behind it, the one in front of it, its error, that of it joined with
         // the one behind it, and what joining adds; infinite where there is no such group, or none behind it.
-        let mut behind: [usize; MAX_K] = std::array::from_fn(|i| i + 1);
-        let mut before: [usize; MAX_K] = std::array::from_fn(|i| i.saturating_sub(1));
+        let mut behind: [u8; MAX_K] = std::array::from_fn(|i| i as u8 + 1);
+        let mut before: [u8; MAX_K] = std::array::from_fn(|i| (i as u8).saturating_sub(1));
         let mut error = [0.0; MAX_K];
         let (mut joined, mut growth) = (self.pair_error, self.pair_error);
         let mut len = self.len;
@@ -187,20 +235,21 @@ impl Pieces {
                 break;
             }
             note(len, greatest);
-            let (taken, next) = (behind[least], behind[behind[least]]);
+            let taken = usize::from(behind[least]) % MAX_K;
+            let next = usize::from(behind[taken]);
             error[least] = joined[least];
             growth[taken] = f32::INFINITY;
             growth[least] = f32::INFINITY;
-            behind[least] = next;
+            behind[least] = next as u8;
             len -= 1;
             if next < self.len {
-                before[next] = least;
-                joined[least] = self.joined_error(least, behind[next]);
+                before[next] = least as u8;
+                joined[least] = self.joined_error(way, least, usize::from(behind[next]));
                 growth[least] = joined[least] - error[least] - error[next];
             }
             if least > 0 {
-                let front = before[least];
-                joined[front] = self.joined_error(front, next);
+                let front = usize::from(before[least]) % MAX_K;
+                joined[front] = self.joined_error(way, front, next);
                 growth[front] = joined[front] - error[front] - error[least];
             }
         }
@@ -209,21 +258,25 @@ impl Pieces {
         for g in 0..len {
             groups.first[g] = first as f32;
             groups.error[g] = error[first];
-            first = behind[first];
+            first = usize::from(behind[first]);
         }
         groups
     }
 
     /// Error of the pieces from `first` to before `end` as one group.
     #[inline(always)]
-    fn joined_error(&self, first: usize, end: usize) -> f32 {
-        self.error_of(first, end - 1, &self.pieces[first], &self.pieces[end - 1])
+    fn joined_error(&self, way: &mut Way, first: usize, end: usize) -> f32 {
+        // The most of them, and found already.
+        if end - first == 3 {
+            return self.triple_error[first];
+        }
+        self.error_of(way, first, end - 1, &self.pieces[first], &self.pieces[end - 1])
     }
 
     /// Moves each border by a piece, then half of one, then a quarter where that lessens the error of the two groups.
     /// Borders between whole pieces only would jump from a ray to its neighbours, which shows as noise in smooth media.
     #[inline(always)]
-    fn settle(&self, groups: &mut Groups, threshold: f32) {
+    fn settle(&self, way: &mut Way, groups: &mut Groups, threshold: f32) {
         for g in 1..groups.len {
             let (from, to) = (groups.first[g - 1], groups.first[g + 1]);
             let mut least = groups.error[g - 1] + groups.error[g];
@@ -237,11 +290,25 @@ impl Pieces {
                     if moved <= from || moved >= to || moved < g as f32 {
                         continue;
                     }
-                    let errors = (self.group_error(from, moved), self.group_error(moved, to));
-                    if errors.0 + errors.1 < least {
-                        least = errors.0 + errors.1;
+                    // The group that grows may be too much alone.
+                    let (grown, shrunk) = if moved < border {
+                        ((moved, to), (from, moved))
+                    } else {
+                        ((from, moved), (moved, to))
+                    };
+                    let error_grown = self.group_error(way, grown.0, grown.1);
+                    if error_grown >= least {
+                        continue;
+                    }
+                    let error_shrunk = self.group_error(way, shrunk.0, shrunk.1);
+                    if error_grown + error_shrunk < least {
+                        least = error_grown + error_shrunk;
                         groups.first[g] = moved;
-                        (groups.error[g - 1], groups.error[g]) = errors;
+                        (groups.error[g - 1], groups.error[g]) = if moved < border {
+                            (error_shrunk, error_grown)
+                        } else {
+                            (error_grown, error_shrunk)
+                        };
                         // The other way it was worse.
                         break;
                     }
@@ -252,17 +319,16 @@ impl Pieces {
 
     /// The list of at most `most` segments, and of no more than joins below `threshold` leave.
     #[inline(always)]
-    pub(super) fn reduce(&self, most: usize, threshold: f32) -> SegmentList {
-        let mut list = SegmentList::default();
-        let mut groups = self.join(most, threshold, |_, _| ());
+    pub(super) fn reduce(&self, way: &mut Way, most: usize, threshold: f32, list: &mut SegmentList) {
+        list.len = 0;
+        let mut groups = self.join(way, most, threshold, |_, _| ());
         // Groups of three pieces or fewer have the borders that joining gave them.
         if self.len > 3 * groups.len {
-            self.settle(&mut groups, threshold);
+            self.settle(way, &mut groups, threshold);
         }
         for g in 0..groups.len {
             list.push(self.composite(groups.first[g], groups.first[g + 1]));
         }
-        list
     }
 }
 
@@ -297,6 +363,53 @@ fn pair_errors<const N: usize>(
     errors
 }
 
+/// [`Pieces::group_error`] of each of the first `N` pieces and the two behind it.
+#[inline(always)]
+fn triple_errors<const N: usize>(
+    rows: &Rows,
+    visibility: &[f32; MAX_K],
+    color_weight: f32,
+    h: f32,
+) -> [f32; MAX_K] {
+    let mut errors = [0.0; MAX_K];
+    for i in 0..N {
+        let (a, b, c) = (rows.piece(i), rows.piece(i + 1), rows.piece(i + 2));
+        let mut two = a;
+        append(&mut two, &b);
+        let mut all = two;
+        append(&mut all, &c);
+        let length = c.s1 - a.s0;
+        let tau_per_length = all.tau / length;
+        let opacity_least = greater(all.alpha, ALPHA_LEAST);
+        let color_per_opacity = all.c / opacity_least;
+        let alpha_per_opacity = all.alpha / opacity_least;
+        let distance = |s: f32, collected: &OpenSegment| {
+            let share = opacity(tau_per_length * (s - a.s0));
+            let color: Vec3 = (collected.c - color_per_opacity * share).abs();
+            greater(
+                (collected.alpha - alpha_per_opacity * share).abs(),
+                color_weight * greater(greater(color.x, color.y), color.z),
+            )
+        };
+        let (end_a, begin_b) = (distance(a.s1, &a), distance(b.s0, &a));
+        let (end_b, begin_c) = (distance(b.s1, &two), distance(c.s0, &two));
+        let error = end_a * (a.s1 - a.s0)
+            + (end_a + begin_b) * greater(b.s0 - a.s1, 0.0)
+            + (begin_b + end_b) * (b.s1 - b.s0)
+            + (end_b + begin_c) * greater(c.s0 - b.s1, 0.0)
+            + begin_c * (c.s1 - c.s0);
+        errors[i] = 0.5 * error * weight_of_length(length, h) * visibility[i];
+    }
+    errors
+}
+
+/// The greatest of four numbers.
+#[inline(always)]
+fn greatest(v: Vec4) -> f32 {
+    let pairs = v.max(v.zwxy());
+    greater(pairs.x, pairs.y)
+}
+
 /// The mean over a length, in steps, times the 11/8-th power of it.
 #[inline(always)]
 fn weight_of_length(length: f32, h: f32) -> f32 {
@@ -328,43 +441,35 @@ fn pieces_between(from: f32, to: f32) -> (usize, usize) {
     (from as usize, if behind as f32 == to { behind - 1 } else { behind })
 }
 
+/// Points on the longest way: two for each piece but the last.
+const MAX_POINTS: usize = 2 * MAX_K;
+
 #[cfg(test)]
 mod tests {
     use super::super::Gather;
+    use super::super::gather::tests::steps;
     use super::*;
-    use crate::kernels::march::{Sink, Step};
+    use crate::kernels::march::Sink;
 
-    /// Steps of length 1, some of them missing, with colours and depths that change slowly and now and then jump.
     fn gathered(seed: u32, num: u32, tolerance: f32) -> Gather {
         let mut gather = Gather::default();
         gather.begin(1.0, tolerance);
-        let mut random = seed;
-        let mut step = Step { tau: 0.05, c: Vec3::splat(0.5), ..Step::default() };
-        for i in 0..num {
-            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let share = (random >> 8) as f32 / (1 << 24) as f32;
-            if random >> 28 == 0 {
-                step.tau = share * 0.3;
-                step.c = Vec3::new(share, 1.0 - share, 0.3);
-            }
-            step.tau = step.tau * (0.98 + 0.04 * share) + 1e-4;
-            if random >> 28 != 1 {
-                let alpha = opacity(step.tau);
-                let _ =
-                    gather.step(Step { s0: i as f32, s1: (i + 1) as f32, alpha, c: step.c * alpha, ..step });
-            }
+        for step in steps(seed, num) {
+            let _ = gather.step(step);
         }
         gather
     }
 
     #[test]
-    fn pairs_worked_on_together_have_the_errors_of_each_by_itself() {
-        let mut num_compared = 0;
+    fn pairs_and_triples_worked_on_together_have_the_errors_of_each_by_itself() {
+        let (mut num_compared, mut num_triples) = (0, 0);
         for (seed, num) in [(1, 5), (2, 14), (3, 30), (4, 200), (5, 700)] {
-            let pieces = gathered(seed, num, 0.0).finish();
+            let mut gather = gathered(seed, num, 0.0);
+            gather.finish();
+            let Gather { pieces, way, .. } = &mut gather;
             assert!(pieces.len > 2 && pieces.len <= MAX_K);
             for i in 0..pieces.len - 1 {
-                let alone = pieces.group_error(i as f32, (i + 2) as f32);
+                let alone = pieces.group_error(way, i as f32, (i + 2) as f32);
                 // A few roundings of single precision in differences of numbers up to 1, over up to 50 steps.
                 let tolerance = 1e-4 * alone + 1e-4 * pieces.visibility[i];
                 assert!(
@@ -372,13 +477,21 @@ mod tests {
                     "{i} {alone} {}",
                     pieces.pair_error[i]
                 );
+                if i + 2 < pieces.len {
+                    let alone = pieces.group_error(way, i as f32, (i + 3) as f32);
+                    let tolerance = 1e-4 * alone + 1e-4 * pieces.visibility[i];
+                    let together = pieces.triple_error[i];
+                    assert!((together - alone).abs() <= tolerance, "{i} {alone} {together}");
+                    // Negative control: it is not that of the pair.
+                    num_triples += usize::from((pieces.pair_error[i] - alone).abs() > 10.0 * tolerance);
+                }
                 // Negative control: another pair's is another one.
                 let next = pieces.pair_error[i + 1];
                 num_compared += usize::from(next.is_finite() && (next - alone).abs() > 10.0 * tolerance);
             }
             assert_eq!(pieces.pair_error[pieces.len - 1], f32::INFINITY);
         }
-        assert!(num_compared > 20, "{num_compared}");
+        assert!(num_compared > 20 && num_triples > 20, "{num_compared} {num_triples}");
     }
 
     #[test]
@@ -389,11 +502,19 @@ mod tests {
         };
         for (seed, threshold) in [(1, 0.0), (2, 0.1), (3, 1.0), (4, 5.0)] {
             let mut gather = gathered(seed, 300, 0.01 * threshold);
+            let reduced = |mut gather: Gather| {
+                let mut list = SegmentList::default();
+                gather.reduce(12, threshold, &mut list);
+                list
+            };
             // What the processor has, against plain instructions.
-            let wide = bits(gather.clone().reduce(12, threshold));
-            assert_eq!(wide, bits(gather.finish().reduce(12, threshold)));
+            let wide = bits(reduced(gather.clone()));
+            gather.finish();
+            let mut portable = SegmentList::default();
+            gather.pieces.reduce(&mut gather.way, 12, threshold, &mut portable);
+            assert_eq!(wide, bits(portable));
             // Negative control: one step more shows.
-            assert_ne!(wide, bits(gathered(seed, 301, 0.01 * threshold).reduce(12, threshold)));
+            assert_ne!(wide, bits(reduced(gathered(seed, 301, 0.01 * threshold))));
         }
     }
 }
