@@ -44,12 +44,32 @@ pub(crate) struct Measured {
     pub(crate) distortion: Vec<Distortion>,
 }
 
+/// Turn in degrees, camera, and the full volume rendering as 8-bit sRGB on black.
+pub(crate) type Truth = (f32, Camera, Vec<u8>);
+
+/// What is left of a frame from where the truth is known.
+pub(crate) fn distortion_of(
+    backend: &Backend,
+    bounds: &Aabb,
+    truths: &[Truth],
+    frame: LayeredFrame,
+) -> Result<Vec<Distortion>, BenchError> {
+    let mut caster = backend.reprojector(Arc::new(frame), bounds)?;
+    let mut all = Vec::with_capacity(truths.len());
+    for (angle_deg, camera, truth) in truths {
+        let view = black_srgb8(&caster.raycast_with(camera, &CastOptions::default())?);
+        let size = camera.intrinsics;
+        let error = compare(&view, truth, size.width as usize, size.height as usize, [0; 3])?;
+        all.push(Distortion { angle_deg: *angle_deg, dssim: error.dssim, psnr_db: error.psnr_db });
+    }
+    Ok(all)
+}
+
 /// Judges frames by what is seen of them.
 pub(crate) struct Judge<'a> {
     pub(crate) backend: &'a Backend,
     pub(crate) bounds: Aabb,
-    /// Turn, camera, and the full volume rendering as 8-bit sRGB on black.
-    pub(crate) truths: Vec<(f32, Camera, Vec<u8>)>,
+    pub(crate) truths: Vec<Truth>,
     /// Coding is timed on its one thread.
     pub(crate) pool: &'a ThreadPool,
 }
@@ -57,15 +77,7 @@ pub(crate) struct Judge<'a> {
 impl Judge<'_> {
     /// The frame from every turn.
     pub(crate) fn distortion(&self, frame: LayeredFrame) -> Result<Vec<Distortion>, BenchError> {
-        let mut caster = self.backend.reprojector(Arc::new(frame), &self.bounds)?;
-        let mut all = Vec::with_capacity(self.truths.len());
-        for (angle_deg, camera, truth) in &self.truths {
-            let view = black_srgb8(&caster.raycast_with(camera, &CastOptions::default())?);
-            let size = camera.intrinsics;
-            let error = compare(&view, truth, size.width as usize, size.height as usize, [0; 3])?;
-            all.push(Distortion { angle_deg: *angle_deg, dssim: error.dssim, psnr_db: error.psnr_db });
-        }
-        Ok(all)
+        distortion_of(self.backend, &self.bounds, &self.truths, frame)
     }
 
     /// A codec on a frame of its rule.

@@ -50,7 +50,7 @@ use crate::subject::{Subject, SubjectConditions};
 
 pub use self::measure::Distortion;
 pub use self::plot::svg;
-pub use self::sequence::{SequenceOptions, SequenceRow};
+pub use self::sequence::{SequenceBd, SequenceOptions, SequenceRow};
 pub use self::table::table;
 
 /// What to measure.
@@ -81,6 +81,8 @@ pub struct CodecReport {
     pub bd_means: Vec<BdMean>,
     /// What a moving camera costs.
     pub sequences: Vec<SequenceRow>,
+    /// What prediction gains there.
+    pub sequence_gains: Vec<SequenceBd>,
 }
 
 /// What holds for all points of a report.
@@ -224,7 +226,8 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
         clock_mhz,
         anchor: anchor.map(str::to_owned),
     };
-    Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences })
+    let sequence_gains = sequence::gains(&sequences);
+    Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences, sequence_gains })
 }
 
 /// The anchor's name, which must be measured.

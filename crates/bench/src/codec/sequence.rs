@@ -4,22 +4,21 @@
 //! before. AV1 is given the planes as one video each, every picture of which may refer to those before it and waits for
 //! none behind it.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
 use isinglass_core::camera::Camera;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, Coding};
 use isinglass_core::ids::FrameId;
-use isinglass_core::image_error::compare;
-use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_gpu::Renderer;
+use rayon::ThreadPool;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
+use super::bd::{RatePoint, bd_rate};
+use super::clock::timed;
 use super::contenders::{Contender, Way, ladder};
 use super::layout::Part;
-use super::measure::Judge;
+use super::measure::{Distortion, Judge, Truth, distortion_of};
 use super::{CodecOptions, FRAME_RATE_HZ};
 use crate::error::BenchError;
 use crate::progress::Progress;
@@ -78,6 +77,8 @@ pub struct SequenceRow {
     pub codec: &'static str,
     /// Its settings.
     pub settings: String,
+    /// Whether frames are predicted from those before.
+    pub is_predicted: bool,
     /// Degrees a second.
     pub degrees_per_second: f32,
     /// Frames of the sequence.
@@ -92,12 +93,31 @@ pub struct SequenceRow {
     pub mbit_s_at_30_hz: f64,
     /// Bytes of a moving frame less than those of one that is coded alone, percent.
     pub saving_percent: f64,
-    /// Mean over compared frames, each at its own pose.
-    pub dssim: f64,
-    /// The same.
-    pub psnr_db: f64,
+    /// Mean over compared frames that move, each turned from its own pose.
+    pub distortion: Vec<Distortion>,
+    /// Mean time to encode a frame that moves, on one thread; of blocks alone.
+    pub encode_ms: Option<f64>,
+    /// Mean time to decode one of those that are compared.
+    pub decode_ms: Option<f64>,
     /// Bytes of every frame.
     pub bytes: Vec<usize>,
+}
+
+/// What prediction gains in frames that move, at the same quality.
+#[derive(Clone, Debug, Serialize)]
+pub struct SequenceBd {
+    /// Name of the scene.
+    pub scene: String,
+    /// K of the rule.
+    pub k: u8,
+    /// The codec, with prediction against itself without.
+    pub codec: &'static str,
+    /// Turn from the frames' own poses, degrees.
+    pub angle_deg: f32,
+    /// Mean difference of bytes at the same DSSIM, percent.
+    pub bd_rate_percent: Option<f64>,
+    /// Why there is none.
+    pub refused: Option<String>,
 }
 
 /// What a sequence is made of.
@@ -118,8 +138,15 @@ trait Coder {
     fn finish(self: Box<Self>) -> Result<CodedSequence, BenchError>;
 }
 
-/// A setting by name, and what codes with it.
-type NamedCoder<'a> = (String, Box<dyn Coder + 'a>);
+/// A setting of a codec, and what codes with it.
+struct Candidate<'a> {
+    settings: String,
+    is_predicted: bool,
+    coder: Box<dyn Coder + 'a>,
+}
+
+/// Of frames that are compared, by number, see [`Judge::truths`].
+type Truths = BTreeMap<u32, Vec<Truth>>;
 
 #[derive(Default)]
 struct CodedSequence {
@@ -127,35 +154,43 @@ struct CodedSequence {
     /// Of frames coded alone.
     intra: Vec<usize>,
     kept: BTreeMap<u32, LayeredFrame>,
+    /// Times of every frame if they are taken, and of decoding those kept.
+    encode_ms: Vec<f64>,
+    decode_ms: Vec<f64>,
 }
 
-/// Measures every contender that can be given a sequence, each at the middle of its settings.
+/// Measures every contender that can be given a sequence: blocks with settings from end to end, others with that in the
+/// middle.
 pub(super) fn measure(
     scene: &Scene<'_>,
     renderer: &mut Renderer,
     contenders: &[Contender],
     progress: &mut Progress,
 ) -> Result<Vec<SequenceRow>, BenchError> {
-    let mut coders: Vec<(&Contender, NamedCoder<'_>)> = Vec::new();
+    let mut coders: Vec<(&Contender, Candidate<'_>)> = Vec::new();
     for contender in contenders {
         coders.extend(coders_of(contender, scene.judge).into_iter().map(|coder| (contender, coder)));
     }
     let sequence = scene.sequence;
-    let camera_at = |i: u32| -> Camera {
-        let orbit = scene.options.subject.orbit.turned(sequence.turn(i));
+    let camera_at = |i: u32, angle: f32| -> Camera {
+        let orbit = scene.options.subject.orbit.turned(sequence.turn(i) + angle);
         orbit.camera(scene.options.subject.intrinsics, &scene.judge.bounds)
     };
-    let mut truths = BTreeMap::new();
+    let mut truths: Truths = BTreeMap::new();
     for i in 0..sequence.frames {
         progress
             .advance(0, &format!("{}: K = {}, frame {i} of {}", scene.source.name, scene.k, sequence.frames));
-        let camera = camera_at(i);
+        let camera = camera_at(i, 0.0);
         let is_kept = sequence.is_compared(i);
         if is_kept {
-            truths.insert(i, black_srgb8(&renderer.render(&camera)?));
+            for &angle in &scene.options.subject.angles_degrees {
+                let camera = camera_at(i, angle);
+                let truth = black_srgb8(&renderer.render(&camera)?);
+                truths.entry(i).or_default().push((angle, camera, truth));
+            }
         }
         let mut frames: Vec<(_, LayeredFrame)> = Vec::new();
-        for (contender, (_, coder)) in &mut coders {
+        for (contender, Candidate { coder, .. }) in &mut coders {
             let layering = contender.layering();
             if frames.iter().all(|(of, _)| *of != layering) {
                 // A frame is referred to by its number.
@@ -168,9 +203,8 @@ pub(super) fn measure(
         }
     }
     let mut rows = Vec::with_capacity(coders.len());
-    for (contender, (settings, coder)) in coders {
-        let coded = coder.finish()?;
-        rows.push(row(scene, contender, settings, coded, &truths)?);
+    for (contender, candidate) in coders {
+        rows.push(row(scene, contender, candidate, &truths)?);
     }
     Ok(rows)
 }
@@ -178,73 +212,126 @@ pub(super) fn measure(
 fn row(
     scene: &Scene<'_>,
     contender: &Contender,
-    settings: String,
-    coded: CodedSequence,
-    truths: &BTreeMap<u32, Vec<u8>>,
+    Candidate { settings, is_predicted, coder }: Candidate<'_>,
+    truths: &Truths,
 ) -> Result<SequenceRow, BenchError> {
-    let size = scene.options.subject.intrinsics;
-    let (mut dssim, mut psnr_db) = (Vec::new(), Vec::new());
+    let coded = coder.finish()?;
+    let mut distortion: Vec<Distortion> = Vec::new();
+    let mut num = 0.0;
     for (i, frame) in coded.kept {
-        let Some(truth) = truths.get(&i) else { continue };
-        let camera = frame.header.camera;
-        let mut caster = scene.judge.backend.reprojector(Arc::new(frame), &scene.judge.bounds)?;
-        let view = black_srgb8(&caster.raycast_with(&camera, &CastOptions::default())?);
-        let error = compare(&view, truth, size.width as usize, size.height as usize, [0; 3])?;
-        dssim.push(error.dssim);
-        psnr_db.push(error.psnr_db);
+        let Some(truths) = truths.get(&i).filter(|_| !scene.sequence.is_resting(i)) else { continue };
+        let of_frame = distortion_of(scene.judge.backend, &scene.judge.bounds, truths, frame)?;
+        num += 1.0;
+        if distortion.is_empty() {
+            distortion = of_frame;
+            continue;
+        }
+        for (mean, one) in distortion.iter_mut().zip(of_frame) {
+            mean.dssim += (one.dssim - mean.dssim) / num;
+            mean.psnr_db += (one.psnr_db - mean.psnr_db) / num;
+        }
     }
     let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len().max(1) as f64;
-    let of = |resting: bool| -> Vec<f64> {
-        let all = coded.bytes.iter().zip(0..);
-        all.filter(|(_, i)| scene.sequence.is_resting(*i) == resting).map(|(b, _)| *b as f64).collect()
+    let mean_if_any = |all: &[f64]| (!all.is_empty()).then(|| mean(all));
+    let of = |all: &[f64], resting: bool| -> Vec<f64> {
+        let all = all.iter().zip(0..);
+        all.filter(|(_, i)| scene.sequence.is_resting(*i) == resting).map(|(b, _)| *b).collect()
     };
-    let (moving, resting) = (of(false), of(true));
-    let intra: Vec<f64> = coded.intra.iter().map(|b| *b as f64).collect();
-    let all: Vec<f64> = coded.bytes.iter().map(|b| *b as f64).collect();
+    let floats = |bytes: &[usize]| -> Vec<f64> { bytes.iter().map(|b| *b as f64).collect() };
+    let (all, intra) = (floats(&coded.bytes), floats(&coded.intra));
+    let (moving, resting) = (of(&all, false), of(&all, true));
     Ok(SequenceRow {
         scene: scene.source.name.clone(),
         k: scene.k,
         codec: contender.name,
         settings,
+        is_predicted,
         degrees_per_second: scene.sequence.degrees_per_second,
         frames: scene.sequence.frames,
         bytes_moving: mean(&moving),
-        bytes_resting: (!resting.is_empty()).then(|| mean(&resting)),
+        bytes_resting: mean_if_any(&resting),
         bytes_intra: mean(&intra),
         mbit_s_at_30_hz: mean(&all) * 8.0 * FRAME_RATE_HZ * 1e-6,
         saving_percent: 100.0 * (1.0 - mean(&moving) / mean(&intra)),
-        dssim: mean(&dssim),
-        psnr_db: mean(&psnr_db),
+        distortion,
+        encode_ms: mean_if_any(&of(&coded.encode_ms, false)),
+        decode_ms: mean_if_any(&coded.decode_ms),
         bytes: coded.bytes,
     })
 }
 
-/// A contender with one setting, frame by frame alone; AV1 also with prediction.
-fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<NamedCoder<'a>> {
-    let (name, at) = match &contender.way {
-        Way::Product(settings) => {
-            let middle = settings.len() / 2;
-            (settings.get(middle).map_or_else(String::new, |s| s.0.clone()), [middle; 3])
+/// What prediction gains, for every scene, K, codec and turn that rows were measured of.
+pub(super) fn gains(rows: &[SequenceRow]) -> Vec<SequenceBd> {
+    let mut gains: Vec<SequenceBd> = Vec::new();
+    for row in rows.iter().filter(|row| row.is_predicted) {
+        for angle_deg in row.distortion.iter().map(|d| d.angle_deg) {
+            let is_there = |g: &SequenceBd| {
+                (&*g.scene, g.k, g.codec, g.angle_deg) == (&*row.scene, row.k, row.codec, angle_deg)
+            };
+            if gains.iter().any(is_there) {
+                continue;
+            }
+            let curve = |is_predicted: bool| {
+                let of_curve = rows.iter().filter(|r| {
+                    (&*r.scene, r.k, r.codec, r.is_predicted) == (&*row.scene, row.k, row.codec, is_predicted)
+                });
+                let points = of_curve.filter_map(|r| {
+                    let seen = r.distortion.iter().find(|d| d.angle_deg == angle_deg)?;
+                    Some(RatePoint { bytes: r.bytes_moving, dssim: seen.dssim })
+                });
+                points.collect::<Vec<_>>()
+            };
+            let gain = bd_rate(&curve(false), &curve(true));
+            gains.push(SequenceBd {
+                scene: row.scene.clone(),
+                k: row.k,
+                codec: row.codec,
+                angle_deg,
+                bd_rate_percent: gain.as_ref().ok().map(|bd| bd.percent),
+                refused: gain.err().map(|e| e.to_string()),
+            });
         }
-        Way::Raw(compressor) => (compressor.setting().to_owned(), [0; 3]),
+    }
+    gains
+}
+
+/// The codecs of a contender, each with one setting, frame by frame alone; blocks and AV1 also with prediction.
+fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidate<'a>> {
+    let alone = |settings: String, at: [usize; 3]| Candidate {
+        settings,
+        is_predicted: false,
+        coder: Box::new(Alone { contender, judge, at, coded: CodedSequence::default() }),
+    };
+    match &contender.way {
+        Way::Product(settings) => {
+            let blocks = settings.iter().enumerate().filter(|(_, (_, c))| matches!(c, Coding::Blocks(_)));
+            let mut all = Vec::new();
+            for (_, (name, coding)) in blocks.step_by(SEQUENCE_STEP) {
+                for (is_predicted, settings) in [(false, name.clone()), (true, format!("{name}, inter"))] {
+                    let coder = Box::new(InBlocks::new(*coding, is_predicted, judge.pool));
+                    all.push(Candidate { settings, is_predicted, coder });
+                }
+            }
+            if all.is_empty() {
+                let middle = settings.len() / 2;
+                all.push(alone(settings.get(middle).map_or_else(String::new, |s| s.0.clone()), [middle; 3]));
+            }
+            all
+        }
+        Way::Raw(compressor) => vec![alone(compressor.setting().to_owned(), [0; 3])],
         Way::Planes(layout, codec) => {
             let num = codec.levels().len();
             let middle = Part::ALL.map(|part| (ladder(*layout, part, num).len() - 1).div_ceil(2));
-            ("middle".to_owned(), middle)
+            let of_planes = alone("middle".to_owned(), middle);
+            #[cfg(feature = "rivals")]
+            if contender.name == super::contenders::AVIF {
+                let coder = Box::new(video::Video::new(judge, middle));
+                let video = Candidate { settings: "middle, inter".to_owned(), is_predicted: true, coder };
+                return vec![of_planes, video];
+            }
+            vec![of_planes]
         }
-    };
-    let alone = Alone { contender, judge, at, coded: CodedSequence::default() };
-    let mut all: Vec<NamedCoder<'a>> = vec![(name.clone(), Box::new(alone))];
-    if let Way::Product(settings) = &contender.way
-        && let Some((_, coding @ Coding::Blocks(_))) = settings.get(at[0])
-    {
-        all.push((format!("{name}, inter"), Box::new(Predicted::new(*coding))));
     }
-    #[cfg(feature = "rivals")]
-    if contender.name == super::contenders::AVIF {
-        all.push(("middle, inter".to_owned(), Box::new(video::Video::new(judge, at))));
-    }
-    all
 }
 
 /// Every frame alone.
@@ -272,28 +359,36 @@ impl Coder for Alone<'_> {
     }
 }
 
-/// The product's codec, every frame predicted from the one before.
-struct Predicted {
+/// Blocks, alone or every frame predicted from the one before.
+struct InBlocks<'a> {
     coding: Coding,
+    is_predicted: bool,
+    pool: &'a ThreadPool,
     /// What the receiver has.
     references: References,
     coded: CodedSequence,
 }
 
-impl Predicted {
-    fn new(coding: Coding) -> Self {
-        Self { coding, references: References::default(), coded: CodedSequence::default() }
+impl<'a> InBlocks<'a> {
+    fn new(coding: Coding, is_predicted: bool, pool: &'a ThreadPool) -> Self {
+        let (references, coded) = (References::default(), CodedSequence::default());
+        Self { coding, is_predicted, pool, references, coded }
     }
 }
 
-impl Coder for Predicted {
+impl Coder for InBlocks<'_> {
     fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
-        let before = self.references.newest().cloned();
-        let (encoded, reference) = self.coding.encode(frame, before.as_deref())?;
+        let before = self.references.newest().filter(|_| self.is_predicted).cloned();
+        let encode = || timed(|| Ok(self.coding.encode(frame, before.as_deref())?));
+        let ((encoded, reference), ms) = self.pool.install(encode)?;
         self.coded.bytes.push(encoded.num_bytes());
+        self.coded.encode_ms.push(ms);
         if is_kept {
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-            self.coded.kept.insert(i, codec::assemble(&chunks, &self.references)?.to_frame());
+            let decode = || timed(|| Ok(codec::assemble(&chunks, &self.references)?.to_frame()));
+            let (decoded, ms) = self.pool.install(decode)?;
+            self.coded.kept.insert(i, decoded);
+            self.coded.decode_ms.push(ms);
             self.coded.intra.push(self.coding.encode(frame, None)?.0.num_bytes());
         }
         if let Some(reference) = reference {
@@ -405,10 +500,13 @@ mod video {
                     kept.insert(i, Layout::Weighted.join(frame.header, color, opacity, depth));
                 }
             }
-            Ok(CodedSequence { bytes: self.bytes, intra: self.intra, kept })
+            Ok(CodedSequence { bytes: self.bytes, intra: self.intra, kept, ..CodedSequence::default() })
         }
     }
 }
+
+/// Blocks are given every so many of their settings.
+const SEQUENCE_STEP: usize = 2;
 
 #[cfg(test)]
 mod tests {

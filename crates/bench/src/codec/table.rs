@@ -77,7 +77,7 @@ pub fn table(report: &CodecReport) -> String {
     }
     if !report.sequences.is_empty() {
         text += &format!(
-            "\n{:<12} {:>2} {:<18} {:<16} {:>7} {:>10} {:>10} {:>10} {:>8} {:>8} {:>8}\n",
+            "\n{:<12} {:>2} {:<18} {:<16} {:>7} {:>10} {:>10} {:>10} {:>8} {:>8}{}\n",
             "sequence",
             "k",
             "codec",
@@ -88,11 +88,11 @@ pub fn table(report: &CodecReport) -> String {
             "B intra",
             "Mbit/s",
             "saving",
-            "dssim"
+            format_args!("{}{} {:>7} {:>7}", turns("dssim"), turns("psnr"), "enc ms", "dec ms")
         );
         for s in &report.sequences {
             text += &format!(
-                "{:<12} {:>2} {:<18} {:<16} {:>7} {:>10.0} {:>10} {:>10.0} {:>8.2} {:>7.1}% {:>8.4}\n",
+                "{:<12} {:>2} {:<18} {:<16} {:>7} {:>10.0} {:>10} {:>10.0} {:>8.2} {:>7.1}%{}\n",
                 s.scene,
                 s.k,
                 s.codec,
@@ -103,15 +103,37 @@ pub fn table(report: &CodecReport) -> String {
                 s.bytes_intra,
                 s.mbit_s_at_30_hz,
                 s.saving_percent,
-                s.dssim
+                format_args!(
+                    "{} {:>7} {:>7}",
+                    seen(&s.distortion),
+                    number(s.encode_ms, 1),
+                    number(s.decode_ms, 1)
+                )
             );
+        }
+        if !report.sequence_gains.is_empty() {
+            text += &format!(
+                "\nBD-rate of frames that move, predicted against alone, percent\n{:<12} {:>4} {:<18}{}\n",
+                "scene",
+                "k",
+                "codec",
+                turns("at")
+            );
+        }
+        for rows in report.sequence_gains.chunks(angles.len().max(1)) {
+            let cells =
+                rows.iter().map(|r| cell(r.bd_rate_percent, r.refused.as_deref())).collect::<String>();
+            text += &format!("{:<12} {:>4} {:<18}{cells}\n", rows[0].scene, rows[0].k, rows[0].codec);
         }
     }
     text
 }
 
+fn number(x: Option<f64>, digits: usize) -> String {
+    x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"))
+}
+
 fn row(p: &Point) -> String {
-    let number = |x: Option<f64>, digits| x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"));
     format!(
         "{:<12} {:>2} {:<18} {:<36} {:>9} {:>7.3} {:>8.2}{} {:>8.1} {:>8} {:>8.1} {:>8} {:>8} {:>8}\n",
         p.scene,
