@@ -97,7 +97,7 @@ impl Usual {
     /// What kept planes may have for each layer; little as long as few blocks are known.
     fn acceptable(&self) -> f32 {
         let fresh = if self.num < FEW { 0.0 } else { self.error / self.worth };
-        SLACK * fresh + KEEP_SHARE
+        fresh + KEEP_SHARE
     }
 }
 
@@ -214,13 +214,13 @@ impl Source for Layering<'_> {
         let fresh = relayer.tried(lists, planes, f32::INFINITY);
         let num_fresh = plan.codes.len() as f32;
         usual.observe(fresh, per_layer * num_fresh);
-        let acceptable = |share: f32| SLACK * fresh + share * per_layer * num_fresh;
-        if kept < acceptable(KEEP_SHARE) {
+        let for_fresh = per_layer * num_fresh;
+        if kept < fresh + KEEP_SHARE * for_fresh {
             plan.origin = Origin::Kept;
             relayer.given(lists, best, &mut plan.layers);
             return;
         }
-        let mut least = acceptable(MERGE_SHARE);
+        let mut least = SLACK * fresh + MERGE_SHARE * for_fresh;
         for origin in [Origin::Left, Origin::Above] {
             if !offered(origin, planes) {
                 continue;
@@ -245,12 +245,14 @@ const FEW: u32 = 8;
 const NO_WANTED: u32 = u32::MAX;
 /// Part of the step of corrections that a block may be off on average and still be the same.
 const SAME: f32 = 0.75;
-/// Planes of another block are taken if their error is at most so many times that of fresh ones.
+/// Planes of a neighbour are taken if their error is at most so many times that of fresh ones, and for each layer so much
+/// of what a layer is worth more.
 const SLACK: f32 = 1.15;
-/// And, for each layer, so much of what a layer is worth more.
-const KEEP_SHARE: f32 = 0.5;
 const MERGE_SHARE: f32 = 0.3;
+/// Those of the frame before if their error is at most that of fresh ones and so much. More, and errors add up from
+/// frame to frame.
+const KEEP_SHARE: f32 = 0.1;
 /// Kept planes with less error than this part of what is usually acceptable are taken without looking for fresh ones.
-const AT_ONCE: f32 = 0.8;
+const AT_ONCE: f32 = 0.65;
 /// And those with more than so many times as much are not taken.
 const HOPELESS: f32 = 4.0;
