@@ -331,7 +331,7 @@ const MAX_BRIGHTNESS: f32 = 1.5;
 /// save.
 const ROUNDING: [f32; 2] = [0.5, 0.45];
 /// After a moved reference, which has errors of about half a step itself, they save more than they cost.
-const INTER_ROUNDING: [f32; 2] = [0.35, 0.25];
+const INTER_ROUNDING: [f32; 2] = [0.4, 0.3];
 /// Components from here on are predicted from a reference, but for the last.
 const FIRST_INTER: usize = 4;
 const CORRECTION: usize = 7;
