@@ -202,7 +202,7 @@ impl Source for Layering<'_> {
             let for_layers = per_layer * best.len() as f32;
             let usual = usual.acceptable() * for_layers;
             kept = relayer.tried(lists, best, HOPELESS * usual);
-            if kept <= AT_ONCE * usual {
+            if kept <= usual {
                 plan.origin = Origin::Kept;
                 relayer.given(lists, best, &mut plan.layers);
                 return;
@@ -252,7 +252,5 @@ const MERGE_SHARE: f32 = 0.3;
 /// Those of the frame before if their error is at most that of fresh ones and so much. More, and errors add up from
 /// frame to frame.
 const KEEP_SHARE: f32 = 0.1;
-/// Kept planes with less error than this part of what is usually acceptable are taken without looking for fresh ones.
-const AT_ONCE: f32 = 0.65;
 /// And those with more than so many times as much are not taken.
 const HOPELESS: f32 = 4.0;
