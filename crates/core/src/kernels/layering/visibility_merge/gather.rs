@@ -29,29 +29,24 @@ pub struct Gather {
     pub(super) way: Way,
 }
 
-/// Pieces, front to back, each of their numbers in a row of its own: for work on eight at a time.
+/// Pieces or steps, front to back, each of their numbers in a row of its own: for work on eight at a time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rows {
-    pub(super) s0: [f32; ROW],
-    pub(super) s1: [f32; ROW],
-    pub(super) tau: [f32; ROW],
-    pub(super) alpha: [f32; ROW],
-    pub(super) c: [[f32; ROW]; 3],
+pub(super) struct Rows<const N: usize = ROW> {
+    pub(super) s0: [f32; N],
+    pub(super) s1: [f32; N],
+    pub(super) tau: [f32; N],
+    pub(super) alpha: [f32; N],
+    pub(super) c: [[f32; N]; 3],
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
-    pub(super) visibility: [f32; ROW],
+    pub(super) visibility: [f32; N],
     /// What merging has cost up to now.
-    spent: [f32; ROW],
+    spent: [f32; N],
 }
 
-/// Steps that wait, each of their numbers in a row of its own, like those of pieces.
+/// Steps that wait.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    s0: [f32; WAITING_ROW],
-    s1: [f32; WAITING_ROW],
-    tau: [f32; WAITING_ROW],
-    alpha: [f32; WAITING_ROW],
-    c: [[f32; WAITING_ROW]; 3],
-    visibility: [f32; WAITING_ROW],
+    steps: Rows<WAITING_ROW>,
     /// What a piece of each and the step behind it costs.
     pair_cost: [f32; MAX_WAITING],
     /// The same with two behind it.
@@ -59,38 +54,16 @@ struct Waiting {
 }
 
 impl Waiting {
-    #[inline(always)]
-    fn set(&mut self, i: usize, step: &Step, visibility: f32) {
-        self.s0[i] = step.s0;
-        self.s1[i] = step.s1;
-        self.tau[i] = step.tau;
-        self.alpha[i] = step.alpha;
-        for (row, c) in self.c.iter_mut().zip(step.c.to_array()) {
-            row[i] = c;
-        }
-        self.visibility[i] = visibility;
-    }
-
-    #[inline(always)]
-    fn step(&self, i: usize) -> Step {
-        Step {
-            s0: self.s0[i],
-            s1: self.s1[i],
-            c: glam::Vec3::new(self.c[0][i], self.c[1][i], self.c[2][i]),
-            tau: self.tau[i],
-            alpha: self.alpha[i],
-        }
-    }
-
     /// Finds what pieces cost that begin with each of the first `num` steps, eight at a time.
     #[inline(always)]
     fn find_costs(&mut self, num: usize, steps_per_length: f32) {
         for i in 0..num.next_multiple_of(8).min(MAX_WAITING) {
-            let mut piece = self.step(i);
-            let next = self.step(i + 1);
-            let pair_cost = merge_cost(&piece, &next, steps_per_length) * self.visibility[i];
+            let mut piece = self.steps.piece(i);
+            let next = self.steps.piece(i + 1);
+            let pair_cost = merge_cost(&piece, &next, steps_per_length) * self.steps.visibility[i];
             append(&mut piece, &next);
-            let triple_cost = merge_cost(&piece, &self.step(i + 2), steps_per_length) * self.visibility[i];
+            let triple_cost =
+                merge_cost(&piece, &self.steps.piece(i + 2), steps_per_length) * self.steps.visibility[i];
             self.pair_cost[i] = pair_cost;
             self.triple_cost[i] = triple_cost + pair_cost;
         }
@@ -118,7 +91,17 @@ fn bits_up_to(costs: &[f32; MAX_WAITING], num: usize, tolerance: f32) -> u64 {
     all
 }
 
-impl Rows {
+impl<const N: usize> Rows<N> {
+    const NOTHING: Self = Self {
+        s0: [0.0; N],
+        s1: [0.0; N],
+        tau: [0.0; N],
+        alpha: [0.0; N],
+        c: [[0.0; N]; 3],
+        visibility: [0.0; N],
+        spent: [0.0; N],
+    };
+
     #[inline(always)]
     pub(super) fn piece(&self, i: usize) -> OpenSegment {
         OpenSegment {
@@ -132,21 +115,21 @@ impl Rows {
 
     /// Puts `num` steps from number `i` on at `at`. What is behind them may be written over.
     #[inline(always)]
-    fn put(&mut self, at: usize, waiting: &Waiting, i: usize, num: usize) {
+    fn put<const M: usize>(&mut self, at: usize, steps: &Rows<M>, i: usize, num: usize) {
         for done in (0..num).step_by(8) {
             let (to, from) = (at + done, i + done);
-            let copy = |row: &mut [f32; ROW], steps: &[f32; WAITING_ROW]| {
+            let copy = |row: &mut [f32; N], steps: &[f32; M]| {
                 row[to..to + 8].copy_from_slice(&steps[from..from + 8]);
             };
-            copy(&mut self.s0, &waiting.s0);
-            copy(&mut self.s1, &waiting.s1);
-            copy(&mut self.tau, &waiting.tau);
-            copy(&mut self.alpha, &waiting.alpha);
-            for (row, steps) in self.c.iter_mut().zip(&waiting.c) {
+            copy(&mut self.s0, &steps.s0);
+            copy(&mut self.s1, &steps.s1);
+            copy(&mut self.tau, &steps.tau);
+            copy(&mut self.alpha, &steps.alpha);
+            for (row, steps) in self.c.iter_mut().zip(&steps.c) {
                 copy(row, steps);
             }
-            copy(&mut self.visibility, &waiting.visibility);
-            self.spent[to..to + 8].fill(0.0);
+            copy(&mut self.visibility, &steps.visibility);
+            copy(&mut self.spent, &steps.spent);
         }
     }
 
@@ -191,7 +174,7 @@ impl Gather {
         'piece: loop {
             if len > 0 {
                 while i < num {
-                    let step = waiting.step(i);
+                    let step = waiting.steps.piece(i);
                     let cost = merge_cost(&open, &step, *steps_per_length) * visibility + spent;
                     if cost <= *tolerance {
                         append(&mut open, &step);
@@ -208,10 +191,10 @@ impl Gather {
                 // So do those behind it, until one takes the next, or is the last.
                 let singles = (pairs >> i | 1 << (num - 1 - i)).trailing_zeros() as usize;
                 let singles = singles.min(MAX_K - len);
-                rows.put(len, waiting, i, singles);
+                rows.put(len, &waiting.steps, i, singles);
                 len += singles;
                 i += singles;
-                (open, visibility, spent) = (waiting.step(i), waiting.visibility[i], 0.0);
+                (open, visibility, spent) = (waiting.steps.piece(i), waiting.steps.visibility[i], 0.0);
                 i += 1;
                 if len == MAX_K {
                     rows.set(MAX_K, &open, visibility, spent);
@@ -223,11 +206,11 @@ impl Gather {
                 }
                 len += 1;
                 if i < num {
-                    append(&mut open, &waiting.step(i));
+                    append(&mut open, &waiting.steps.piece(i));
                     spent = waiting.pair_cost[i - 1];
                     i += 1;
                     if i < num && triples >> (i - 2) & 1 != 0 {
-                        append(&mut open, &waiting.step(i));
+                        append(&mut open, &waiting.steps.piece(i));
                         spent = waiting.triple_cost[i - 2];
                         i += 1;
                         continue 'piece;
@@ -277,7 +260,6 @@ impl Gather {
 
 impl Default for Gather {
     fn default() -> Self {
-        let (row, steps) = ([0.0; ROW], [0.0; WAITING_ROW]);
         Self {
             h: 1.0,
             steps_per_length: 1.0,
@@ -285,17 +267,12 @@ impl Default for Gather {
             transmittance: 1.0,
             num_waiting: 0,
             waiting: Waiting {
-                s0: steps,
-                s1: steps,
-                tau: steps,
-                alpha: steps,
-                c: [steps; 3],
-                visibility: steps,
+                steps: Rows::NOTHING,
                 pair_cost: [0.0; MAX_WAITING],
                 triple_cost: [0.0; MAX_WAITING],
             },
             len: 0,
-            rows: Rows { s0: row, s1: row, tau: row, alpha: row, c: [row; 3], visibility: row, spent: row },
+            rows: Rows::NOTHING,
             pieces: Pieces::default(),
             way: Way::default(),
         }
@@ -305,7 +282,7 @@ impl Default for Gather {
 impl Sink for Gather {
     #[inline(always)]
     fn step(&mut self, step: Step) -> Pace {
-        self.waiting.set(self.num_waiting, &step, self.transmittance.max(VISIBILITY_FLOOR));
+        self.waiting.steps.set(self.num_waiting, &step, self.transmittance.max(VISIBILITY_FLOOR), 0.0);
         self.num_waiting += 1;
         if self.num_waiting == MAX_WAITING {
             self.take_waiting();
