@@ -34,7 +34,8 @@ pub struct SequenceOptions {
     pub frames: u32,
     /// Whether it rests in the middle, for a fifth of the frames.
     pub stops: bool,
-    /// Frames that are compared with the truth, at most.
+    /// Frames that are compared with the truth, at most; of those that rest and the first, which none is before, nothing
+    /// is counted.
     pub compared: u32,
 }
 
@@ -61,8 +62,17 @@ impl SequenceOptions {
         (self.frames * 2 / 5, self.frames * 3 / 5)
     }
 
+    /// Whether frame `i` is seen from elsewhere than the one before. The first is no such frame: a codec that predicts
+    /// codes it as one that does not.
+    fn is_moving(&self, i: u32) -> bool {
+        i > 0 && !self.is_resting(i)
+    }
+
+    /// At the ends of equal parts of the sequence, so that the last frame is one.
     fn is_compared(&self, i: u32) -> bool {
-        i.is_multiple_of(self.frames.div_ceil(self.compared.max(1)).max(1))
+        let parts = u64::from(self.compared.clamp(1, self.frames));
+        let part_at = |i: u32| u64::from(i) * parts / u64::from(self.frames);
+        part_at(i + 1) > part_at(i)
     }
 }
 
@@ -83,18 +93,22 @@ pub struct SequenceRow {
     pub degrees_per_second: f32,
     /// Frames of the sequence.
     pub frames: u32,
-    /// Mean bytes of a frame while the camera moves, the first frame among them.
+    /// Mean bytes of a frame while the camera moves, without the first.
     pub bytes_moving: f64,
     /// Mean bytes while it rests; none if it never does.
     pub bytes_resting: Option<f64>,
-    /// Mean bytes of a frame that is coded alone, with the same setting.
+    /// Mean bytes of the same frames, each coded alone with the same setting.
     pub bytes_intra: f64,
     /// Megabits a second, rest included.
     pub mbit_s_at_30_hz: f64,
     /// Bytes of a moving frame less than those of one that is coded alone, percent.
     pub saving_percent: f64,
-    /// Mean over compared frames that move, each turned from its own pose.
+    /// Mean over compared frames that move, each turned from its own pose; not over the first.
     pub distortion: Vec<Distortion>,
+    /// Of those the one at 0°, if it was asked for.
+    pub dssim: Option<f64>,
+    /// The same.
+    pub psnr_db: Option<f64>,
     /// Mean time to encode a frame that moves, on one thread; of blocks alone.
     pub encode_ms: Option<f64>,
     /// Mean time to decode one of those that are compared.
@@ -131,7 +145,7 @@ pub(super) struct Scene<'a> {
 
 /// Codes frames one after another.
 trait Coder {
-    /// The next frame, number `i`. If it `is_kept`, what is decoded and what it costs alone are wanted.
+    /// The next frame, number `i`. If it `is_kept`, what is decoded is wanted.
     fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError>;
 
     /// All of it.
@@ -151,8 +165,6 @@ type Truths = BTreeMap<u32, Vec<Truth>>;
 #[derive(Default)]
 struct CodedSequence {
     bytes: Vec<usize>,
-    /// Of frames coded alone.
-    intra: Vec<usize>,
     kept: BTreeMap<u32, LayeredFrame>,
     /// Times of every frame if they are taken, and of decoding those kept.
     encode_ms: Vec<f64>,
@@ -202,24 +214,28 @@ pub(super) fn measure(
             }
         }
     }
-    let mut rows = Vec::with_capacity(coders.len());
+    let mut rows: Vec<SequenceRow> = Vec::with_capacity(coders.len());
     for (contender, candidate) in coders {
-        rows.push(row(scene, contender, candidate, &truths)?);
+        let row = row(scene, contender, candidate, rows.last(), &truths)?;
+        rows.push(row);
     }
     Ok(rows)
 }
 
+/// A row, given the one before: see [`coders_of`].
 fn row(
     scene: &Scene<'_>,
     contender: &Contender,
     Candidate { settings, is_predicted, coder }: Candidate<'_>,
+    before: Option<&SequenceRow>,
     truths: &Truths,
 ) -> Result<SequenceRow, BenchError> {
+    let sequence = scene.sequence;
     let coded = coder.finish()?;
     let mut distortion: Vec<Distortion> = Vec::new();
     let mut num = 0.0;
     for (i, frame) in coded.kept {
-        let Some(truths) = truths.get(&i).filter(|_| !scene.sequence.is_resting(i)) else { continue };
+        let Some(truths) = truths.get(&i).filter(|_| sequence.is_moving(i)) else { continue };
         let of_frame = distortion_of(scene.judge.backend, &scene.judge.bounds, truths, frame)?;
         num += 1.0;
         if distortion.is_empty() {
@@ -233,28 +249,32 @@ fn row(
     }
     let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len().max(1) as f64;
     let mean_if_any = |all: &[f64]| (!all.is_empty()).then(|| mean(all));
-    let of = |all: &[f64], resting: bool| -> Vec<f64> {
-        let all = all.iter().zip(0..);
-        all.filter(|(_, i)| scene.sequence.is_resting(*i) == resting).map(|(b, _)| *b).collect()
+    let of = |all: &[f64], is_wanted: &dyn Fn(u32) -> bool| -> Vec<f64> {
+        all.iter().zip(0..).filter(|(_, i)| is_wanted(*i)).map(|(x, _)| *x).collect()
     };
     let floats = |bytes: &[usize]| -> Vec<f64> { bytes.iter().map(|b| *b as f64).collect() };
-    let (all, intra) = (floats(&coded.bytes), floats(&coded.intra));
-    let (moving, resting) = (of(&all, false), of(&all, true));
+    let alone = before.filter(|_| is_predicted).map_or(&coded.bytes, |row| &row.bytes);
+    let (all, alone) = (floats(&coded.bytes), floats(alone));
+    let (is_moving, is_resting) = (|i| sequence.is_moving(i), |i| sequence.is_resting(i));
+    let (bytes_moving, bytes_intra) = (mean(&of(&all, &is_moving)), mean(&of(&alone, &is_moving)));
+    let at_own_pose = distortion.iter().find(|d| d.angle_deg == 0.0);
     Ok(SequenceRow {
         scene: scene.source.name.clone(),
         k: scene.k,
         codec: contender.name,
         settings,
         is_predicted,
-        degrees_per_second: scene.sequence.degrees_per_second,
-        frames: scene.sequence.frames,
-        bytes_moving: mean(&moving),
-        bytes_resting: mean_if_any(&resting),
-        bytes_intra: mean(&intra),
+        degrees_per_second: sequence.degrees_per_second,
+        frames: sequence.frames,
+        bytes_moving,
+        bytes_resting: mean_if_any(&of(&all, &is_resting)),
+        bytes_intra,
         mbit_s_at_30_hz: mean(&all) * 8.0 * FRAME_RATE_HZ * 1e-6,
-        saving_percent: 100.0 * (1.0 - mean(&moving) / mean(&intra)),
+        saving_percent: 100.0 * (1.0 - bytes_moving / bytes_intra),
+        dssim: at_own_pose.map(|d| d.dssim),
+        psnr_db: at_own_pose.map(|d| d.psnr_db),
         distortion,
-        encode_ms: mean_if_any(&of(&coded.encode_ms, false)),
+        encode_ms: mean_if_any(&of(&coded.encode_ms, &is_moving)),
         decode_ms: mean_if_any(&coded.decode_ms),
         bytes: coded.bytes,
     })
@@ -295,7 +315,8 @@ pub(super) fn gains(rows: &[SequenceRow]) -> Vec<SequenceBd> {
     gains
 }
 
-/// The codecs of a contender, each with one setting, frame by frame alone; blocks and AV1 also with prediction.
+/// The codecs of a contender, each with one setting, frame by frame alone; blocks and AV1 also with prediction, each
+/// behind what codes alone with the same setting.
 fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidate<'a>> {
     let alone = |settings: String, at: [usize; 3]| Candidate {
         settings,
@@ -325,7 +346,7 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
             let of_planes = alone("middle".to_owned(), middle);
             #[cfg(feature = "rivals")]
             if contender.name == super::contenders::AVIF {
-                let coder = Box::new(video::Video::new(judge, middle));
+                let coder = Box::new(video::Video::new(middle));
                 let video = Candidate { settings: "middle, inter".to_owned(), is_predicted: true, coder };
                 return vec![of_planes, video];
             }
@@ -347,7 +368,6 @@ impl Coder for Alone<'_> {
     fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
         let (bytes, decoded) = self.judge.code(self.contender, frame, self.at)?;
         self.coded.bytes.push(bytes);
-        self.coded.intra.push(bytes);
         if is_kept {
             self.coded.kept.insert(i, decoded);
         }
@@ -389,7 +409,6 @@ impl Coder for InBlocks<'_> {
             let (decoded, ms) = self.pool.install(decode)?;
             self.coded.kept.insert(i, decoded);
             self.coded.decode_ms.push(ms);
-            self.coded.intra.push(self.coding.encode(frame, None)?.0.num_bytes());
         }
         if let Some(reference) = reference {
             self.references.insert(reference);
@@ -411,8 +430,7 @@ mod video {
     use super::*;
 
     /// Planes as videos.
-    pub(super) struct Video<'a> {
-        judge: &'a Judge<'a>,
+    pub(super) struct Video {
         codec: Av1,
         at: [usize; 3],
         /// By part and plane.
@@ -420,7 +438,6 @@ mod video {
         /// Planes of kept frames, by frame.
         planes: BTreeMap<u32, Kept>,
         bytes: Vec<usize>,
-        intra: Vec<usize>,
     }
 
     struct Kept {
@@ -428,17 +445,15 @@ mod video {
         parts: [Vec<Option<Raster>>; 3],
     }
 
-    impl<'a> Video<'a> {
+    impl Video {
         /// Settings of the parts as in a search.
-        pub(super) fn new(judge: &'a Judge<'a>, at: [usize; 3]) -> Self {
+        pub(super) fn new(at: [usize; 3]) -> Self {
             Self {
-                judge,
                 codec: Av1 { speed: AVIF_SPEED },
                 at,
                 streams: Default::default(),
                 planes: BTreeMap::new(),
                 bytes: Vec::new(),
-                intra: Vec::new(),
             }
         }
 
@@ -455,10 +470,9 @@ mod video {
         }
     }
 
-    impl Coder for Video<'_> {
+    impl Coder for Video {
         fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
             self.bytes.push(0);
-            let mut alone = 0;
             for (p, part) in Part::ALL.into_iter().enumerate() {
                 let (divisor, level) = ladder(Layout::Weighted, part, QUANTIZERS.len())[self.at[p]];
                 let rasters = Layout::Weighted.split(frame, part, self.codec.max_bits(), divisor);
@@ -470,17 +484,11 @@ mod video {
                     let none = || std::array::from_fn(|_| Vec::new());
                     let kept = Kept { header: frame.header, parts: none() };
                     self.planes.entry(i).or_insert(kept).parts[p] = vec![None; rasters.len()];
-                    for raster in &rasters {
-                        alone += self.judge.pool.install(|| self.codec.code(raster, level))?.bytes;
-                    }
                 }
                 for (plane, raster) in rasters.iter().enumerate() {
                     let pictures = self.streams[p][plane].push(raster)?;
                     self.take(p, plane, pictures);
                 }
-            }
-            if is_kept {
-                self.intra.push(alone);
             }
             Ok(())
         }
@@ -500,7 +508,7 @@ mod video {
                     kept.insert(i, Layout::Weighted.join(frame.header, color, opacity, depth));
                 }
             }
-            Ok(CodedSequence { bytes: self.bytes, intra: self.intra, kept, ..CodedSequence::default() })
+            Ok(CodedSequence { bytes: self.bytes, kept, ..CodedSequence::default() })
         }
     }
 }
@@ -522,8 +530,70 @@ mod tests {
             // Differences of numbers of the order of 100 in single precision.
             assert!((step - if sequence.is_resting(i) { 0.0 } else { 1.0 }).abs() < 1e-4, "{i}: {step}");
         }
-        assert_eq!((0..100).filter(|&i| sequence.is_compared(i)).count(), 4);
+        // The first is not predicted by any codec.
+        assert!((0..100).all(|i| sequence.is_moving(i) == (i > 0 && !resting.contains(&i))));
+        for (frames, compared) in [(100, 4), (101, 2), (120, 8), (5, 2), (3, 1), (7, 7), (4, 9)] {
+            let sequence = SequenceOptions { frames, compared, ..sequence };
+            let all: Vec<u32> = (0..frames).filter(|&i| sequence.is_compared(i)).collect();
+            assert_eq!(all.len() as u32, compared.min(frames), "of {frames}");
+            // Something to be seen that moves.
+            assert!(
+                all.last() == Some(&(frames - 1)) && sequence.is_moving(frames - 1),
+                "{all:?} of {frames}"
+            );
+            assert!(frames < 2 * compared || !sequence.is_compared(0));
+        }
         let moving = SequenceOptions { stops: false, ..sequence };
         assert!((moving.turn(99) - 99.0).abs() < 1e-3 && (0..100).all(|i| !moving.is_resting(i)));
+    }
+    #[test]
+    fn half_the_bytes_for_the_same_picture_is_a_gain_of_half_at_every_turn() {
+        let row = |is_predicted: bool, bytes_moving: f64, dssim: [f64; 2]| SequenceRow {
+            scene: "a".into(),
+            k: 8,
+            codec: "blocks",
+            settings: String::new(),
+            is_predicted,
+            degrees_per_second: 30.0,
+            frames: 3,
+            bytes_moving,
+            bytes_resting: None,
+            // What is compared are curves of rows, not these.
+            bytes_intra: 7.0,
+            mbit_s_at_30_hz: 7.0,
+            saving_percent: 7.0,
+            distortion: [0.0, 10.0]
+                .into_iter()
+                .zip(dssim)
+                .map(|(angle_deg, dssim)| Distortion { angle_deg, dssim, psnr_db: 30.0 })
+                .collect(),
+            dssim: None,
+            psnr_db: None,
+            encode_ms: None,
+            decode_ms: None,
+            bytes: vec![7; 3],
+        };
+        // At 10° the picture costs four times the bytes, by any curve.
+        let curve = |is_predicted: bool, share: f64| {
+            [1e3, 2e3, 4e3].map(|bytes| row(is_predicted, share * bytes, [10.0 / bytes, 40.0 / bytes]))
+        };
+        for (alone, predicted, percent) in [(1.0, 0.5, -50.0), (0.5, 1.0, 100.0), (1.0, 1.0, 0.0)] {
+            let mut rows = curve(false, alone).to_vec();
+            rows.extend(curve(true, predicted));
+            // Rows of others change nothing.
+            rows.extend(curve(true, 0.1).map(|row| SequenceRow { codec: "avif-planes", ..row }));
+            rows.extend(curve(false, 0.1).map(|row| SequenceRow { k: 4, ..row }));
+            let gains = gains(&rows);
+            assert_eq!(gains.len(), 4, "two codecs at two turns");
+            for gain in &gains[..2] {
+                let found = gain.bd_rate_percent.unwrap();
+                // Logarithms and powers of doubles.
+                assert!((found - percent).abs() < 1e-9, "{found} at {}", gain.angle_deg);
+            }
+            assert_eq!((gains[0].angle_deg, gains[1].angle_deg), (0.0, 10.0));
+            // Nothing without prediction to compare it with.
+            assert!(gains[2..].iter().all(|g| g.bd_rate_percent.is_none() && g.refused.is_some()));
+        }
+        assert!(gains(&curve(false, 1.0)).is_empty());
     }
 }

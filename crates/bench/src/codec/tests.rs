@@ -74,7 +74,8 @@ fn what_loses_nothing_leaves_the_picture_of_the_frame_and_what_loses_does_not() 
     assert_eq!(report.bd_means.len(), 2 * 3 * 2);
     // One point is no curve.
     assert!(report.bd_rates.iter().all(|r| r.refused.is_some() == r.bd_rate_percent.is_none()));
-    assert!(report.sequences.iter().all(|s| s.bytes.len() == 5 && s.saving_percent.abs() < 20.0));
+    // Without prediction nothing is saved, to the byte.
+    assert!(report.sequences.iter().all(|s| s.bytes.len() == 5 && s.saving_percent == 0.0));
 
     let text = table(&report);
     assert!(text.contains("raw-zstd") && text.contains("mean") && text.contains("sequence"), "{text}");
@@ -100,6 +101,20 @@ fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves()
         alone.bytes_resting.unwrap() > 0.5 * alone.bytes_intra,
         "nothing is saved by frames that are alone"
     );
+    assert_eq!(alone.saving_percent, 0.0);
+    // Frames 1, 2 and 4 move; the first is coded alone by both, and the third is at rest.
+    let mean = |bytes: &[usize]| (bytes[1] + bytes[2] + bytes[4]) as f64 / 3.0;
+    assert_eq!(inter.bytes[0], alone.bytes[0]);
+    assert_eq!((inter.bytes_moving, inter.bytes_intra), (mean(&inter.bytes), mean(&alone.bytes)));
+    assert_eq!(inter.saving_percent, 100.0 * (1.0 - inter.bytes_moving / inter.bytes_intra));
+    // A picture of a predicted frame is another than of one alone, however few are compared.
+    assert_ne!(inter.distortion, alone.distortion);
+    assert_eq!((inter.dssim, inter.psnr_db), {
+        let at_own_pose = &inter.distortion[0];
+        (Some(at_own_pose.dssim), Some(at_own_pose.psnr_db))
+    });
+    let fields = serde_json::to_value(alone).unwrap();
+    assert!(fields["dssim"].is_f64() && fields["psnr_db"].is_f64(), "{fields}");
 }
 
 #[test]

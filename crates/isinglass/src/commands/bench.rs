@@ -237,8 +237,8 @@ struct CodecArgs {
     /// Also code a camera that orbits at so many degrees a second, 30 frames a second
     #[arg(long, value_name = "DEG", value_parser = parse_speed)]
     turn: Option<f32>,
-    /// Frames of the orbit
-    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "turn")]
+    /// Frames of the orbit; the first counts for nothing but the bytes a second
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(3..=100_000), requires = "turn")]
     frames: u32,
     /// The orbit rests in its middle, for a fifth of the frames
     #[arg(long, requires = "turn")]
