@@ -39,7 +39,8 @@ impl RecentList {
         match read {
             Some(Ok(Ok(list))) => {
                 let early = std::mem::replace(&mut self.list, list);
-                if early != Recent::default() {
+                // What waits was made of what was there before the list, which may be nothing again.
+                if self.waiting.take().is_some() {
                     self.change(ctx, |list| list.note_all(early));
                 }
             }
@@ -122,7 +123,44 @@ pub(crate) fn ago(now: u64, then: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::time::{Duration, Instant};
+
+    use isinglass_formats::{RecentPlace, VolumeSource};
+
     use super::*;
+
+    #[test]
+    fn what_is_noted_and_forgotten_before_the_list_was_read_changes_nothing_in_it() {
+        let entry = |source: &str| {
+            let place = RecentPlace::Volume(VolumeSource::new(source));
+            RecentEntry { place, shows: source.into(), used_at: 1 }
+        };
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("recent.toml");
+        let before = Recent { folder: Some("/data".into()), entries: vec![entry("/a"), entry("/b")] };
+        let ctx = egui::Context::default();
+        for (num_forgotten, expected) in
+            [(0, vec![entry("/c"), entry("/a"), entry("/b")]), (1, before.entries.clone())]
+        {
+            std::fs::write(&file, before.to_toml()).unwrap();
+            let mut list = RecentList::new(Some(file.clone()), &ctx);
+            // What the disk has said is taken by `poll` alone.
+            list.note(entry("/c"), None, &ctx);
+            for _ in 0..num_forgotten {
+                list.forget(0, &ctx);
+            }
+            assert!(list.reading.is_busy() && list.entries().len() == 1 - num_forgotten);
+            let patience = Instant::now() + Duration::from_secs(60);
+            while list.reading.is_busy() || list.writing.is_busy() {
+                list.poll(&ctx);
+                assert!(Instant::now() < patience, "it is never read or written");
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            let expected = Recent { entries: expected, ..before.clone() };
+            assert_eq!(list.list, expected);
+            assert_eq!(Recent::read(&file).unwrap(), expected);
+        }
+    }
 
     #[test]
     fn times_are_told_in_one_word_and_a_unit() {
