@@ -420,16 +420,19 @@ pub(super) mod tests {
     #[test]
     fn steps_that_waited_are_gathered_as_those_one_by_one() {
         let (mut num_pieces, mut num_noticed) = (0, 0);
+        // One for all, as a row of a frame has; a ray longer than any before leaves what it can in it.
+        let (mut gather, long) = (Gather::default(), steps(99, 700));
         for seed in 1..20 {
             for num in [1, 2, 3, 9, 30, 63, 64, 65, 66, 130, 700] {
                 for tolerance in [0.0, 0.002, 0.02, 0.3] {
                     let steps = steps(seed, num);
-                    let mut gather = Gather::default();
-                    gather.begin(1.0, tolerance);
-                    for &step in &steps {
-                        let _ = gather.step(step);
+                    for (h, tolerance, steps) in [(0.5, 0.001, &long), (1.0, tolerance, &steps)] {
+                        gather.begin(h, tolerance);
+                        for &step in steps {
+                            let _ = gather.step(step);
+                        }
+                        gather.finish();
                     }
-                    gather.finish();
                     let expected = one_by_one(&steps, tolerance);
                     assert_eq!(bits(&gather.rows, gather.len), expected, "{seed} {num} {tolerance}");
                     num_pieces += expected.len();

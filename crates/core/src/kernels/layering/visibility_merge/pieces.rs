@@ -453,11 +453,20 @@ mod tests {
 
     fn gathered(seed: u32, num: u32, tolerance: f32) -> Gather {
         let mut gather = Gather::default();
+        gather_into(&mut gather, seed, num, tolerance);
+        gather
+    }
+
+    fn gather_into(gather: &mut Gather, seed: u32, num: u32, tolerance: f32) {
         gather.begin(1.0, tolerance);
         for step in steps(seed, num) {
             let _ = gather.step(step);
         }
-        gather
+    }
+
+    fn bits(list: &SegmentList) -> Vec<[u32; 7]> {
+        let bits = |s: &OpenSegment| [s.s0, s.s1, s.tau, s.alpha, s.c.x, s.c.y, s.c.z].map(f32::to_bits);
+        list.segments[..list.len].iter().map(bits).collect()
     }
 
     #[test]
@@ -496,10 +505,6 @@ mod tests {
 
     #[test]
     fn wider_instructions_keep_all_bits() {
-        let bits = |list: SegmentList| -> Vec<[u32; 7]> {
-            let bits = |s: &OpenSegment| [s.s0, s.s1, s.tau, s.alpha, s.c.x, s.c.y, s.c.z].map(f32::to_bits);
-            list.segments[..list.len].iter().map(bits).collect()
-        };
         for (seed, threshold) in [(1, 0.0), (2, 0.1), (3, 1.0), (4, 5.0)] {
             let mut gather = gathered(seed, 300, 0.01 * threshold);
             let reduced = |mut gather: Gather| {
@@ -508,13 +513,32 @@ mod tests {
                 list
             };
             // What the processor has, against plain instructions.
-            let wide = bits(reduced(gather.clone()));
+            let wide = bits(&reduced(gather.clone()));
             gather.finish();
             let mut portable = SegmentList::default();
             gather.pieces.reduce(&mut gather.way, 12, threshold, &mut portable);
-            assert_eq!(wide, bits(portable));
+            assert_eq!(wide, bits(&portable));
             // Negative control: one step more shows.
-            assert_ne!(wide, bits(reduced(gathered(seed, 301, 0.01 * threshold))));
+            assert_ne!(wide, bits(&reduced(gathered(seed, 301, 0.01 * threshold))));
+        }
+    }
+
+    #[test]
+    fn what_the_ray_before_left_behind_changes_no_bit_of_a_list() {
+        // As a row of a frame has them: one to gather in and one list for all of its rays.
+        let (mut used, mut list) = (Gather::default(), SegmentList::default());
+        let mut before = Vec::new();
+        for (seed, num) in [(1, 9), (2, 700), (1, 9), (3, 1), (2, 700), (4, 65), (5, 300), (6, 2)] {
+            for most in [4, 12, MAX_K] {
+                gather_into(&mut used, seed, num, 0.002);
+                used.reduce(most, 0.01, &mut list);
+                let mut fresh = SegmentList::default();
+                gathered(seed, num, 0.002).reduce(most, 0.01, &mut fresh);
+                assert_eq!(bits(&list), bits(&fresh), "{num} steps to {most}");
+                assert!((1..=most).contains(&list.len));
+            }
+            // Negative control: it is not the list of the ray before.
+            assert_ne!(std::mem::replace(&mut before, bits(&list)), bits(&list));
         }
     }
 }
