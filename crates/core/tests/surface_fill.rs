@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::clip::Clip;
+use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
@@ -39,9 +39,13 @@ fn white() -> TransferFunction {
 }
 
 fn scene(is_greater: bool, clip: Clip) -> Scene {
+    scene_of(sphere(is_greater), clip)
+}
+
+fn scene_of(volume: Arc<Volume>, clip: Clip) -> Scene {
     let isos = Isos::new(&[Iso { value: 0.0, opacity: 1.0 }]).unwrap();
     let of = MarchSettings::of(true, Lighting::default());
-    Scene::new(sphere(is_greater), &white(), MarchSettings { mode: Mode::Iso, isos, clip, ..of })
+    Scene::new(volume, &white(), MarchSettings { mode: Mode::Iso, isos, clip, ..of })
 }
 
 /// The share of the picture that a frame made from the front has otherwise than the renderer, seen from the side.
@@ -84,4 +88,23 @@ fn bodies_are_those_of_what_is_left_of_a_volume() {
     let whole = scene(true, Clip::default());
     let clipped = whole.with_look(&white(), MarchSettings { clip: inside, ..whole.settings });
     assert!(clipped.has_lesser_bodies, "another clip is another look");
+}
+
+#[test]
+fn a_plane_and_a_box_that_leave_the_same_leave_the_same_bodies() {
+    // Greater from voxel 28 of 48 on: less than half of the faces of the whole, more of those from voxel 20 on.
+    let voxels = (0..SIDE.pow(3)).map(|i| (i % SIDE) as f32 - 27.5);
+    let voxels = Voxels::F32(voxels.collect());
+    let volume = Arc::new(Volume::new([SIDE; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap());
+    let is_lesser = |clip: Clip| scene_of(volume.clone(), clip).has_lesser_bodies;
+    let whole = volume.bounds();
+    let (mut right, mut left) = (whole, whole);
+    (right.min.x, left.max.x) = (-4.0, 16.0);
+    let boxed = |bounds| is_lesser(Clip { bounds: Some(bounds), plane: None });
+    let cut = |to: Vec3, d: f32| is_lesser(Clip { plane: Plane::new(to, d), bounds: None });
+    assert_eq!([is_lesser(Clip::default()), boxed(right), boxed(left)], [false, true, false]);
+    assert_eq!([cut(Vec3::X, -4.0), cut(Vec3::NEG_X, -16.0)], [true, false]);
+    // Askew: the cut shows greater values nearly alone, or next to none.
+    let askew = Vec3::new(1.0, 0.2, -0.1);
+    assert_eq!([cut(askew, 5.0), cut(-askew, -5.0), cut(askew, -20.0)], [true, false, false]);
 }

@@ -67,7 +67,7 @@ impl Extinction {
         let mut found =
             Self { dims, voxels, cell: cell_sides(volume, voxels), sigma: vec![0.0; dims.iter().product()] };
         match (matter, volume.voxels()) {
-            (Matter::Surfaces(sheets), _) => found.fill_surfaces(volume, step, sheets, &region.bounds),
+            (Matter::Surfaces(sheets), _) => found.fill_surfaces(volume, step, sheets, region),
             (Matter::Medium(table), Voxels::U8(v)) => {
                 let of = by_number(table, 1 << 8);
                 found.fill(v, volume, step, |stored| of[usize::from(stored)]);

@@ -26,7 +26,7 @@ pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> 
 
 /// Whether the bodies that opaque surfaces enclose in what is left of a volume lie among the lesser values.
 pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
-    has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()).bounds)
+    has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()))
 }
 
 /// Hands crossings on as segments that do not overlap.

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use super::Extinction;
-use crate::space::Aabb;
+use crate::clip::Region;
 use crate::volume::grid::{Volume, Voxels};
 
 /// A surface as light meets it.
@@ -23,9 +23,9 @@ pub struct Sheet {
     pub is_opaque: bool,
 }
 
-/// Whether the bodies of opaque sheets lie among the lesser values. `bounds` are those of what is shown.
-pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, bounds: &Aabb) -> bool {
-    Body::of(sheets, volume, bounds).is_some_and(|body| !body.is_greater)
+/// Whether the bodies of opaque sheets lie among the lesser values, where `region` of the volume is shown.
+pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> bool {
+    Body::of(sheets, volume, region).is_some_and(|body| !body.is_greater)
 }
 
 /// A stored number, and on which side of it bodies lie.
@@ -36,11 +36,11 @@ struct Body {
 }
 
 impl Body {
-    /// The bodies of opaque sheets, of which the outermost hides the others. `bounds` are those of what is shown.
-    fn of(sheets: &[Sheet], volume: &Volume, bounds: &Aabb) -> Option<Self> {
+    /// The bodies of opaque sheets in `region`, of which the outermost hides the others.
+    fn of(sheets: &[Sheet], volume: &Volume, region: &Region) -> Option<Self> {
         let opaque = || sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
         let lowest = opaque().min_by(f32::total_cmp)?;
-        let is_greater = share_above(volume, bounds, lowest) <= 0.5;
+        let is_greater = share_above(volume, region, lowest) <= 0.5;
         let highest = opaque().max_by(f32::total_cmp)?;
         Some(Self { stored: if is_greater { lowest } else { highest }, is_greater })
     }
@@ -70,41 +70,68 @@ impl Body {
     }
 }
 
-/// The share of the faces of a box where stored numbers are at or above one, by at most [`FACE_SAMPLES`] voxels a side of a face:
-/// no more than a draft can wait for.
-fn share_above(volume: &Volume, bounds: &Aabb, stored: f32) -> f32 {
-    let dims = volume.dims().map(|d| d as i32);
-    let (spacing, first) = (volume.spacing(), volume.bounds().min);
-    let voxel = |axis: usize, world: f32| {
-        (((world - first[axis]) / spacing[axis]).floor() as i32).clamp(0, dims[axis] - 1)
-    };
+/// The share of the faces of what is left of a volume where stored numbers are at or above one, by at most [`FACE_SAMPLES`]
+/// voxels a side of a face: no more than a draft can wait for. Of a voxel the centre tells whether it is left.
+fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
+    let (last, spacing, first) = (volume.dims().map(|d| d as i32 - 1), volume.spacing(), volume.bounds().min);
+    // The centre of a voxel is at its own number.
+    let in_voxels = |axis: usize, world: f32| (world - first[axis]) / spacing[axis] - 0.5;
     let range = [0, 1, 2].map(|axis| {
-        let lo = voxel(axis, bounds.min[axis]);
         // A face between voxels is that of the voxel inside.
-        (lo, voxel(axis, bounds.max[axis] - 0.5 * spacing[axis]).max(lo))
+        let lo = (in_voxels(axis, region.bounds.min[axis]).ceil() as i32).clamp(0, last[axis]);
+        let hi = (in_voxels(axis, region.bounds.max[axis]).floor() as i32).clamp(lo, last[axis]);
+        (lo, hi)
     });
+    // How far a plane lies below the voxels of a row along `axis`, as a product with its normal.
+    let distance =
+        |axis: usize, n: i32| region.normal[axis] * (first[axis] + (n as f32 + 0.5) * spacing[axis]);
+    let facing = (0..3).max_by(|&a, &b| region.normal[a].abs().total_cmp(&region.normal[b].abs()));
+    let facing = facing.filter(|&axis| region.normal[axis] != 0.0);
     let (mut above, mut all) = (0.0, 0.0);
     for axis in 0..3 {
         let [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
-        let area =
-            f64::from(spacing[a] / spacing.max_element()) * f64::from(spacing[b] / spacing.max_element());
-        for face in [range[axis].0, range[axis].1] {
-            let (mut num_above, mut num) = (0u32, 0u32);
-            for i in sampled(range[a]) {
-                for j in sampled(range[b]) {
-                    let mut at = [0; 3];
-                    (at[axis], at[a], at[b]) = (face, i, j);
-                    num_above += u32::from(volume.stored_at(at[0], at[1], at[2]) >= stored);
-                    num += 1;
+        let (lo, hi) = range[axis];
+        let (mut num_above, mut num) = (0.0, 0.0);
+        let mut look_at = |mut at: [i32; 3], n: i32, area: f64| {
+            at[axis] = n;
+            num_above += area * f64::from(u8::from(volume.stored_at(at[0], at[1], at[2]) >= stored));
+            num += area;
+        };
+        for i in sampled(range[a]) {
+            for j in sampled(range[b]) {
+                let mut at = [0; 3];
+                (at[a], at[b]) = (i, j);
+                let beside = distance(a, i) + distance(b, j) - region.offset;
+                for face in [lo, hi] {
+                    if beside + distance(axis, face) >= 0.0 {
+                        look_at(at, face, 1.0);
+                    }
+                }
+                if facing == Some(axis) {
+                    // The plane's own face, larger than the area across that it covers.
+                    let slope = region.normal[axis];
+                    let place = in_voxels(axis, -beside / slope);
+                    let (n, is_inside) = match slope > 0.0 {
+                        true => (place.ceil() as i32, lo + 1..=hi),
+                        false => (place.floor() as i32, lo..=hi - 1),
+                    };
+                    if is_inside.contains(&n) {
+                        look_at(at, n, f64::from(slope.abs().recip()));
+                    }
                 }
             }
-            let [na, nb] = [a, b].map(|axis| f64::from(range[axis].1 - range[axis].0 + 1));
-            let of_face = area * na * nb;
-            above += of_face * f64::from(num_above) / f64::from(num);
-            all += of_face;
         }
+        // Of each that is looked at.
+        let area = [a, b].map(|axis| {
+            let (lo, hi) = range[axis];
+            f64::from(spacing[axis] / spacing.max_element()) * f64::from(hi - lo + 1)
+                / sampled((lo, hi)).count() as f64
+        });
+        above += area[0] * area[1] * num_above;
+        all += area[0] * area[1] * num;
     }
-    (above / all) as f32
+    // Nothing is left where all is cut away.
+    if all > 0.0 { (above / all) as f32 } else { 0.0 }
 }
 
 /// Voxels between two, both taken in, at equal distances and from their middle.
@@ -114,15 +141,16 @@ fn sampled((lo, hi): (i32, i32)) -> impl Iterator<Item = i32> {
 }
 
 impl Extinction {
-    /// Fills the bodies and adds the sheets; `step` as in [`Extinction::of`]. Where nothing is cut away.
+    /// Fills the bodies and adds the sheets; `step` as in [`Extinction::of`]. Of `region` it takes no more than on which side
+    /// the bodies lie: nothing is cut away yet.
     pub(super) fn fill_surfaces(
         &mut self,
         volume: &Volume,
         step: [usize; 3],
         sheets: &[Sheet],
-        bounds: &Aabb,
+        region: &Region,
     ) {
-        let body = Body::of(sheets, volume, bounds);
+        let body = Body::of(sheets, volume, region);
         let sheets: Vec<Sheet> = sheets.iter().filter(|s| !s.is_opaque).copied().collect();
         match volume.voxels() {
             Voxels::U8(v) => self.fill_from(v, volume, step, body, &sheets),
@@ -195,7 +223,9 @@ const FULL_TRANSMITTANCE: f32 = 1e-6;
 mod tests {
     use glam::Vec3;
 
+    use super::super::{Detail, Matter};
     use super::*;
+    use crate::clip::{Clip, Plane};
 
     #[test]
     fn faces_are_told_apart_by_a_bounded_number_of_voxels() {
@@ -218,7 +248,90 @@ mod tests {
         let volume = of(voxels).unwrap();
         // Along y: one face is above, one below, and of those along z and across x 5 of 9.
         let expected = (5400.0 + 2.0 * 3000.0 + 2.0 * 45.0) / (4.0 * 5400.0 + 2.0 * 81.0);
-        let found = share_above(&volume, &volume.bounds(), 100.0);
+        let found = share_above(&volume, &Clip::default().region(&volume.bounds()), 100.0);
         assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+    }
+
+    fn cut(normal: Vec3, d: f32) -> Clip {
+        Clip { plane: Plane::new(normal, d), bounds: None }
+    }
+
+    #[test]
+    fn a_plane_leaves_the_faces_that_a_box_of_the_same_leaves() {
+        // Without any pattern, in voxels longer than wide.
+        let dims = [13u32, 17, 11];
+        let voxels = (0..dims.iter().product()).map(|i: u32| (i.wrapping_mul(0x9e37_79b9) >> 24) as u8);
+        let spacing = Vec3::new(0.5, 1.0, 2.0);
+        let volume =
+            Volume::new(dims, spacing, Voxels::U8(voxels.collect()), (1.0, 0.0), Default::default()).unwrap();
+        let whole = volume.bounds();
+        let share = |clip: Clip| share_above(&volume, &clip.region(&whole), 128.0);
+        let mut found = Vec::new();
+        for axis in 0..3 {
+            let to = [Vec3::X, Vec3::Y, Vec3::Z][axis];
+            for i in 0..dims[axis] * 4 {
+                // Between voxels too. The last has half a voxel left, and its centre is that of no row.
+                let d = whole.min[axis] + (i as f32 - 0.9) * 0.25 * spacing[axis];
+                let (mut above, mut below) = (whole, whole);
+                (above.min[axis], below.max[axis]) = (d, d);
+                for (plane, bounds) in [(cut(to, d), above), (cut(-to, -d), below)] {
+                    if (bounds.max - bounds.min)[axis] > 0.5 * spacing[axis] {
+                        let (plane, boxed) =
+                            (share(plane), share(Clip { bounds: Some(bounds), plane: None }));
+                        // Sums of the same numbers in another order.
+                        assert!((plane - boxed).abs() < 1e-6, "{to} {i}: {plane} {boxed}");
+                        found.push(plane);
+                    }
+                }
+            }
+        }
+        let differ = found.iter().filter(|s| (**s - share(Clip::default())).abs() > 1e-3).count();
+        assert!(differ > found.len() / 2, "{differ} of {} differ from the whole", found.len());
+        assert_eq!(share(cut(Vec3::X, 1e3)), 0.0, "nothing is left");
+    }
+
+    #[test]
+    fn a_plane_across_has_a_face_as_large_as_it_is() {
+        // A sheet along a diagonal, so that the plane through it has most of what is above.
+        let side = 64u32;
+        let at = |i: u32| [i % side, i / side % side].map(|n| n as f32 + 0.5 - 0.5 * side as f32);
+        let voxels = (0..side.pow(3)).map(|i| u8::from((at(i)[0] + at(i)[1]).abs() < 2.5));
+        let voxels = Voxels::U8(voxels.collect());
+        let volume = Volume::new([side; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap();
+        let share = |clip: Clip| share_above(&volume, &clip.region(&volume.bounds()), 1.0);
+        // In areas of a side: the plane √2, two sides whole and two cut in half. Above are the plane, of each half the rows
+        // at 0 to 2 from it, and of each whole side three rows at the edge where it meets the plane.
+        let of_halves = 2.0 * (side + (side - 1) + (side - 2)) as f32 / (side * side) as f32;
+        let of_whole = 2.0 * 3.0 / side as f32;
+        let sqrt = std::f32::consts::SQRT_2;
+        let expected = (sqrt + of_halves + of_whole) / (sqrt + 3.0);
+        let found = share(cut(Vec3::new(1.0, 1.0, 0.0), 0.0));
+        // The plane's face has a row of 64 less, two other sides one each.
+        assert!((found - expected).abs() < 0.01, "{found} {expected}");
+        assert!(share(Clip::default()) < 0.1);
+    }
+
+    #[test]
+    fn light_is_held_up_by_the_same_bodies_whether_a_plane_or_a_box_cuts() {
+        // Greater values from voxel 14 of 24 on: less than half of the faces of the whole, more of those from voxel 10 on.
+        let voxels = (0..24u32.pow(3)).map(|i| if i % 24 < 14 { 50 } else { 150 });
+        let voxels = Voxels::U8(voxels.collect());
+        let volume = Volume::new([24; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap();
+        let whole = volume.bounds();
+        let sheets = [Sheet { stored: 100.0, tau: 9.0, is_opaque: true }];
+        let sigma = |clip: Clip| {
+            let region = clip.region(&whole);
+            Extinction::of(&volume, Matter::Surfaces(&sheets), &region, Detail::Final).sigma
+        };
+        let mut kept = whole;
+        kept.min.x += 10.0;
+        let boxed = sigma(Clip { bounds: Some(kept), plane: None });
+        let planar = sigma(cut(Vec3::X, kept.min.x));
+        // Sizes of numbers of the order of 10.
+        assert!(boxed.iter().zip(&planar).all(|(a, b)| (a - b).abs() < 1e-4));
+        // Full is what is open in the whole.
+        let (uncut, at) = (sigma(Clip::default()), |x: usize| x + 24 * (12 + 24 * 12));
+        assert!(boxed[at(11)] > 1.0 && boxed[at(20)] == 0.0, "{} {}", boxed[at(11)], boxed[at(20)]);
+        assert!(uncut[at(11)] == 0.0 && uncut[at(20)] > 1.0);
     }
 }
