@@ -87,9 +87,10 @@ impl Recent {
 
     /// What a list says, or the line and what is wrong with it.
     fn parse(text: &str) -> Result<Self, (usize, String)> {
-        let stored: Stored = toml::from_str(text)
+        let stored: Stored<toml::Table> = toml::from_str(text)
             .map_err(|e| (line_at(text, e.span().map_or(0, |s| s.start)), one_line(e.message())))?;
-        let entries = stored.recent.into_iter().filter_map(StoredEntry::entry).take(Self::MAX).collect();
+        let entry = |table: toml::Table| table.try_into::<StoredEntry>().ok()?.entry();
+        let entries = stored.recent.into_iter().filter_map(entry).take(Self::MAX).collect();
         Ok(Self { folder: stored.folder.map(PathBuf::from), entries })
     }
 
@@ -111,13 +112,14 @@ impl Recent {
     }
 }
 
+/// Entries are read one by one, so that one that makes no sense takes no other with it.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Stored {
+struct Stored<E> {
     #[serde(skip_serializing_if = "Option::is_none")]
     folder: Option<String>,
     #[serde(default)]
-    recent: Vec<StoredEntry>,
+    recent: Vec<E>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -289,7 +291,9 @@ mod tests {
 
     #[test]
     fn a_damaged_list_is_an_error_or_loses_what_makes_no_sense() {
-        let good = Recent { folder: None, entries: vec![server(1, 2), volume("/a", None)] }.to_toml();
+        let kept = [server(1, 2), volume("/a", None), raw_volume("/b")];
+        let good = Recent { folder: None, entries: kept[..2].to_vec() }.to_toml();
+        let other = Recent { folder: None, entries: kept[2..].to_vec() }.to_toml();
         for length in 0..good.len() {
             let _ = Recent::parse(&good[..length]);
         }
@@ -302,10 +306,26 @@ mod tests {
             "server = \"h#token=1:1\"",
             "",
             "volume = \"/a\"\nspacing = [1.0, nan, 1.0]",
+            "volume = \"/a\"\nspacing = [1.0, 1.0]",
+            "volume = \"/a\"\ntime = -1",
+            "volume = \"/a\"\nlater = 1",
+            "volume = \"/a\"\nraw = 3",
+            "volume = \"/a\"\nraw.dims = [5, 6, 7]\nraw.dtype = \"uint7\"",
+            "volume = \"/a\"\nraw.dtype = \"uint8\"",
+            "volume = \"/a\"\nraw.dims = [5, 6]\nraw.dtype = \"uint8\"",
+            "volume = \"/a\"\nraw.dims = [5, 6, 7]\nraw.dtype = \"uint8\"\nraw.offset = -1",
+            "volume = \"/a\"\nraw.dims = [5, 6, 7]\nraw.dtype = \"uint8\"\nraw.spacing = [1.0, inf, 1.0]",
         ] {
-            let text = format!("[[recent]]\nused_at = 1\n{bad}\n");
-            assert_eq!(Recent::parse(&text).unwrap().entries, [], "{bad}");
+            let text = format!("{good}\n[[recent]]\nused_at = 1\n{bad}\n\n{other}");
+            assert_eq!(Recent::parse(&text).unwrap().entries, kept, "{bad}");
         }
+        // The control: a shape that is one.
+        let raw = "volume = \"/a\"\nraw.dims = [5, 6, 7]\nraw.dtype = \"uint8\"";
+        let read = Recent::parse(&format!("[[recent]]\nused_at = 1\n{raw}\n")).unwrap();
+        let RecentPlace::Volume(VolumeSource { raw: Some(raw), .. }) = &read.entries[0].place else {
+            panic!("{read:?}")
+        };
+        assert_eq!((raw.dims, raw.dtype, raw.offset), ([5, 6, 7], Dtype::Uint8, 0));
         let (_, message) = Recent::parse(&format!("\"{}\" = 1", "\\u001b".repeat(5000))).unwrap_err();
         assert!(message.len() < 400 && !message.contains(char::is_control), "{message:?}");
         let folder = tempfile::TempDir::new().unwrap();
