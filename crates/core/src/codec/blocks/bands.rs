@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::{CodecError, MAX_BANDS};
+use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS};
 use super::band::blocks_along;
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::relayer::BlockLists;
@@ -17,7 +17,8 @@ pub(super) struct Borders {
 
 impl Borders {
     /// Those of a frame in `num_bands` bands of about the same work. `None` for a frame of one band, for one without
-    /// matter, and for one with fewer rows of blocks than bands.
+    /// matter, for one with fewer rows of blocks than bands, and for one so large that a band would have more blocks than
+    /// a chunk may correct: bands of equal height have no more.
     pub(super) fn of(frame: &LayeredFrame, num_bands: u8) -> Option<Self> {
         let intrinsics = frame.header.camera.intrinsics;
         let (across, down) = (blocks_along(intrinsics.width), blocks_along(intrinsics.height));
@@ -47,7 +48,10 @@ impl Borders {
             }
             *end = row as u16;
         }
-        Some(Self { ends, num: num as u8 })
+        let borders = Self { ends, num: num as u8 };
+        let most = MAX_CHUNK_SEGMENTS / BLOCK_LISTS;
+        let is_within = |band: u8| borders.rows(band, down).len() * across <= most;
+        (0..num_bands).all(is_within).then_some(borders)
     }
 
     /// Takes them from the front of `bytes`: those of a frame in `num_bands` bands with so many rows of blocks.
@@ -105,13 +109,17 @@ mod tests {
 
     /// A frame of 64 columns with so many segments in each list of a row of blocks.
     fn frame(per_list: &[u32]) -> LayeredFrame {
+        frame_of(64, per_list)
+    }
+
+    fn frame_of(width: u32, per_list: &[u32]) -> LayeredFrame {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
-        let intrinsics = Intrinsics::perspective(64, (per_list.len() * BLOCK) as u32 - 3, 0.7);
+        let intrinsics = Intrinsics::perspective(width, (per_list.len() * BLOCK) as u32 - 3, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 5.0), intrinsics, &bounds);
         let mut frame = LayeredFrame::empty(FrameHeader::alone(camera, 8));
         let mut end = 0;
         for (i, offset) in frame.offsets[1..].iter_mut().enumerate() {
-            end += per_list[i / 64 / BLOCK];
+            end += per_list[i / width as usize / BLOCK];
             *offset = end;
         }
         let total = end as usize;
@@ -148,6 +156,15 @@ mod tests {
         assert_eq!(Borders::of(&frame(&[8; 9]), 1), None);
         assert_eq!(Borders::of(&frame(&[0; 9]), 4), None);
         assert_eq!(Borders::of(&frame(&[8; 3]), 4), None);
+    }
+
+    #[test]
+    fn a_band_has_no_more_blocks_than_its_chunk_may_correct() {
+        // Empty rows of 2048 blocks above four with matter: the first band has them and one of those. 64 are 2^17 blocks.
+        let of =
+            |num_empty: usize| Borders::of(&frame_of(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
+        assert_eq!(of(63).unwrap().rows(0, 67), 0..64);
+        assert_eq!(of(64), None);
     }
 
     #[test]
