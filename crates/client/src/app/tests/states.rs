@@ -222,8 +222,8 @@ fn a_copied_link_names_the_server_and_holds_no_token() {
     assert_eq!(seen.volume.unwrap().source, None, "where it lies is not for others");
 }
 
-#[test]
-fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_not_waited_for() {
+/// A file of two levels of which the first is shown, and a state of the other with another look.
+fn with_level_to_come() -> (Harness<'static, ViewerApp<HereSource>>, Parts) {
     let mut w = window([640.0, 480.0]);
     let now = Part { channel: Some(0), time: Some(0), level: Some(0), series: Some(0), region: None };
     let parts = Parts {
@@ -245,8 +245,102 @@ fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_no
     w.event(Event::Paste(format!("isinglass://h:1/#state={text}")));
     rest(&mut w);
     assert!(w.state().coming.is_some() && w.state().notice().is_empty());
+    (w, parts)
+}
+
+#[test]
+fn reading_a_part_may_be_slow_but_not_stand_still() {
+    let (mut w, parts) = with_level_to_come();
+    let skipped = Arc::new(AtomicU64::new(0));
+    let (clock, more) = (w.state().clock.clone(), skipped.clone());
+    w.state_mut().clock = Clock::new(move || clock.now_micros() + more.load(Ordering::Relaxed));
+    let part = Part { level: Some(1), ..parts.shown };
+    // A percent in five minutes; what the server told last stays there.
+    let wait = |w: &mut Harness<'_, ViewerApp<HereSource>>| {
+        skipped.fetch_add(300_000_000, Ordering::Relaxed);
+        rest(w);
+    };
+    for percent in 0..4 {
+        let state = LoadState::Reading { permille: percent * 10 };
+        let load = LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1, state };
+        w.state_mut().viewing.source_mut().load = Some(load);
+        rest(&mut w);
+        wait(&mut w);
+        assert!(w.state().coming.is_some() && w.state().notice().is_empty(), "{}", w.state().notice());
+    }
+    wait(&mut w);
+    assert!(w.state().coming.is_none());
+    assert!(w.state().notice().contains("tells no more"), "{}", w.state().notice());
+    assert_ne!(w.state().seen().unwrap().0.k, 5);
+}
+
+#[test]
+fn a_state_of_the_file_that_is_shown_read_otherwise_is_of_another_volume() {
+    let raw = |offset| isinglass_formats::RawShape {
+        dims: [24; 3],
+        dtype: isinglass_formats::Dtype::Uint8,
+        spacing: glam::Vec3::ONE,
+        endian: Default::default(),
+        offset,
+    };
+    let spacing = |z: f32| Some(glam::vec3(1.0, 1.0, z));
+    // Files that are there: others nobody could open.
+    let folder = tempfile::TempDir::new().unwrap();
+    let file = |name: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, "").unwrap();
+        VolumeSource::new(path.to_string_lossy())
+    };
+    let plain = file("scan");
+    let spaced = |z| VolumeSource { spacing: spacing(z), ..plain.clone() };
+    let shaped = |offset| VolumeSource { raw: Some(raw(offset)), ..plain.clone() };
+    let elsewhere = file("other");
+    // What is shown, what a state is of, and whether that is another.
+    let cases = [
+        (plain.clone(), plain.clone(), false),
+        (plain.clone(), elsewhere, true),
+        (plain.clone(), spaced(2.0), true),
+        (spaced(2.0), plain.clone(), true),
+        (spaced(2.0), spaced(3.0), true),
+        (spaced(2.0), spaced(2.0), false),
+        (shaped(4), shaped(4), false),
+        (shaped(4), shaped(5), true),
+        (plain.clone(), shaped(4), true),
+        // Nobody could read it without a shape.
+        (shaped(4), plain, false),
+    ];
+    let mut w = window([640.0, 480.0]);
+    let path = folder.path().join("seen.state.toml");
+    let first = state(&w);
+    for (i, (present, wanted, is_other)) in (0..).zip(cases) {
+        for opens_volumes in [true, false] {
+            let mut seen = first.clone();
+            seen.volume = seen.volume.map(|volume| volume.opened_from(&wanted));
+            // By this it is seen which states are shown.
+            let k = 10 + 2 * i + u8::from(opens_volumes);
+            seen.look.as_mut().unwrap().k = k;
+            std::fs::write(&path, seen.to_toml()).unwrap();
+            let app = w.state_mut();
+            (app.options.volume_source, app.opens_volumes) = (Some(present.clone()), opens_volumes);
+            drop_file(&mut w, &path);
+            let is_shown = |app: &ViewerApp<HereSource>| app.seen().unwrap().0.k == k;
+            wait(&mut w, |app| app.wanted_state.is_some() || is_shown(app));
+            let is_wished = w.state_mut().take_state_wish().is_some();
+            let is_right = (is_wished, is_shown(w.state()))
+                == match is_other && opens_volumes {
+                    true => (true, false),
+                    false => (false, true),
+                };
+            assert!(is_right, "{present:?} {wanted:?}, where volumes are opened: {opens_volumes}");
+        }
+    }
+}
+
+#[test]
+fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_not_waited_for() {
+    let (mut w, parts) = with_level_to_come();
     // The server reads the level, and then shows one of another size.
-    let part = Part { level: Some(1), ..now };
+    let part = Part { level: Some(1), ..parts.shown };
     let load = LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1, state: LoadState::Done };
     let source = w.state_mut().viewing.source_mut();
     source.load = Some(load);
