@@ -8,25 +8,27 @@ use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{self, Reference, References};
-use isinglass_core::codec::{CodecError, Settings, assemble, encode};
+use isinglass_core::codec::{CodecError, HEADER_BYTES, Settings, assemble, encode};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::mode::Mode;
 use isinglass_core::volume::Histogram;
 use isinglass_formats::{default_preset, iglf, load_transfer, open};
 
 /// Name, and checksum of the frame.
-const VECTORS: [(&str, u64); 5] = [
+const VECTORS: [(&str, u64); 6] = [
     ("exact-2-cloud-two-groups", 0x2824_1ec8_76dc_77fe),
     ("exact-2-cubus-one-group", 0xf948_5546_4c8b_e75b),
     ("exact-2-shells-8-bit", 0x62a9_29b0_ffc1_72d7),
     ("exact-2-shells-long-lists", 0x0aae_3cd5_7242_60d7),
     ("exact-2-empty", 0xed8c_5c23_6a1c_e039),
+    ("exact-2-shells-mip-parallel", 0x4528_46d6_8725_7e5f),
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
-const BLOCKS: [(&str, Option<&str>, u64); 7] = [
+const BLOCKS: [(&str, Option<&str>, u64); 10] = [
     ("blocks-2-shells", None, 0xf758_9055_db80_deef),
     ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
     ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
@@ -34,22 +36,27 @@ const BLOCKS: [(&str, Option<&str>, u64); 7] = [
     ("blocks-2-cubus-coarse", None, 0xa9b9_07db_c481_ed57),
     ("blocks-2-own-bands", None, 0x8932_3ba5_9a25_c0d7),
     ("blocks-2-own-bands-turned", Some("blocks-2-own-bands"), 0xbdf2_38a3_a0e9_f57e),
+    ("blocks-2-parallel", None, 0xaee6_6efb_ce56_cf4f),
+    // As an encoder wrote them that ends no band where it likes, and as the decoder of its time read them.
+    ("blocks-2-equal-bands", None, 0x5574_e2d6_3e44_7996),
+    ("blocks-2-equal-bands-turned", Some("blocks-2-equal-bands"), 0x1bcc_aea3_f868_f30a),
 ];
 
 fn path(name: &str) -> PathBuf {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/vectors")).join(name).with_extension("iglf")
 }
 
-/// FNV-1a of all that a frame says: size, k and ids, the camera's numbers, then the words of offsets and planes.
+/// FNV-1a of all that a frame says: size, k and ids, the mode if it is another than composite, the camera's numbers, then the
+/// words of offsets and planes.
 fn checksum(frame: &LayeredFrame) -> u64 {
     let FrameHeader { frame: id, pose, look, camera, k, mode } = frame.header;
-    assert_eq!(mode, isinglass_core::mode::Mode::Composite);
     let Camera { pose: Pose { eye, world_from_view: q }, intrinsics, near, far } = camera;
     let integers = [id.0, pose.0, look.0, intrinsics.width, intrinsics.height, u32::from(k)];
     let floats = [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, intrinsics.projection.to_number(), near, far]
         .map(f32::to_bits);
     let planes = [&frame.offsets, &frame.depth, &frame.c_rg, &frame.c_b_tau].into_iter().flatten().copied();
-    let bytes = integers.into_iter().chain(floats).chain(planes).flat_map(u32::to_le_bytes);
+    let mode = (mode != Mode::Composite).then_some(mode as u32);
+    let bytes = integers.into_iter().chain(mode).chain(floats).chain(planes).flat_map(u32::to_le_bytes);
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
@@ -88,6 +95,19 @@ fn every_stored_stream_in_blocks_decodes_to_its_frame() {
 }
 
 #[test]
+fn bands_of_both_kinds_are_stored() {
+    // Whether the head of every chunk states where bands end, and how many chunks there are.
+    let found = |name: &str| {
+        let chunks = iglf::read_chunks(&path(name)).unwrap();
+        let states = |chunk: &Vec<u8>| chunk[HEADER_BYTES] & 4 != 0;
+        (chunks.iter().all(states), chunks.iter().any(states), chunks.len())
+    };
+    assert_eq!(found("blocks-2-equal-bands"), (false, false, 4));
+    assert_eq!(found("blocks-2-equal-bands-turned"), (false, false, 6));
+    assert_eq!(found("blocks-2-own-bands"), (true, true, 4));
+}
+
+#[test]
 fn another_frame_has_another_checksum() {
     let mut frame = iglf::read(&path(VECTORS[0].0)).unwrap().frame;
     let before = checksum(&frame);
@@ -102,23 +122,22 @@ fn another_frame_has_another_checksum() {
 #[test]
 #[ignore = "writes files into the repository"]
 fn make_missing_vectors() {
-    let frame_at = |id, azimuth, source: &str, [width, height]: [u32; 2], k, layering: Layering| {
+    let frame_of = |mode, is_parallel, id, azimuth, source: &str, [width, height]: [u32; 2], k, layering| {
         let volume = open(source, &Default::default()).unwrap();
         let preset = default_preset(source, &volume, &Histogram::of(&volume)).to_string();
         let bounds = volume.bounds();
-        let scene = Scene::new(Arc::new(volume), &load_transfer(&preset).unwrap(), MarchSettings::default());
+        let settings = MarchSettings { mode, ..MarchSettings::default() };
+        let scene = Scene::new(Arc::new(volume), &load_transfer(&preset).unwrap(), settings);
         let intrinsics = Intrinsics::perspective(width, height, 0.7);
-        let pose = Pose::orbit(bounds.center(), azimuth, 0.35, bounds.radius() * intrinsics.fit_distance());
+        let distance = bounds.radius() * intrinsics.fit_distance();
+        let pose = Pose::orbit(bounds.center(), azimuth, 0.35, distance);
         let camera = Camera::new(pose, intrinsics, &bounds);
-        let header = FrameHeader {
-            frame: FrameId(id),
-            pose: PoseId(2),
-            look: LookVersion(3),
-            camera,
-            k,
-            mode: Default::default(),
-        };
-        generate(&scene, header, layering)
+        let camera = if is_parallel { camera.to_orthographic(distance, &bounds) } else { camera };
+        let (frame, pose, look) = (FrameId(id), PoseId(2), LookVersion(3));
+        generate(&scene, FrameHeader { frame, pose, look, camera, k, mode }, layering)
+    };
+    let frame_at = |id, azimuth, source: &str, size, k, layering| {
+        frame_of(Mode::Composite, false, id, azimuth, source, size, k, layering)
     };
     let frame = |source: &str, size, k, layering| frame_at(1, 0.5, source, size, k, layering);
     let settings = |color_bits, num_groups| Settings { color_bits, num_groups };
@@ -126,12 +145,14 @@ fn make_missing_vectors() {
     let cloud = frame("builtin:cloud@32", [40, 40], 4, merge);
     let empty = LayeredFrame::empty(cloud.header);
     let shells = "builtin:shells@32";
+    let exact = settings(10, 1);
     for (name, frame, settings) in [
         ("exact-2-cloud-two-groups", cloud, settings(10, 2)),
         ("exact-2-cubus-one-group", frame("builtin:cubus@32", [48, 40], 4, merge), settings(10, 1)),
         ("exact-2-shells-8-bit", frame(shells, [33, 130], 2, Layering::EqualTransmittance), settings(8, 2)),
         ("exact-2-shells-long-lists", frame(shells, [24, 24], 16, Layering::EqualLength), settings(10, 2)),
         ("exact-2-empty", empty, settings(10, 2)),
+        ("exact-2-shells-mip-parallel", frame_of(Mode::Mip, true, 1, 0.5, shells, [30, 24], 4, merge), exact),
     ] {
         let path = path(name);
         if !path.exists() {
@@ -148,6 +169,8 @@ fn make_missing_vectors() {
         (frame_at(15, 0.5, "builtin:cubus@32", [50, 81], 4, Layering::EqualTransmittance), 10, false),
         (frame_at(16, 0.5, shells, [40, 260], 8, merge), 40, false),
         (frame_at(17, 0.52, shells, [40, 260], 8, merge), 40, true),
+        (frame_of(Mode::Composite, true, 20, 0.5, shells, [48, 40], 8, merge), 60, false),
+        // Behind it are those that are written no more.
     ]) {
         let path = path(name);
         let settings = blocks::Settings { quality, is_split };
