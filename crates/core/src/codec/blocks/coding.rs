@@ -9,7 +9,7 @@ use super::band::{Band, Lists, Planes};
 use super::entropy::Coder;
 use super::model::{BLOCK, BlockLayer, DepthPlane};
 use super::motion::{Motion, Shift};
-use super::reference::{Fetched, Reference};
+use super::reference::{Fetched, HALF, Reference};
 use super::steps::Steps;
 use super::syntax::Contexts;
 use depth::{bounded, continued};
@@ -174,17 +174,10 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     fn kept(&self, x: usize, y: usize, out: &mut Vec<Planes>) {
         let Some((reference, motion)) = &self.reference else { return };
         let y = y + self.place.first_row;
+        let Some(to) = reference.moved_to(motion, x, y) else { return };
+        let Some((band, block)) = reference.block(to[0], to[1]) else { return };
         let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
-        // About how deep is the block? As the reference was here, or beside.
-        let first = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
-            let (band, block) = reference.block(x as i32 + dx, y as i32 + dy)?;
-            band.planes[band.layers(block)].first()
-        });
-        let Some((front, _)) = first else { return };
-        let Some(shift) = motion.at(middle[0], middle[1], front.z) else { return };
-        let to = [middle[0] + shift.x, middle[1] + shift.y].map(|v| (v / BLOCK as f32).floor());
-        let Some((band, block)) = reference.block(to[0] as i32, to[1] as i32) else { return };
-        let theirs = to.map(|v| v * BLOCK as f32 + HALF);
+        let theirs = to.map(|v| v as f32 * BLOCK as f32 + HALF);
         let moved = |p: &DepthPlane| {
             let shift = motion.at(middle[0], middle[1], p.z).unwrap_or(Shift { x: 0.0, y: 0.0, z: 0.0 });
             let dx = middle[0] + shift.x - theirs[0];
@@ -292,6 +285,3 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         origin
     }
 }
-
-/// Half of a block in lists.
-const HALF: f32 = BLOCK as f32 / 2.0;

@@ -8,7 +8,7 @@ use super::entropy::Encoder;
 use super::model::BLOCK_LISTS;
 use super::motion::Motion;
 use super::picture::{self, Composer, composite_roots};
-use super::reference::Reference;
+use super::reference::{Notes, Reference};
 use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
 use super::steps::Steps;
@@ -23,6 +23,8 @@ pub(super) struct EncodedBand {
     pub(super) corrections: Option<Vec<u8>>,
     /// What a decoder makes of both.
     pub(super) decoded: Band,
+    /// How well its planes suit, for the next frame.
+    pub(super) notes: Notes,
 }
 
 /// Encodes a band of a valid frame.
@@ -42,7 +44,8 @@ pub(super) fn band(
         return Err(CodecError::Abandoned);
     }
     if !head.has_corrections(&decoded) {
-        return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded });
+        let notes = layering.notes;
+        return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded, notes });
     }
     let Layering { wanted, wanted_of, composer, .. } = &mut layering;
     let source = |block: usize, planes: &mut [Plane; 3]| {
@@ -61,7 +64,7 @@ pub(super) fn band(
         Some(base) => (base, Some(last)),
         None => (last, None),
     };
-    Ok(EncodedBand { base, corrections, decoded })
+    Ok(EncodedBand { base, corrections, decoded, notes: layering.notes })
 }
 
 /// By how much the lists of a block composite to too little, as roots, when they should composite to `wanted`; and
@@ -79,28 +82,6 @@ fn miss(composer: &mut Composer, wanted: &[Plane; 3], cells: CellsOf<'_>, planes
     mask
 }
 
-/// The error that fresh planes usually have, in what their layers are worth.
-#[derive(Clone, Copy, Debug, Default)]
-struct Usual {
-    error: f32,
-    worth: f32,
-    num: u32,
-}
-
-impl Usual {
-    fn observe(&mut self, error: f32, worth: f32) {
-        self.error += error;
-        self.worth += worth;
-        self.num += 1;
-    }
-
-    /// What kept planes may have for each layer; little as long as few blocks are known.
-    fn acceptable(&self) -> f32 {
-        let fresh = if self.num < FEW { 0.0 } else { self.error / self.worth };
-        fresh + KEEP_SHARE
-    }
-}
-
 /// Finds layers for blocks.
 struct Layering<'a> {
     frame: &'a LayeredFrame,
@@ -112,7 +93,7 @@ struct Layering<'a> {
     lists: BlockLists,
     planes: Vec<Planes>,
     best: Vec<Planes>,
-    usual: Usual,
+    notes: Notes,
     composer: Box<Composer>,
     /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
     /// [`NO_WANTED`] where there is nothing.
@@ -142,7 +123,7 @@ impl<'a> Layering<'a> {
             lists: BlockLists::default(),
             planes: Vec::new(),
             best: Vec::new(),
-            usual: Usual::default(),
+            notes: Vec::with_capacity(place.across * place.num_rows),
             composer: Composer::new(),
             wanted: Vec::new(),
             wanted_of: Vec::with_capacity(place.across * place.num_rows),
@@ -177,48 +158,64 @@ impl Source for Layering<'_> {
         offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
         plan: &mut Plan,
     ) {
+        let note = self.planned(x, y, offered, plan);
+        self.notes.push(note);
+    }
+}
+
+impl Layering<'_> {
+    /// Plans a block. Returns its note, see [`Notes`].
+    fn planned(
+        &mut self,
+        x: usize,
+        y: usize,
+        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
+        plan: &mut Plan,
+    ) -> f32 {
         plan.layers.clear();
         plan.origin = Origin::Fresh;
         self.is_abandoned |= x == 0 && !(self.is_wanted)();
         if self.is_abandoned {
-            return;
+            return 0.0;
         }
         let at = [x as u32, (y + self.place.first_row) as u32];
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
             self.wanted_of.push(NO_WANTED);
-            return;
+            return 0.0;
         }
         self.lists.read(self.frame, at[0], at[1]);
         self.wanted_of.push(self.wanted.len() as u32);
         self.wanted.push(self.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
-            return;
+            return self.reference.map_or(0.0, |(reference, _)| reference.note(at.map(|v| v as i32)));
         }
         let per_layer = self.rule.error_per_layer();
-        let Self { relayer, lists, planes, best, usual, .. } = self;
+        let Self { relayer, lists, planes, best, .. } = self;
         let mut kept = f32::INFINITY;
         if offered(Origin::Kept, best) {
+            let note = self.reference.and_then(|(reference, motion)| {
+                Some(reference.note(reference.moved_to(&motion, at[0] as usize, at[1] as usize)?))
+            });
+            let note = note.unwrap_or(0.0);
             let for_layers = per_layer * best.len() as f32;
-            let usual = usual.acceptable() * for_layers;
-            kept = relayer.tried(lists, best, HOPELESS * usual);
-            if kept <= usual {
+            let accepted = (note + AT_ONCE_SHARE) * for_layers;
+            kept = relayer.tried(lists, best, HOPELESS * accepted);
+            if kept <= accepted {
                 plan.origin = Origin::Kept;
                 relayer.given(lists, best, &mut plan.layers);
-                return;
+                return note.min(kept / for_layers);
             }
         }
         relayer.fresh(lists, &self.rule, planes);
         self.steps.codes(planes, &mut plan.codes);
         self.steps.planes(&plan.codes, planes);
         let fresh = relayer.tried(lists, planes, f32::INFINITY);
-        let num_fresh = plan.codes.len() as f32;
-        usual.observe(fresh, per_layer * num_fresh);
-        let for_fresh = per_layer * num_fresh;
+        let for_fresh = per_layer * plan.codes.len() as f32;
         if kept < fresh + KEEP_SHARE * for_fresh {
             plan.origin = Origin::Kept;
             relayer.given(lists, best, &mut plan.layers);
-            return;
+            return fresh.min(kept) / (per_layer * best.len() as f32);
         }
         let mut least = SLACK * fresh + MERGE_SHARE * for_fresh;
         for origin in [Origin::Left, Origin::Above] {
@@ -237,11 +234,10 @@ impl Source for Layering<'_> {
             self.steps.planes(&plan.codes, best);
         }
         relayer.given(lists, best, &mut plan.layers);
+        fresh / for_fresh
     }
 }
 
-/// Blocks that say little about others.
-const FEW: u32 = 8;
 const NO_WANTED: u32 = u32::MAX;
 /// Part of the step of corrections that a block may be off on average and still be the same.
 const SAME: f32 = 0.75;
@@ -252,5 +248,7 @@ const MERGE_SHARE: f32 = 0.3;
 /// Those of the frame before if their error is at most that of fresh ones and so much. More, and errors add up from
 /// frame to frame.
 const KEEP_SHARE: f32 = 0.1;
-/// And those with more than so many times as much are not taken.
+/// They are taken without a search for fresh ones if their error is at most what was noted of them and so much; and not
+/// at all if it is so many times as much as that.
+const AT_ONCE_SHARE: f32 = 0.2;
 const HOPELESS: f32 = 4.0;

@@ -121,10 +121,12 @@ pub(super) fn encode_while(
     let mut parts = Vec::with_capacity(2 * bands.len());
     let mut corrections = Vec::new();
     let mut decoded = Vec::with_capacity(bands.len());
+    let mut notes = Vec::with_capacity(bands.len());
     for (band, encoded) in bands {
         parts.push((band, encoded.base));
         corrections.extend(encoded.corrections.map(|bytes| (band, bytes)));
         decoded.push(Arc::new(encoded.decoded));
+        notes.push(encoded.notes);
     }
     parts.append(&mut corrections);
     let num_chunks = parts.len() as u8;
@@ -143,7 +145,8 @@ pub(super) fn encode_while(
             Ok(Chunk { index, is_base: header.is_base(), bytes })
         })
         .collect::<Result<_, CodecError>>()?;
-    Ok((EncodedFrame { header: frame_header, chunks }, Reference::new(frame_header, Some(steps), decoded)))
+    let reference = Reference::new(frame_header, Some(steps), decoded).with_notes(notes);
+    Ok((EncodedFrame { header: frame_header, chunks }, reference))
 }
 
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.

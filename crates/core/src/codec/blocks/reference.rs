@@ -5,15 +5,16 @@ use std::sync::Arc;
 
 use super::band::{Band, Cell, CellsOf, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
-use super::motion::Shift;
+use super::motion::{Motion, Shift};
 use super::scales::{Scales, f32_from_fixed, scales, whole};
 use super::steps::Steps;
 use super::transform::Plane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
 
-/// A decoded frame as far as predictions need it.
-#[derive(Clone, Debug, PartialEq)]
+/// A decoded frame as far as predictions need it. What an encoder has noted of it beside that does not count when two are
+/// compared.
+#[derive(Clone, Debug)]
 pub struct Reference {
     pub(super) header: FrameHeader,
     /// The steps it was coded with.
@@ -21,6 +22,18 @@ pub struct Reference {
     pub(super) bands: Vec<Arc<Band>>,
     /// Band and row of blocks in it, for each row of blocks.
     pub(super) rows: Vec<(u8, u32)>,
+    /// Band by band, block by block; none of a frame that was decoded.
+    pub(super) notes: Vec<Notes>,
+}
+
+/// For each block of a band the least error known of its planes, for each layer in what a layer is worth: that of fresh
+/// planes there, or less if they came to suit better. 0 where nothing is known.
+pub(super) type Notes = Vec<f32>;
+
+impl PartialEq for Reference {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.header, &self.steps, &self.bands) == (&other.header, &other.steps, &other.bands)
+    }
 }
 
 impl Reference {
@@ -32,7 +45,12 @@ impl Reference {
                 (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
             })
             .collect();
-        Self { header, steps, bands, rows }
+        Self { header, steps, bands, rows, notes: Vec::new() }
+    }
+
+    /// With what was noted when it was encoded.
+    pub(super) fn with_notes(self, notes: Vec<Notes>) -> Self {
+        Self { notes, ..self }
     }
 
     /// The frame.
@@ -46,6 +64,27 @@ impl Reference {
         let band = &*self.bands[usize::from(band)];
         let x = usize::try_from(x).ok().filter(|&x| x < band.across)?;
         Some((band, row as usize * band.across + x))
+    }
+
+    /// What was noted of the block at column `x` and row `y` of blocks; 0 for nothing.
+    pub(super) fn note(&self, [x, y]: [i32; 2]) -> f32 {
+        let Some((_, block)) = self.block(x, y) else { return 0.0 };
+        // There is a block, so there is such a row.
+        let (band, _) = self.rows[y as usize];
+        self.notes.get(usize::from(band)).and_then(|notes| notes.get(block)).copied().unwrap_or(0.0)
+    }
+
+    /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to; there may be
+    /// no such block.
+    pub(super) fn moved_to(&self, motion: &Motion, x: usize, y: usize) -> Option<[i32; 2]> {
+        // About how deep is the block? As the reference was here, or beside.
+        let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
+            let (band, block) = self.block(x as i32 + dx, y as i32 + dy)?;
+            band.planes[band.layers(block)].first()
+        })?;
+        let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
+        let shift = motion.at(middle[0], middle[1], front.z)?;
+        Some([middle[0] + shift.x, middle[1] + shift.y].map(|v| (v / BLOCK as f32).floor() as i32))
     }
 }
 
@@ -330,4 +369,6 @@ const WHOLE: f32 = 0.999;
 const BEYOND_ALL: f32 = 70_000.0;
 /// Lists of a row that are looked at, with some to fill vectors.
 const LANES: usize = 16;
+/// Half of a block in lists.
+pub(super) const HALF: f32 = BLOCK as f32 / 2.0;
 const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;

@@ -154,12 +154,12 @@ fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
 
 #[test]
 fn the_picture_survives_at_its_pose_and_beside_it() {
-    // Measured .0011 and .0052 of DSSIM for 9.5 kB, .0007 and .0026 for 3.2 kB, .0014 and .0131 for 7.5 kB: a quarter more
+    // Measured .0012 and .0056 of DSSIM for 6.6 kB, .0009 and .0032 for 2.2 kB, .0016 and .0144 for 4.9 kB: a quarter more
     // is allowed. Thin shells in so small a picture lose most beside the pose.
     for (builtin, most_bytes, bounds) in [
-        (Builtin::Cubus, 11_000, [0.0015, 0.0065]),
-        (Builtin::Cloud, 4_000, [0.0009, 0.0033]),
-        (Builtin::Shells, 9_000, [0.0018, 0.0165]),
+        (Builtin::Cubus, 8_300, [0.0015, 0.007]),
+        (Builtin::Cloud, 2_800, [0.0011, 0.004]),
+        (Builtin::Shells, 6_200, [0.002, 0.018]),
     ] {
         let scene = scene(builtin);
         let frame = made(&scene, 1, 160, 160, 0.0);
@@ -244,6 +244,62 @@ fn prediction_from_the_frame_before_saves_bytes_and_costs_no_quality() {
         let (at_rest, _) = encode(&still, &whole(60), last.as_ref()).unwrap();
         println!("{builtin:?}: {inter} of {intra}, at rest: {} of {}", at_rest.num_bytes(), intra / 4);
         assert!(at_rest.num_bytes() * 5 < intra / 4, "{builtin:?}: {} bytes at rest", at_rest.num_bytes());
+    }
+}
+
+#[test]
+fn planes_are_kept_as_long_as_they_suit_so_that_errors_do_not_add_up() {
+    let scene = scene(Builtin::Shells);
+    let frames: Vec<_> = (0..10).map(|i| made(&scene, i + 1, 160, 160, 2.0 * i as f32)).collect();
+    // Frames predicted one from the other, each note changed before it is used.
+    let chain = |noted: fn(f32) -> f32| {
+        let mut before: Option<Reference> = None;
+        let mut num_bytes = 0;
+        for frame in &frames {
+            let (encoded, mut reference) = encode(frame, &whole(60), before.as_ref()).unwrap();
+            num_bytes += encoded.num_bytes();
+            reference.notes.iter_mut().flatten().for_each(|note| *note = noted(*note));
+            before = Some(reference);
+        }
+        let last = before.unwrap();
+        (error(&last.to_frame(), &frames[frames.len() - 1], 5.0).0, num_bytes)
+    };
+    let (as_noted, num_bytes) = chain(|note| note);
+    let (anything, _) = chain(|_| 1e9);
+    let (encoded, alone) = encode(&frames[frames.len() - 1], &whole(60), None).unwrap();
+    let (best, _) = error(&alone.to_frame(), &frames[frames.len() - 1], 5.0);
+    // Measured .0259, where a frame alone has .0251 and one whose planes are kept whatever they are .0454; 31 of 49 kB.
+    assert!(as_noted < 1.2 * best && as_noted < 0.8 * anything, "{best} {as_noted} {anything}");
+    assert!(num_bytes < encoded.num_bytes() * frames.len() * 4 / 5, "{num_bytes}");
+}
+
+#[test]
+fn what_is_noted_of_planes_goes_with_them() {
+    let scene = scene(Builtin::Cubus);
+    let (_, one) = encode(&made(&scene, 1, 160, 160, 0.0), &whole(60), None).unwrap();
+    let (still, two) = encode(&made(&scene, 2, 160, 160, 0.0), &whole(60), Some(&one)).unwrap();
+    let (_, turned) = encode(&made(&scene, 3, 160, 160, 1.0), &whole(60), Some(&two)).unwrap();
+    let noted = |reference: &Reference| -> Vec<f32> {
+        (0..20 * 20).map(|i| reference.note([i % 20, i / 20])).collect()
+    };
+    let has_planes = |reference: &Reference, i: i32| {
+        reference.block(i % 20, i / 20).is_some_and(|(band, block)| !band.layers(block).is_empty())
+    };
+    for reference in [&one, &turned] {
+        for (note, i) in noted(reference).into_iter().zip(0..) {
+            assert!(note.is_finite() && (note > 0.0) == has_planes(reference, i), "{i}: {note}");
+        }
+    }
+    // All but a few blocks are copies.
+    let same = noted(&one).iter().zip(noted(&two)).filter(|(a, b)| **a == *b).count();
+    assert!(same > 390, "{same}");
+    // Who decodes knows nothing of it, and has the same frame.
+    let mut references = References::default();
+    references.insert(Arc::new(one));
+    let decoded = assemble(&bytes(&still), &references).unwrap().to_frame_and_reference().1.unwrap();
+    assert!(*decoded == two && noted(&decoded).iter().all(|note| *note == 0.0));
+    for outside in [[-1, 0], [0, -1], [20, 0], [0, 20]] {
+        assert_eq!(two.note(outside), 0.0);
     }
 }
 
