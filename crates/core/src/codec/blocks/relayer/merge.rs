@@ -79,8 +79,21 @@ impl Merge {
     pub(super) fn cuts(&mut self, walk: &mut Walk, lists: &BlockLists, rule: &Rule) -> &[f32] {
         self.candidates(lists, &walk.shear);
         self.collect(walk, lists);
+        self.groups.clear();
+        for to in 1..self.cuts.len() {
+            let mut group = Group { from: to - 1, to, ..Group::ALONE };
+            let (front, back) = (&self.rows[group.from], &self.rows[group.to]);
+            if sum(SAMPLES, |i| [select(front.next[i] < back.last[i], 1.0, 0.0)])[0] > 0.0 {
+                group.misfit = misfit(front, back, &walk.slope);
+                self.groups.push(group);
+            }
+        }
+        self.costs.clear();
+        self.costs.resize(self.groups.len(), f32::INFINITY);
+        for i in 1..self.groups.len() {
+            self.weigh(i - 1, &walk.slope);
+        }
         let limit = rule.error_per_layer() * (SAMPLES as f32 / BLOCK_LISTS as f32);
-        self.apart(walk, AT_ONCE * limit);
         while self.groups.len() > 1 {
             let (cheapest, least) = cheapest(&self.costs);
             // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
@@ -106,40 +119,6 @@ impl Merge {
         self.fronts.clear();
         self.fronts.extend(self.groups.iter().map(|group| self.cuts[group.from]));
         &self.fronts
-    }
-
-    /// Groups to begin with: what lies between two cuts is joined at once with the group in front of it as long as all that
-    /// is joined there costs less than `little`, without a look for unions that cost still less.
-    #[inline(always)]
-    fn apart(&mut self, walk: &Walk, little: f32) {
-        self.groups.clear();
-        self.costs.clear();
-        let mut spent = 0.0;
-        for to in 1..self.cuts.len() {
-            let mut group = Group { from: to - 1, to, ..Group::ALONE };
-            let (front, back) = (&self.rows[group.from], &self.rows[group.to]);
-            if sum(SAMPLES, |i| [select(front.next[i] < back.last[i], 1.0, 0.0)])[0] <= 0.0 {
-                continue;
-            }
-            group.misfit = misfit(front, back, &walk.slope);
-            self.groups.push(group);
-            self.costs.push(f32::INFINITY);
-            let Some(before) = self.groups.len().checked_sub(2) else { continue };
-            self.weigh(before, &walk.slope);
-            spent += self.costs[before];
-            if spent >= little {
-                spent = 0.0;
-            } else {
-                self.groups.pop();
-                self.costs.pop();
-                self.costs[before] = f32::INFINITY;
-                let grown = &mut self.groups[before];
-                *grown = Group { from: grown.from, to, misfit: grown.misfit_of_union, ..Group::ALONE };
-                if let Some(index) = before.checked_sub(1) {
-                    self.groups[index].is_stale = true;
-                }
-            }
-        }
     }
 
     /// Candidate cuts: behind quantiles of the ends of segments, to a bin.
@@ -325,9 +304,6 @@ pub(super) fn move_of_union(
 /// Candidate cuts of a block: more where its lists are long, whose ends say less each. Time is proportional to them.
 const MIN_CANDIDATES: u32 = 64;
 const MAX_CANDIDATES: u32 = 128;
-/// Part of what a layer is worth that a group may cost that is joined without a look at other unions. With none the search
-/// takes half as long again for the same picture in the same bytes; with more, no less.
-const AT_ONCE: f32 = 0.15;
 /// Ends of segments for each candidate between these.
 const ENDS_PER_CANDIDATE: u32 = 12;
 /// Least distance of candidate cuts, in depth units: about a sixth of a pixel.
@@ -343,47 +319,7 @@ const BINS: usize = 512;
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{RULE, frame, lists, rough};
     use super::*;
-
-    #[test]
-    fn what_is_joined_at_once_costs_little_and_is_a_group_like_others() {
-        let frame = frame(rough);
-        let lists = lists(&frame);
-        let apart = |little: f32| {
-            let (mut merge, mut walk) = (Merge::default(), Walk::default());
-            merge.candidates(&lists, &walk.shear);
-            merge.collect(&mut walk, &lists);
-            merge.apart(&walk, little);
-            (merge, walk)
-        };
-        let (all, _) = apart(0.0);
-        let limit = RULE.error_per_layer();
-        for (little, nums) in [
-            (0.0, all.groups.len()..=all.groups.len()),
-            (limit, 2..=all.groups.len() - 1),
-            (f32::INFINITY, 1..=1),
-        ] {
-            let (mut merge, walk) = apart(little);
-            let num = merge.groups.len();
-            assert!(nums.contains(&num), "{little}: {num} of {}", all.groups.len());
-            // Nothing is lost.
-            let ends = |m: &Merge| (m.groups[0].from, m.groups[m.groups.len() - 1].to);
-            assert_eq!(ends(&merge), ends(&all));
-            assert!(merge.costs.len() == num && merge.costs[num - 1] == f32::INFINITY);
-            for i in 0..num {
-                let group = merge.groups[i];
-                assert_eq!(group.misfit, misfit(&merge.rows[group.from], &merge.rows[group.to], &walk.slope));
-                if i + 1 < num {
-                    let cost = merge.costs[i];
-                    merge.weigh(i, &walk.slope);
-                    assert!(group.is_stale || merge.costs[i] == cost);
-                    // A group alone costs nothing: what follows was too much.
-                    assert!(group.to > group.from + 1 || cost >= little);
-                }
-            }
-        }
-    }
 
     #[test]
     fn the_cheapest_is_the_first_of_the_least() {

@@ -7,7 +7,7 @@ use crate::layer::{FrameHeader, LayeredFrame, Over, Segment};
 use crate::space::Aabb;
 
 /// A frame of one block with these lists.
-pub(super) fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
+fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
     let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::ONE };
     let intrinsics = Intrinsics::perspective(BLOCK as u32, BLOCK as u32, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0);
@@ -29,7 +29,7 @@ fn segment(front: f32, back: f32, gray: f32, tau: f32) -> Segment {
     Segment { front: front as u16, back: back as u16, c: Vec3::new(gray, 0.5 * gray, 0.2) * alpha, tau }
 }
 
-pub(super) fn lists(frame: &LayeredFrame) -> BlockLists {
+fn lists(frame: &LayeredFrame) -> BlockLists {
     let mut lists = BlockLists::default();
     lists.read(frame, 0, 0);
     lists
@@ -42,7 +42,7 @@ fn slab(i: usize, z: f32, thickness: f32, gray: f32, tau: f32) -> Segment {
 }
 
 /// Lists as no surface makes them.
-pub(super) fn rough(i: usize) -> Vec<Segment> {
+fn rough(i: usize) -> Vec<Segment> {
     let mut state = i as u32 * 7919 + 17;
     let mut random = move || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -58,7 +58,7 @@ pub(super) fn rough(i: usize) -> Vec<Segment> {
     list
 }
 
-pub(super) const RULE: Rule = Rule { lambda: 0.1, units_per_pixel: 130.0 };
+const RULE: Rule = Rule { lambda: 0.1, units_per_pixel: 130.0 };
 
 fn composite_of_list(frame: &LayeredFrame, i: usize) -> [f32; 4] {
     let mut over = Over::default();
