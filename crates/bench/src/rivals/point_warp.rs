@@ -7,7 +7,7 @@
 //! opacity, at the mean depth of its own light.
 
 use isinglass_core::camera::{Basis, Camera};
-use isinglass_core::kernels::march::opacity;
+use isinglass_core::kernels::raycast::opacity;
 use isinglass_core::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use isinglass_core::picture::Picture;
 use rayon::prelude::*;

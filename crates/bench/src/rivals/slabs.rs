@@ -7,7 +7,7 @@
 
 use glam::Vec3;
 use isinglass_core::camera::{Basis, Camera};
-use isinglass_core::kernels::march::opacity;
+use isinglass_core::kernels::raycast::opacity;
 use isinglass_core::layer::{DEPTH_UNITS, LayeredFrame, Segment, depth_to_units};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;

@@ -238,11 +238,6 @@ pub trait Sink {
     }
 }
 
-/// Opacity of optical depth `tau`, accurate for small ones too.
-pub fn opacity(tau: f32) -> f32 {
-    if tau < 0.01 { tau * (1.0 - tau * (0.5 - tau * (1.0 / 6.0))) } else { 1.0 - (-tau).exp() }
-}
-
 /// Calls `$body` with `$texels` bound to the typed voxels of `$scene`.
 macro_rules! with_texels {
     ($scene:expr, $texels:ident => $body:expr) => {

@@ -11,7 +11,8 @@
 //! K-th segment takes what is left.
 
 use super::{OpenSegment, SegmentList, append};
-use crate::kernels::march::{Pace, Sink, Step, opacity};
+use crate::kernels::march::{Pace, Sink, Step};
+use crate::kernels::raycast::opacity;
 
 /// What is done with one ray: counted with a threshold, or written.
 #[derive(Clone, Copy, Debug)]

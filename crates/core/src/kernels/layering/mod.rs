@@ -21,7 +21,8 @@ pub use single_depth::Representative;
 
 use rayon::prelude::*;
 
-use super::march::{Marcher, Scene, Step, Texels, opacity, with_texels};
+use super::march::{Marcher, Scene, Step, Texels, with_texels};
+use super::raycast::opacity;
 use crate::camera::{Basis, Intrinsics};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::space::Ray;

@@ -8,7 +8,8 @@
 use glam::Vec3;
 
 use super::grid::Lanes;
-use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup, opacity};
+use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
 use crate::volume::{Bricks, Histogram, LIT_MAX, Occupancy, Volume};

@@ -10,8 +10,9 @@
 //! ([`has_lesser_bodies`]); on the other side, a body of lesser values would fill all that is open behind it.
 
 use super::modes::Surface;
-use super::{Lattice, Pace, Sink, Step, opacity};
+use super::{Lattice, Pace, Sink, Step};
 use crate::clip::Clip;
+use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
 use crate::volume::{Sheet, Volume, has_lesser_bodies};
 

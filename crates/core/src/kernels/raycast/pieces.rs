@@ -108,10 +108,10 @@ impl Sum {
     }
 }
 
-/// Opacity 1 − e^−τ to single precision, relative for small τ too, without a branch or a call: 2^−y with
-/// y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
+/// Opacity 1 − e^−τ of optical depth τ to single precision, relative for small τ too, without a branch or a call: 2^−y
+/// with y = n − f, |f| ≤ ½, is 2^−n·(1 + p(f)).
 #[inline(always)]
-pub(crate) fn opacity(tau: f32) -> f32 {
+pub fn opacity(tau: f32) -> f32 {
     let (scale, p) = scale_and_rest(tau);
     (1.0 - scale) - scale * p
 }
