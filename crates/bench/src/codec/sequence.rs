@@ -546,6 +546,7 @@ mod tests {
         let moving = SequenceOptions { stops: false, ..sequence };
         assert!((moving.turn(99) - 99.0).abs() < 1e-3 && (0..100).all(|i| !moving.is_resting(i)));
     }
+
     #[test]
     fn half_the_bytes_for_the_same_picture_is_a_gain_of_half_at_every_turn() {
         let row = |is_predicted: bool, bytes_moving: f64, dssim: [f64; 2]| SequenceRow {
