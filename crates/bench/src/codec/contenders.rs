@@ -68,10 +68,11 @@ fn others() -> Vec<Contender> {
     use super::av1::Av1;
     use super::htj2k::Htj2k;
     use super::jpeg2000::Jpeg2000;
+    use super::programs::Program;
     use super::webp::WebP;
 
     let planes = |name, layout, codec| Contender { name, way: Way::Planes(layout, codec) };
-    vec![
+    let mut all = vec![
         Contender { name: Compressor::Lz4.name(), way: Way::Raw(Compressor::Lz4) },
         planes(PUBLISHED, Layout::Published, Box::new(Jpeg2000)),
         planes("jpeg2000-planes", Layout::Weighted, Box::new(Jpeg2000)),
@@ -79,7 +80,10 @@ fn others() -> Vec<Contender> {
         planes("htj2k-planes", Layout::Weighted, Box::new(Htj2k)),
         planes(AVIF, Layout::Weighted, Box::new(Av1 { speed: AVIF_SPEED })),
         planes("webp-published", Layout::Published, Box::new(WebP)),
-    ]
+    ];
+    let installed = Program::ALL.into_iter().filter(|(_, program)| program.is_installed());
+    all.extend(installed.map(|(name, program)| planes(name, Layout::Weighted, Box::new(program))));
+    all
 }
 
 /// Those of the build that are called `names`, in their order; all if there are no names.
@@ -95,7 +99,7 @@ pub(crate) fn select(names: &[String]) -> Result<Vec<Contender>, BenchError> {
             None if selected.iter().any(|c: &Contender| c.name == name) => {}
             None => {
                 let rivals = if cfg!(feature = "rivals") {
-                    ""
+                    "; more where cjxl and djxl, avifenc and avifdec are installed"
                 } else {
                     "; others are there when it is built with --features rivals"
                 };
@@ -115,8 +119,10 @@ pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32,
         return (0..num_levels).map(|level| (1, level)).collect();
     }
     let below = |n: usize| top.saturating_sub(n);
-    let mut rungs =
-        vec![(4, below(4)), (4, below(3)), (4, below(2)), (2, below(2)), (2, below(1)), (2, top), (1, top)];
+    let quarter = [5, 4, 3, 2].map(|n| (4, below(n)));
+    let half = [2, 1, 0].map(|n| (2, below(n)));
+    let whole = [2, 1, 0].map(|n| (1, below(n)));
+    let mut rungs = [&quarter[..], &half, &whole].concat();
     rungs.dedup();
     rungs
 }

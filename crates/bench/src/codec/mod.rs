@@ -21,6 +21,8 @@ mod layout;
 mod measure;
 mod ours;
 mod plot;
+#[cfg(feature = "rivals")]
+mod programs;
 mod raster;
 mod raw;
 mod search;
@@ -28,6 +30,7 @@ mod sequence;
 mod table;
 #[cfg(test)]
 mod tests;
+mod times;
 #[cfg(feature = "rivals")]
 mod webp;
 
@@ -52,6 +55,7 @@ pub use self::measure::Distortion;
 pub use self::plot::svg;
 pub use self::sequence::{SequenceBd, SequenceOptions, SequenceRow};
 pub use self::table::table;
+pub use self::times::{TimeOptions, TimeRow, Times};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -64,6 +68,8 @@ pub struct CodecOptions {
     pub anchor: Option<String>,
     /// Also code a moving camera; none: only stills.
     pub sequence: Option<SequenceOptions>,
+    /// Also take times on several threads; none: only those of one thread.
+    pub times: Option<TimeOptions>,
 }
 
 /// The whole result.
@@ -83,6 +89,8 @@ pub struct CodecReport {
     pub sequences: Vec<SequenceRow>,
     /// What prediction gains there.
     pub sequence_gains: Vec<SequenceBd>,
+    /// The product's times on several threads.
+    pub times: Vec<TimeRow>,
 }
 
 /// What holds for all points of a report.
@@ -212,12 +220,13 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
         uncoded: Vec::new(),
         points: Vec::new(),
         sequences: Vec::new(),
+        times: Vec::new(),
     };
     for source in &options.subject.scenes {
         run.measure_scene(source, &mut progress)?;
     }
     progress.finish();
-    let Run { uncoded, mut points, sequences, clock_mhz, .. } = run;
+    let Run { uncoded, mut points, sequences, times, clock_mhz, .. } = run;
     mark_fronts(&mut points, &options.subject.angles_degrees);
     let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
     let bd_means = means(&bd_rates);
@@ -227,7 +236,7 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
         anchor: anchor.map(str::to_owned),
     };
     let sequence_gains = sequence::gains(&sequences);
-    Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences, sequence_gains })
+    Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences, sequence_gains, times })
 }
 
 /// The anchor's name, which must be measured.
@@ -251,6 +260,7 @@ struct Run<'a> {
     uncoded: Vec<Uncoded>,
     points: Vec<Point>,
     sequences: Vec<SequenceRow>,
+    times: Vec<TimeRow>,
 }
 
 impl Run<'_> {
@@ -304,6 +314,10 @@ impl Run<'_> {
                     progress,
                 )?;
                 self.sequences.extend(rows);
+            }
+            if let Some(times) = &options.times {
+                let rows = times::measure(times, options, source, &judge, k, &mut renderer, progress)?;
+                self.times.extend(rows);
             }
         }
         Ok(())

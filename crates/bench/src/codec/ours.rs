@@ -9,7 +9,7 @@ use crate::error::BenchError;
 pub(crate) struct Ours;
 
 /// Steps, of the whole range of a sample.
-const STEPS: [f32; 8] = [0.11, 0.07, 0.044, 0.028, 0.0175, 0.011, 0.0062, 0.0028];
+const STEPS: [f32; 10] = [0.28, 0.175, 0.11, 0.07, 0.044, 0.028, 0.0175, 0.011, 0.0062, 0.0028];
 /// Colour differences are coded as much coarser as at the product's better qualities.
 const CHROMA: f32 = 2.5;
 

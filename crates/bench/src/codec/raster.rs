@@ -98,7 +98,7 @@ fn failed(cause: &dyn std::fmt::Display) -> BenchError {
     BenchError::Rival { codec: "png", cause: one_line(&cause.to_string()) }
 }
 
-fn png_from_raster(raster: &Raster) -> Result<Vec<u8>, BenchError> {
+pub(super) fn png_from_raster(raster: &Raster) -> Result<Vec<u8>, BenchError> {
     let mut png = Vec::new();
     let encoder =
         PngEncoder::new_with_quality(Cursor::new(&mut png), CompressionType::Best, FilterType::Adaptive);
@@ -113,7 +113,7 @@ fn png_from_raster(raster: &Raster) -> Result<Vec<u8>, BenchError> {
     Ok(png)
 }
 
-fn raster_from_png(png: &[u8], bits: u8) -> Result<Raster, BenchError> {
+pub(super) fn raster_from_png(png: &[u8], bits: u8) -> Result<Raster, BenchError> {
     let decoded = ImageReader::with_format(Cursor::new(png), ImageFormat::Png).decode();
     let decoded = decoded.map_err(|e| failed(&e))?;
     let (width, height) = (decoded.width(), decoded.height());

@@ -1,6 +1,6 @@
 //! The report for people.
 
-use super::{CodecReport, Distortion, Point};
+use super::{CodecReport, Distortion, Point, TimeRow};
 
 /// Tables of the points on a front, of BD-rates and of sequences.
 pub fn table(report: &CodecReport) -> String {
@@ -125,6 +125,45 @@ pub fn table(report: &CodecReport) -> String {
                 rows.iter().map(|r| cell(r.bd_rate_percent, r.refused.as_deref())).collect::<String>();
             text += &format!("{:<12} {:>4} {:<18}{cells}\n", rows[0].scene, rows[0].k, rows[0].codec);
         }
+    }
+    text + &times(&report.times)
+}
+
+/// Times from start to end; nothing if none were taken.
+fn times(rows: &[TimeRow]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let mut text = format!(
+        "\n{:<12} {:>2} {:<20} {:>7} {:>26} {:>26}\n{:<12} {:>2} {:<20} {:>7} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n",
+        "times",
+        "k",
+        "settings",
+        "threads",
+        "alone",
+        "predicted",
+        "",
+        "",
+        "",
+        "",
+        "enc ms",
+        "dec ms",
+        "bytes",
+        "enc ms",
+        "dec ms",
+        "bytes"
+    );
+    for row in rows {
+        let cells = [Some(row.intra), row.inter].into_iter().flatten();
+        let cells = cells.map(|t| format!(" {:>8.1} {:>8.1} {:>8}", t.encode_ms, t.decode_ms, t.bytes));
+        text += &format!(
+            "{:<12} {:>2} {:<20} {:>7}{}\n",
+            row.scene,
+            row.k,
+            row.settings,
+            row.threads,
+            cells.collect::<String>()
+        );
     }
     text
 }

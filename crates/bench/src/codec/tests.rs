@@ -41,6 +41,7 @@ fn options(codecs: &[&str]) -> CodecOptions {
         codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
         anchor: Some(codecs[0].to_owned()),
         sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
+        times: None,
     }
 }
 
@@ -138,6 +139,27 @@ fn means_are_over_the_scenes_that_have_one() {
     let means = means(&[row("a", Some(-50.0)), row("b", None), row("c", Some(-70.0))]);
     assert_eq!(means.len(), 1);
     assert_eq!((means[0].bd_rate_percent, means[0].scenes, means[0].refused), (Some(-60.0), 2, 1));
+}
+
+#[test]
+fn times_are_of_every_coding_and_number_of_threads_and_predicted_frames_are_smaller() {
+    let times = Some(TimeOptions { threads: vec![1, 2], rounds: 2 });
+    let mut options = CodecOptions { sequence: None, times, ..options(&["raw-zstd"]) };
+    options.subject.ks = vec![4];
+    let report = run(&options).unwrap();
+    assert_eq!(report.times.len(), 4 * 2);
+    for pair in report.times.chunks(2) {
+        assert_eq!(pair.iter().map(|t| t.threads).collect::<Vec<_>>(), [1, 2]);
+        // However many threads, the same bytes.
+        assert_eq!(pair[0].intra.bytes, pair[1].intra.bytes);
+        let bytes = |t: &TimeRow| t.inter.map(|inter| inter.bytes);
+        assert_eq!(bytes(&pair[0]), bytes(&pair[1]));
+        assert_eq!(bytes(&pair[0]).is_some(), pair[0].settings.starts_with("blocks"));
+        assert!(bytes(&pair[0]).is_none_or(|inter| inter < pair[0].intra.bytes));
+        let all = pair.iter().flat_map(|t| [Some(t.intra), t.inter]).flatten();
+        assert!(all.into_iter().all(|t| t.encode_ms > 0.0 && t.decode_ms > 0.0));
+    }
+    assert!(table(&report).contains("quality 45"));
 }
 
 /// The curve of a codec that loses comes near the frame that no codec has touched as it spends more.

@@ -219,7 +219,8 @@ struct CodecArgs {
     common: CommonArgs,
     /// Codecs, between commas: blocks, exact, raw-zstd, png-published, blocks-planes, and in a build with --features
     /// rivals raw-lz4, jpeg2000-published, jpeg2000-planes, htj2k-published, htj2k-planes, avif-planes,
-    /// webp-published [default: all]
+    /// webp-published; there also jpegxl-planes, jpegxl-modular-planes and avif-aom-planes, where cjxl and djxl, or avifenc
+    /// and avifdec are installed [default: all]
     #[arg(long, value_name = "CODEC", value_delimiter = ',')]
     codec: Vec<String>,
     /// The codec that others are compared with by BD-rate [default: jpeg2000-published, if it is measured]
@@ -246,6 +247,12 @@ struct CodecArgs {
     /// Frames of the orbit that are compared with the truth, at most
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "turn")]
     compared: u32,
+    /// Also take the times of blocks and exact frames from start to end on so many threads, between commas
+    #[arg(long, value_name = "N", value_parser = parse_threads, value_delimiter = ',')]
+    threads: Vec<usize>,
+    /// Rounds of which the least time counts
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000), requires = "threads")]
+    repeats: u32,
     #[command(flatten)]
     backend: BackendArgs,
 }
@@ -380,11 +387,19 @@ fn run_codec(args: CodecArgs) -> Result<()> {
             stops: args.stop,
             compared: args.compared,
         }),
+        times: (!args.threads.is_empty())
+            .then_some(codecs::TimeOptions { threads: args.threads, rounds: args.repeats }),
     })?;
     if let Some(path) = &args.plot {
         write_whole(path, codecs::svg(&report)?.as_bytes())?;
     }
     common.publish(&report, &codecs::table(&report))
+}
+
+/// As many as a large machine has.
+fn parse_threads(text: &str) -> Result<usize, String> {
+    let threads = text.parse::<usize>().ok().filter(|n| (1..=256).contains(n));
+    threads.ok_or_else(|| "expected 1 to 256 threads".into())
 }
 
 /// Degrees, finite.
