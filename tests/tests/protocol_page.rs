@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 23] = [
+const SOURCES: [&str; 24] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
@@ -20,6 +20,7 @@ const SOURCES: [&str; 23] = [
     "crates/core/src/codec/blocks/chunk.rs",
     "crates/core/src/codec/blocks/coding.rs",
     "crates/core/src/codec/blocks/coding",
+    "crates/core/src/codec/blocks/edges.rs",
     "crates/core/src/codec/blocks/entropy.rs",
     "crates/core/src/codec/blocks/motion.rs",
     "crates/core/src/codec/blocks/picture.rs",

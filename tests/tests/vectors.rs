@@ -28,7 +28,7 @@ const VECTORS: [(&str, u64); 6] = [
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
-const BLOCKS: [(&str, Option<&str>, u64); 10] = [
+const BLOCKS: [(&str, Option<&str>, u64); 13] = [
     ("blocks-2-shells", None, 0xf758_9055_db80_deef),
     ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
     ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
@@ -37,6 +37,10 @@ const BLOCKS: [(&str, Option<&str>, u64); 10] = [
     ("blocks-2-own-bands", None, 0x8932_3ba5_9a25_c0d7),
     ("blocks-2-own-bands-turned", Some("blocks-2-own-bands"), 0xbdf2_38a3_a0e9_f57e),
     ("blocks-2-parallel", None, 0xaee6_6efb_ce56_cf4f),
+    // Planes are predicted from the edges of those beside.
+    ("blocks-2-edges-shells", None, 0xb0bb_8d83_965f_2a7f),
+    ("blocks-2-edges-shells-turned", Some("blocks-2-edges-shells"), 0x4279_4edd_0f99_89c0),
+    ("blocks-2-edges-cloud-coarse", None, 0x4411_b561_c260_579b),
     // As an encoder wrote them that ends no band where it likes, and as the decoder of its time read them.
     ("blocks-2-equal-bands", None, 0x5574_e2d6_3e44_7996),
     ("blocks-2-equal-bands-turned", Some("blocks-2-equal-bands"), 0x1bcc_aea3_f868_f30a),
@@ -108,6 +112,15 @@ fn bands_of_both_kinds_are_stored() {
 }
 
 #[test]
+fn edges_are_used_in_frames_that_are_predicted_from_no_other() {
+    let uses_edges = |name: &str| iglf::read_chunks(&path(name)).unwrap()[0][HEADER_BYTES] & 8 != 0;
+    let found = BLOCKS.map(|(name, before, _)| (name, before.is_none(), uses_edges(name)));
+    for (name, is_alone, uses_edges) in found {
+        assert_eq!(uses_edges, is_alone && name.contains("-edges-"), "{name}");
+    }
+}
+
+#[test]
 fn another_frame_has_another_checksum() {
     let mut frame = iglf::read(&path(VECTORS[0].0)).unwrap().frame;
     let before = checksum(&frame);
@@ -170,6 +183,9 @@ fn make_missing_vectors() {
         (frame_at(16, 0.5, shells, [40, 260], 8, merge), 40, false),
         (frame_at(17, 0.52, shells, [40, 260], 8, merge), 40, true),
         (frame_of(Mode::Composite, true, 20, 0.5, shells, [48, 40], 8, merge), 60, false),
+        (turned(21, 0.5), 70, true),
+        (turned(22, 0.51), 70, false),
+        (frame_at(23, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 20, false),
         // Behind it are those that are written no more.
     ]) {
         let path = path(name);

@@ -119,9 +119,9 @@ pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32,
         return (0..num_levels).map(|level| (1, level)).collect();
     }
     let below = |n: usize| top.saturating_sub(n);
-    let quarter = [5, 4, 3, 2].map(|n| (4, below(n)));
-    let half = [2, 1, 0].map(|n| (2, below(n)));
-    let whole = [2, 1, 0].map(|n| (1, below(n)));
+    let quarter = [6, 5, 4, 3, 2].map(|n| (4, below(n)));
+    let half = [4, 3, 2, 1, 0].map(|n| (2, below(n)));
+    let whole = [4, 3, 2, 1, 0].map(|n| (1, below(n)));
     let mut rungs = [&quarter[..], &half, &whole].concat();
     rungs.dedup();
     rungs

@@ -54,7 +54,7 @@ pub(crate) fn climb<const N: usize, E>(
 }
 
 /// Settings that a part may rise by at once.
-const REACH: usize = 3;
+const REACH: usize = 6;
 
 #[cfg(test)]
 mod tests {

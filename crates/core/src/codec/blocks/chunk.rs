@@ -28,13 +28,15 @@ pub(super) struct Head {
     pub(super) reference: Option<FrameId>,
     /// Whether the corrections of the picture are chunks of their own; otherwise each follows its base.
     pub(super) is_split: bool,
+    /// Whether planes are predicted from the edges of those beside, and not from their means.
+    pub(super) has_edges: bool,
     /// Where the bands end; none if they are as high as each other, like those of exact frames.
     pub(super) borders: Option<Borders>,
 }
 
 impl Head {
     pub(super) fn to_bytes(self) -> Vec<u8> {
-        let flags = [self.reference.is_some(), self.is_split, self.borders.is_some()];
+        let flags = [self.reference.is_some(), self.is_split, self.borders.is_some(), self.has_edges];
         let mut bytes = Vec::with_capacity(HEAD_BYTES + 2 * MAX_BANDS);
         bytes.push(flags.iter().rev().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
         bytes.extend(self.reference.unwrap_or(FrameId(0)).0.to_le_bytes());
@@ -60,7 +62,8 @@ impl Head {
         let num_rows = blocks_along(header.frame.camera.intrinsics.height);
         let has_borders = flags & HAS_BORDERS != 0;
         let borders = has_borders.then(|| Borders::read(bytes, header.num_base, num_rows)).transpose()?;
-        Ok(Self { steps, reference, is_split: flags & IS_SPLIT != 0, borders })
+        let [is_split, has_edges] = [IS_SPLIT, HAS_EDGES].map(|flag| flags & flag != 0);
+        Ok(Self { steps, reference, is_split, has_edges, borders })
     }
 
     /// Whether a band has corrections.
@@ -72,7 +75,8 @@ impl Head {
 /// The frame that the fixed part of a head names.
 fn named(&[flags, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<FrameId>, CodecError> {
     let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
-    let is_known = flags & !(IS_PREDICTED | IS_SPLIT | HAS_BORDERS) == 0;
+    let is_known = flags & !(IS_PREDICTED | IS_SPLIT | HAS_BORDERS | HAS_EDGES) == 0
+        && flags & (IS_PREDICTED | HAS_EDGES) != IS_PREDICTED | HAS_EDGES;
     match (flags & IS_PREDICTED != 0, frame) {
         (false, FrameId(0)) if is_known => Ok(None),
         (true, _) if is_known => Ok(Some(frame)),
@@ -170,7 +174,7 @@ pub(in super::super) fn decode(
             None => None,
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
-        let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion);
+        let coder = BandCoder::new(Decoder::new(coded), &head, place, motion);
         let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
         if !head.is_split && head.has_corrections(&band) {
             let corrections;
@@ -227,7 +231,7 @@ impl BlocksAssembly {
             return Err(contradiction(what));
         }
         if self.head.is_some_and(|head| head != chunk.head) {
-            return Err(contradiction("other steps, another reference or other bands"));
+            return Err(contradiction("other steps, predictions or bands"));
         }
         if self.seen >> header.index.0 & 1 == 1 {
             return Err(CodecError::Duplicate(header.index));
@@ -364,5 +368,6 @@ const BATCH: usize = 32;
 const IS_PREDICTED: u8 = 1;
 const IS_SPLIT: u8 = 2;
 const HAS_BORDERS: u8 = 4;
+const HAS_EDGES: u8 = 8;
 /// Bytes of [`Head`] without borders.
 pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

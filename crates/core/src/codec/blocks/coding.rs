@@ -6,6 +6,8 @@ mod layer;
 
 use super::super::CodecError;
 use super::band::{Band, Lists, Planes};
+use super::chunk::Head;
+use super::edges::EdgeRows;
 use super::entropy::Coder;
 use super::model::{BLOCK, BlockLayer, DepthPlane};
 use super::motion::{Motion, Shift};
@@ -16,7 +18,7 @@ use depth::{bounded, continued};
 use layer::{Around, Coded};
 
 pub(super) use depth::PlaneCode;
-pub(super) use layer::{fixed_of, residual};
+pub(super) use layer::{Expected, fixed_of, residual};
 
 /// Where the planes of a block come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +97,9 @@ pub(super) struct BandCoder<'a, C> {
     band: Band,
     /// Beside the planes of the band.
     layers: Vec<Coded>,
+    /// Whether planes are predicted from the edges of those beside, and these.
+    has_edges: bool,
+    edges: EdgeRows,
     /// How each block came to its planes.
     origins: Vec<Origin>,
     lists: Lists,
@@ -105,18 +110,20 @@ pub(super) struct BandCoder<'a, C> {
 impl<'a, C: Coder> BandCoder<'a, C> {
     pub(super) fn new(
         coder: C,
-        steps: Steps,
+        head: &Head,
         place: Place,
         reference: Option<(&'a Reference, Motion)>,
     ) -> Self {
         Self {
             coder,
             contexts: Contexts::new(),
-            steps,
+            steps: head.steps,
             place,
             reference,
             band: Band::new(place.across),
             layers: Vec::new(),
+            has_edges: head.has_edges,
+            edges: EdgeRows::default(),
             origins: Vec::new(),
             lists: Lists::default(),
             fetched: Fetched::new(),
@@ -132,6 +139,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     ) -> Result<(C, Band, Vec<Origin>), CodecError> {
         let mut plan = Plan::default();
         for y in 0..self.place.num_rows {
+            self.edges.begin_row(self.layers.len());
             for x in 0..self.place.across {
                 self.block(x, y, source, &mut plan);
                 super::super::at_most("segments in a chunk", self.band.cells.len(), limit)?;
@@ -243,7 +251,10 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             return false;
         }
         self.band.copy(band, block);
-        self.layers.resize(self.band.planes.len(), Coded { means: [0.0; 4], classes: [0; 4], mask: 0 });
+        for _ in self.layers.len()..self.band.planes.len() {
+            let coded = self.nothing([0.0; 4]);
+            self.layers.push(coded);
+        }
         self.origins.push(Origin::Copied);
         true
     }

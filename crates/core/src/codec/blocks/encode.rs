@@ -38,7 +38,7 @@ pub(super) fn band(
 ) -> Result<EncodedBand, CodecError> {
     let steps = head.steps;
     let mut layering = Layering::new(frame, place, rule, steps, reference, wanted);
-    let coder = BandCoder::new(Encoder::new(), steps, place, reference);
+    let coder = BandCoder::new(Encoder::new(), head, place, reference);
     let (coder, mut decoded, origins) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
     if layering.is_abandoned {
         return Err(CodecError::Abandoned);

@@ -18,6 +18,7 @@ mod band;
 mod bands;
 mod chunk;
 mod coding;
+mod edges;
 mod encode;
 mod entropy;
 pub mod model;
@@ -92,8 +93,14 @@ pub(super) fn encode_while(
     let (rule, steps) = steps::from_quality(settings.quality, &camera);
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
     let borders = Borders::of(frame, num_bands);
-    let head =
-        Head { steps, reference: reference.map(Reference::frame), is_split: settings.is_split, borders };
+    let reference_frame = reference.map(Reference::frame);
+    let head = Head {
+        steps,
+        reference: reference_frame,
+        is_split: settings.is_split,
+        has_edges: reference.is_none(),
+        borders,
+    };
     let first = ChunkHeader {
         frame: frame_header,
         color_bits: 0,

@@ -3,7 +3,7 @@
 
 use super::super::{CodecError, MAX_CHUNK_SEGMENTS, at_most};
 use super::band::{Band, Cell, CellsOf};
-use super::coding::{Place, fixed_of, residual};
+use super::coding::{Expected, Place, fixed_of, residual};
 use super::entropy::Coder;
 use super::model::{BLOCK_LISTS, MAX_LAYERS};
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
@@ -53,7 +53,6 @@ pub(super) fn code<C: Coder>(
                 let mut values = [0.0; BLOCK_LISTS];
                 let near = [class_before, beside];
                 let component = if c == 0 { 3 } else { 7 };
-                let expected = [0.0; BLOCK_LISTS];
                 let (class, _) = residual(
                     &mut coder,
                     &mut contexts,
@@ -62,7 +61,7 @@ pub(super) fn code<C: Coder>(
                     step,
                     mask,
                     Some(&wanted[c]),
-                    &expected,
+                    &Expected::Constant(0.0),
                     &mut values,
                 );
                 own[c] = class;

@@ -2,7 +2,8 @@
 //! a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
 
 use super::super::CodecError;
-use super::coding::residual;
+use super::coding::{Expected, residual};
+use super::edges::{Edges, spread};
 use super::entropy::{Coder, Decoder, Encoder};
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::scales::{roots_from_ycc, ycc_from_roots};
@@ -42,8 +43,8 @@ impl Picture {
         let mut contexts = Contexts::new();
         let mut out = vec![0.0; width * height * self.channels];
         let across = width.div_ceil(BLOCK);
-        // Mean and class of each component of the blocks so far.
-        let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        // Edges and class of each component of the blocks so far.
+        let mut coded: Vec<[(Edges, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
         for block in 0..across * height.div_ceil(BLOCK) {
             let corner = [block % across * BLOCK, block / across * BLOCK];
             let place = |i: usize| {
@@ -52,20 +53,23 @@ impl Picture {
             };
             let mask = (0..BLOCK_LISTS).fold(0, |mask, i| mask | u64::from(place(i).is_some()) << i);
             let source = C::ENCODES.then(|| self.block(samples, &place));
-            let left = (block % across > 0).then(|| coded[block - 1]);
-            let above = block.checked_sub(across).map(|b| coded[b]);
-            let mut own = [(0.0, 0); 3];
+            let left = (block % across > 0).then(|| &coded[block - 1]);
+            let above = block.checked_sub(across).map(|b| &coded[b]);
+            let mut own = [(Edges::default(), 0); 3];
             let mut values = [[0.0; BLOCK_LISTS]; 3];
             for (c, values) in values.iter_mut().enumerate().take(self.channels) {
-                let (mean, beside) = match (left.map(|b| b[c]), above.map(|b| b[c])) {
-                    (Some(a), Some(b)) => (0.5 * (a.0 + b.0), (a.1 + b.1) / 2),
-                    (Some(a), None) | (None, Some(a)) => a,
-                    (None, None) => (0.0, NO_CLASS),
+                let near = [left, above].map(|b| b.map(|b| &b[c]));
+                let beside = match near {
+                    [Some((_, a)), Some((_, b))] => (a + b) / 2,
+                    [Some((_, a)), None] | [None, Some((_, a))] => *a,
+                    [None, None] => NO_CLASS,
                 };
                 let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
                 let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
                 let step = if c == 0 { self.step } else { self.step * self.chroma };
-                let (class, change) = residual(
+                let [left, above] = near.map(|b| b.map(|(edges, _)| edges));
+                let waves = spread(left, above, step);
+                let (class, _) = residual(
                     &mut coder,
                     &mut contexts,
                     component,
@@ -73,10 +77,10 @@ impl Picture {
                     step,
                     mask,
                     source.as_ref().map(|s| &s[c]),
-                    &[mean; BLOCK_LISTS],
+                    &waves.as_ref().map_or(Expected::Constant(0.0), Expected::Waves),
                     values,
                 );
-                own[c] = (mean + change, class);
+                own[c] = (Edges::of(values), class);
             }
             coded.push(own);
             for i in 0..BLOCK_LISTS {

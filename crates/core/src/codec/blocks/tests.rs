@@ -231,8 +231,9 @@ fn prediction_from_the_frame_before_saves_bytes_and_costs_no_quality() {
                 error(&decoded.to_frame(), frame, angle).0,
                 error(&alone_decoded.to_frame(), frame, angle).0,
             );
-            // Quantisation falls differently; it does not add up over the frames.
-            assert!(with < 1.25 * without + 2e-4, "{builtin:?}: {with} {without}");
+            // Quantisation falls differently, and frames alone are smoother (.00159 and .00110 on the cubus); it does
+            // not add up over the frames.
+            assert!(with < 1.3 * without + 2e-4, "{builtin:?}: {with} {without}");
             last = Some(decoded);
         }
         assert!(inter * 10 < intra * 7, "{builtin:?}: {inter} of {intra} bytes");
@@ -334,7 +335,10 @@ fn damaged_bytes_never_do_more_than_fail() {
     let scene = scene(Builtin::Shells);
     let (_, reference) = encode(&made(&scene, 1, 72, 70, 0.0), &whole(60), None).unwrap();
     let settings = Settings { quality: 60, is_split: true };
-    let (encoded, _) = encode(&made(&scene, 2, 72, 70, 1.0), &settings, Some(&reference)).unwrap();
+    let next = made(&scene, 2, 72, 70, 1.0);
+    let [predicted, alone] =
+        [Some(&reference), None].map(|reference| encode(&next, &settings, reference).unwrap().0);
+    let chunks = [predicted.chunks, alone.chunks].concat();
     let mut references = References::default();
     references.insert(Arc::new(reference));
     let mut seed = 11u64;
@@ -343,8 +347,8 @@ fn damaged_bytes_never_do_more_than_fail() {
         (seed >> 33) as usize % n
     };
     let (mut good, mut bad) = (0, 0);
-    for round in 0..1200 {
-        let chunk = &encoded.chunks[round % encoded.chunks.len()];
+    for round in 0..2400 {
+        let chunk = &chunks[round / 4 % chunks.len()];
         let mut damaged = chunk.bytes.clone();
         match round % 4 {
             0 => damaged[HEADER_BYTES..].iter_mut().for_each(|b| *b = random(256) as u8),
@@ -378,7 +382,7 @@ fn damaged_bytes_never_do_more_than_fail() {
         }
     }
     // A flipped bit of a range coder goes unnoticed when as many bytes are read as before.
-    assert!(bad > 700, "{good} {bad}");
+    assert!(bad > 1400, "{good} {bad}");
 }
 
 #[test]
@@ -401,6 +405,29 @@ fn chunks_that_contradict_each_other_are_refused() {
     assert!(matches!(assembly.insert(exact), Err(CodecError::Contradiction { .. })));
     ours.into_iter().skip(1).for_each(|c| assembly.insert(c).unwrap());
     assert!(assembly.complete());
+}
+
+#[test]
+fn heads_with_unknown_bits_or_with_edges_in_a_predicted_frame_are_refused() {
+    let scene = scene(Builtin::Shells);
+    let (alone, reference) = encode(&made(&scene, 1, 40, 40, 0.0), &whole(60), None).unwrap();
+    let (predicted, _) = encode(&made(&scene, 2, 40, 40, 1.0), &whole(60), Some(&reference)).unwrap();
+    let mut references = References::default();
+    references.insert(Arc::new(reference));
+    let with = |encoded: &EncodedFrame, bits: u8| {
+        let mut bytes = encoded.chunks[0].bytes.clone();
+        bytes[HEADER_BYTES] ^= bits;
+        decode_chunk(&bytes, &references)
+    };
+    const EDGES: u8 = 8;
+    assert!(with(&alone, 0).is_ok() && with(&predicted, 0).is_ok());
+    assert_eq!([&alone, &predicted].map(|e| e.chunks[0].bytes[HEADER_BYTES] & EDGES), [EDGES, 0]);
+    for encoded in [&alone, &predicted] {
+        for bits in [16, 32, 64, 128] {
+            assert!(matches!(with(encoded, bits), Err(CodecError::Payload { plane: "head", .. })), "{bits}");
+        }
+    }
+    assert!(matches!(with(&predicted, EDGES), Err(CodecError::Payload { plane: "head", .. })));
 }
 
 /// Frames of a moving camera, each predicted from the one before: none is more than a twentieth above the target once the

@@ -7,6 +7,9 @@ use super::model::{BLOCK, BLOCK_LISTS};
 /// Values of the lists of a block, row by row.
 pub(super) type Plane = [f32; BLOCK_LISTS];
 
+/// Those of a row or a column.
+pub(super) type Line = [f32; BLOCK];
+
 wide! {
     /// The orthonormal transform, frequencies row by row, horizontal ones along a row.
     pub(super) fn forward(values: &Plane) -> Plane = forward_any;
@@ -15,6 +18,11 @@ wide! {
 wide! {
     /// Inverse of [`forward`].
     pub(super) fn inverse(coefficients: &Plane) -> Plane = inverse_any;
+}
+
+wide! {
+    /// Orthonormal transforms of the last column and of the last row.
+    pub(super) fn along_edges(values: &Plane) -> [Line; 2] = along_edges_any;
 }
 
 wide! {
@@ -57,6 +65,17 @@ fn inverse_any(coefficients: &Plane) -> Plane {
         }
     }
     out
+}
+
+#[inline(always)]
+fn along_edges_any(values: &Plane) -> [Line; 2] {
+    let (rows, _) = values.as_chunks::<BLOCK>();
+    let [mut right, mut bottom] = [[0.0; BLOCK]; 2];
+    for (n, row) in rows.iter().enumerate() {
+        add_scaled(&mut right, &TRANSPOSED[n], row[BLOCK - 1]);
+        add_scaled(&mut bottom, &TRANSPOSED[n], rows[BLOCK - 1][n]);
+    }
+    [right, bottom]
 }
 
 #[inline(always)]

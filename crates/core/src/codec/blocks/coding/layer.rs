@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::super::band::Planes;
+use super::super::edges::{Edges, spread};
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
 use super::super::reference::{HALF, fetch};
@@ -57,11 +58,12 @@ impl<C: Coder> BandCoder<'_, C> {
             Origin::Left | Origin::Above => 1,
             Origin::Kept | Origin::Copied => 2,
         };
-        let nothing = Coded { means: in_front.map_or([0.0; 4], |l| l.means), classes: [0; 4], mask: 0 };
+        let means_in_front = in_front.map_or([0.0; 4], |l| l.means);
         if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
-            return nothing;
+            return self.nothing(means_in_front);
         }
-        let matches = neighbors.clone().map(|n| self.overlapping(n, &planes));
+        let numbers = neighbors.clone().map(|n| self.overlapping(n, &planes));
+        let matches = numbers.map(|n| n.map(|l| self.layers[l]));
         let inside = self.place.inside(x, y);
         let said = if wanted_mask == inside { u64::MAX } else { wanted_mask };
         let mask = self.contexts.mask(
@@ -72,14 +74,14 @@ impl<C: Coder> BandCoder<'_, C> {
             said,
         ) & inside;
         if mask == 0 {
-            return nothing;
+            return self.nothing(means_in_front);
         }
         *mask_before = Some(mask);
 
         let means: [f32; 4] = std::array::from_fn(|c| match matches {
             [Some(a), Some(b)] => 0.5 * (a.means[c] + b.means[c]),
             [Some(a), None] | [None, Some(a)] => a.means[c],
-            [None, None] => in_front.map_or(0.0, |l| l.means[c]),
+            [None, None] => means_in_front[c],
         });
         let classes: [[u8; 2]; 4] = std::array::from_fn(|c| {
             let beside = match matches {
@@ -103,6 +105,8 @@ impl<C: Coder> BandCoder<'_, C> {
         let num_lists = mask.count_ones() as f32;
         let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
         let mut coded = Coded { means, classes: [0; 4], mask };
+        let beside = numbers.map(|n| n.and_then(|l| self.edges.get(l)));
+        let mut edges = [Edges::default(); 4];
         if is_inter {
             let [u, y, co, cg] = &self.fetched.planes;
             let mut sums = [0.0; 4];
@@ -118,7 +122,6 @@ impl<C: Coder> BandCoder<'_, C> {
         let mut codes = [0; BLOCK_LISTS];
         let mut alphas = [0.0; BLOCK_LISTS];
         for c in 0..4 {
-            let expected = if is_inter { self.fetched.planes[c] } else { [means[c]; BLOCK_LISTS] };
             if c == 1 {
                 // How much of a colour is seen is known from what is decoded.
                 let seen = |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
@@ -129,6 +132,16 @@ impl<C: Coder> BandCoder<'_, C> {
             }
             let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
             let source = sources.as_ref().map(|s| &s[c]);
+            let [left, above] = beside.map(|edges| edges.map(|e| &e[c]));
+            let waves = spread(left, above, step);
+            let expected = match &waves {
+                _ if is_inter => Expected::Plane(&self.fetched.planes[c]),
+                Some(waves) => {
+                    coded.means[c] = waves[0] * (1.0 / BLOCK as f32);
+                    Expected::Waves(waves)
+                }
+                None => Expected::Constant(means[c]),
+            };
             let (class, mean) = residual(
                 &mut self.coder,
                 &mut self.contexts,
@@ -142,6 +155,9 @@ impl<C: Coder> BandCoder<'_, C> {
             );
             coded.classes[c] = class;
             coded.means[c] += mean;
+            if self.has_edges {
+                edges[c] = Edges::of(&values[c]);
+            }
             if c == 0 {
                 codes_of(&values[0], &mut codes);
                 alphas = codes.map(|code| scales.alpha[usize::from(code)]);
@@ -152,7 +168,18 @@ impl<C: Coder> BandCoder<'_, C> {
             fixed_of(&values[c + 1], range, &mut ycc[c]);
         }
         self.lists.push(&planes, mask, &codes, &ycc, &alphas);
+        if self.has_edges {
+            self.edges.push(edges);
+        }
         coded
+    }
+
+    /// A layer without matter.
+    pub(super) fn nothing(&mut self, means: [f32; 4]) -> Coded {
+        if self.has_edges {
+            self.edges.push(means.map(Edges::flat));
+        }
+        Coded { means, classes: [0; 4], mask: 0 }
     }
 
     /// Fetches what the reference has between two planes; the lists that have any.
@@ -165,15 +192,15 @@ impl<C: Coder> BandCoder<'_, C> {
         Some(self.fetched.mask)
     }
 
-    /// The layer that has most depth in common with a pair of planes.
-    fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<Coded> {
+    /// Number of the layer that has most depth in common with a pair of planes.
+    fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<usize> {
         let common = |l: usize| {
             let (front, back) = self.band.planes[l];
             back.z.min(planes.1.z) - front.z.max(planes.0.z)
         };
         let best =
             layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
-        best.map(|(_, l)| self.layers[l])
+        best.map(|(_, l)| l)
     }
 
     /// Whether the moved reference is nearer to the source than a constant is.
@@ -192,6 +219,25 @@ impl<C: Coder> BandCoder<'_, C> {
     }
 }
 
+/// What is expected of a plane.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) enum Expected<'a> {
+    Constant(f32),
+    Plane(&'a Plane),
+    /// Its coefficients.
+    Waves(&'a Plane),
+}
+
+impl Expected<'_> {
+    fn values(&self) -> Plane {
+        match self {
+            Self::Constant(value) => [*value; BLOCK_LISTS],
+            Self::Plane(plane) => **plane,
+            Self::Waves(waves) => inverse(waves),
+        }
+    }
+}
+
 /// Codes what a plane differs by from what is expected of it, and writes its values. Returns the class, and by how
 /// much the mean differs.
 #[expect(clippy::too_many_arguments, reason = "two directions in one function")]
@@ -203,22 +249,28 @@ pub(in super::super) fn residual<C: Coder>(
     step: f32,
     mask: u64,
     source: Option<&Plane>,
-    expected: &Plane,
+    expected: &Expected<'_>,
     values: &mut Plane,
 ) -> (u8, f32) {
     let mut levels = Levels::ZERO;
     if let (true, Some(source)) = (C::ENCODES, source) {
-        let mut difference: Plane = std::array::from_fn(|i| source[i] - expected[i]);
-        fill_in(&mut difference, mask);
+        let coefficients = match expected {
+            Expected::Waves(waves) if mask == u64::MAX => {
+                let all = forward(source);
+                std::array::from_fn(|i| all[i] - waves[i])
+            }
+            _ => {
+                let expected = expected.values();
+                let mut difference: Plane = std::array::from_fn(|i| source[i] - expected[i]);
+                fill_in(&mut difference, mask);
+                forward(&difference)
+            }
+        };
         let rounding =
             if component < FIRST_INTER || component == CORRECTION { ROUNDING } else { INTER_ROUNDING };
-        quantize(&forward(&difference), step, rounding, &mut levels);
+        quantize(&coefficients, step, rounding, &mut levels);
     }
     let class = contexts.coefficients(coder, component, near, &mut levels);
-    *values = *expected;
-    if levels.length == 0 {
-        return (class, 0.0);
-    }
     let mut coefficients = [0.0; BLOCK_LISTS];
     for (k, &level) in levels.values[..levels.length].iter().enumerate() {
         if level != 0 {
@@ -227,11 +279,22 @@ pub(in super::super) fn residual<C: Coder>(
         }
     }
     let mean = coefficients[0] * (1.0 / BLOCK as f32);
-    if levels.length == 1 {
-        values.iter_mut().for_each(|v| *v += mean);
-    } else {
-        for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
-            *value += difference;
+    match expected {
+        Expected::Waves(waves) => {
+            coefficients.iter_mut().zip(*waves).for_each(|(c, wave)| *c += wave);
+            let is_flat = coefficients[1..].iter().all(|&c| c == 0.0);
+            let flat = [coefficients[0] * (1.0 / BLOCK as f32); BLOCK_LISTS];
+            *values = if is_flat { flat } else { inverse(&coefficients) };
+        }
+        _ => {
+            *values = expected.values();
+            if levels.length == 1 {
+                values.iter_mut().for_each(|v| *v += mean);
+            } else if levels.length > 1 {
+                for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
+                    *value += difference;
+                }
+            }
         }
     }
     (class, mean)
