@@ -35,7 +35,7 @@ pub struct Rule {
 }
 
 impl Rule {
-    /// The error that a block may have for a layer less, in the unit of [`Relayer::fresh`] and [`Relayer::given`].
+    /// The error that a block may have for a layer less, in the unit of [`Relayer::tried`].
     pub fn error_per_layer(&self) -> f32 {
         self.lambda * self.units_per_pixel * self.units_per_pixel.sqrt().sqrt() * BLOCK_LISTS as f32
     }
@@ -68,7 +68,7 @@ wide! {
         lists: &BlockLists,
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
-    ) -> f32 = Relayer::given_any;
+    ) = Relayer::given_any;
 }
 
 wide! {
@@ -84,18 +84,18 @@ impl Relayer {
     }
 
     /// Puts the lists' matter between given pairs of front and back planes, in the order of their depth, into `out`: a
-    /// layer for each pair, whether it has matter or not. What lies between two layers goes to the nearer. Returns the
-    /// error: how far matter has moved, times how much of it is seen.
+    /// layer for each pair, whether it has matter or not. What lies between two layers goes to the nearer.
     pub fn given(
         &mut self,
         lists: &BlockLists,
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
-    ) -> f32 {
-        given(self, lists, planes, out)
+    ) {
+        given(self, lists, planes, out);
     }
 
-    /// About the error of [`Relayer::given`], from some of the lists; infinite as soon as it is above `limit`.
+    /// About the error of [`Relayer::given`], from some of the lists: how far matter has moved, times how much of it is seen.
+    /// Infinite as soon as it is above `limit`.
     pub fn tried(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
         tried(self, lists, planes, limit)
     }
@@ -116,7 +116,7 @@ impl Relayer {
             out.push((plane(cut), plane(cuts.get(i + 1).copied().unwrap_or(cut))));
         }
         self.assigned.start(out, lists);
-        self.assigned.put_lists(lists, 0..SAMPLES, lists);
+        self.assigned.put_lists::<false>(lists, 0..SAMPLES, lists);
         self.assigned.fit(slopes, out, lists);
     }
 
@@ -126,13 +126,12 @@ impl Relayer {
         lists: &BlockLists,
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
-    ) -> f32 {
+    ) {
         self.assigned.start(planes, &All);
         if !planes.is_empty() {
-            self.assigned.put_lists(lists, 0..BLOCK_LISTS, &All);
+            self.assigned.put_lists::<false>(lists, 0..BLOCK_LISTS, &All);
         }
         self.assigned.layers(planes, out);
-        self.assigned.error(lists, planes, &All)
     }
 
     #[inline(always)]
@@ -145,7 +144,7 @@ impl Relayer {
         let mut error = 0.0;
         for part in 0..PARTS {
             let slots = part * SAMPLES / PARTS..(part + 1) * SAMPLES / PARTS;
-            self.assigned.put_lists(lists, slots, lists);
+            self.assigned.put_lists::<true>(lists, slots, lists);
             error = self.assigned.error(lists, planes, lists) * per_sample;
             if error > limit {
                 return f32::INFINITY;

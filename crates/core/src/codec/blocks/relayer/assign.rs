@@ -111,9 +111,15 @@ impl Assigned {
         }
     }
 
-    /// Puts the segments of lists into the layers, of which there must be one.
+    /// Puts the segments of lists into the layers, of which there must be one. What is joined is weighed for [`Self::error`]
+    /// only if that `IS_WEIGHED`.
     #[inline(always)]
-    pub(super) fn put_lists(&mut self, lists: &BlockLists, slots: std::ops::Range<usize>, of: &impl Lists) {
+    pub(super) fn put_lists<const IS_WEIGHED: bool>(
+        &mut self,
+        lists: &BlockLists,
+        slots: std::ops::Range<usize>,
+        of: &impl Lists,
+    ) {
         for slot in slots {
             let list = of.list(slot);
             let mut layer = 0;
@@ -129,7 +135,7 @@ impl Assigned {
                     }
                     let to = if piece.back - end < short { piece.back } else { end };
                     if to > from {
-                        self.put(layer, slot, piece, from..to, lists.slope[list]);
+                        self.put::<IS_WEIGHED>(layer, slot, piece, from..to, lists.slope[list]);
                     }
                     if to >= piece.back {
                         break;
@@ -140,12 +146,21 @@ impl Assigned {
                 }
             }
         }
-        self.joined += self.joints.weigh();
+        if IS_WEIGHED {
+            self.joined += self.joints.weigh();
+        }
     }
 
     /// Puts a part of a segment behind what a list has in the layer.
     #[inline(always)]
-    fn put(&mut self, layer: usize, slot: usize, piece: &Piece, part: std::ops::Range<f32>, slope: f32) {
+    fn put<const IS_WEIGHED: bool>(
+        &mut self,
+        layer: usize,
+        slot: usize,
+        piece: &Piece,
+        part: std::ops::Range<f32>,
+        slope: f32,
+    ) {
         let cells = &mut self.cells[layer];
         let mut c = piece.c;
         let (mut tau, mut alpha) = (piece.tau, piece.alpha);
@@ -168,18 +183,24 @@ impl Assigned {
         let alpha_first = cells.alpha[slot];
         let alpha_both = alpha_first + (1.0 - alpha_first) * alpha;
         cells.tau[slot] = (cells.tau[slot] + tau).min(TAU_MAX);
-
+        let first = [0, 1, 2].map(|n| cells.c[n][slot]);
+        let both = [0, 1, 2].map(|n| first[n] + c[n] * (1.0 - alpha_first));
+        for (cells, both) in cells.c.iter_mut().zip(both) {
+            cells[slot] = both;
+        }
+        let back_first = std::mem::replace(&mut cells.back[slot], part.end);
+        cells.alpha[slot] = alpha_both;
+        if !IS_WEIGHED {
+            return;
+        }
         let joints = &mut self.joints;
         let at = joints.num % BLOCK_LISTS;
-        for (n, c) in c.into_iter().enumerate() {
-            let first = cells.c[n][slot];
-            let both = first + c * (1.0 - alpha_first);
-            cells.c[n][slot] = both;
-            joints.first[n][at] = first;
-            joints.both[n][at] = both;
+        for n in 0..3 {
+            joints.first[n][at] = first[n];
+            joints.both[n][at] = both[n];
         }
         joints.ends[0][at] = cells.front[slot];
-        joints.ends[1][at] = cells.back[slot];
+        joints.ends[1][at] = back_first;
         joints.ends[2][at] = part.start;
         joints.ends[3][at] = part.end;
         joints.tau[at] = cells.tau[slot];
@@ -187,8 +208,6 @@ impl Assigned {
         joints.alphas[1][at] = alpha_both;
         joints.weight[at] = greater(piece.before.kappa, KAPPA_FLOOR) * slope;
         joints.num = at + 1;
-        cells.back[slot] = part.end;
-        cells.alpha[slot] = alpha_both;
         if at + 1 == BLOCK_LISTS {
             self.joined += joints.weigh();
         }
