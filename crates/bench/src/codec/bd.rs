@@ -28,11 +28,13 @@ impl RatePoint {
     }
 }
 
-/// The mean difference between two curves.
+/// The difference between two curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BdRate {
-    /// Bytes of the test more than those of the anchor, percent.
+    /// Bytes of the test more than those of the anchor, percent, in the mean over the range.
     pub percent: f64,
+    /// The same in the middle of the range alone.
+    pub middle_percent: f64,
     /// Where both curves begin and end, decibels.
     pub range_db: [f64; 2],
 }
@@ -73,7 +75,10 @@ pub fn bd_rate(anchor: &[RatePoint], test: &[RatePoint]) -> Result<BdRate, BdErr
         return Err(BdError::NoOverlap { anchor: a, test: b, least, most });
     }
     let mean = (test.integral(range_db) - anchor.integral(range_db)) / (range_db[1] - range_db[0]);
-    Ok(BdRate { percent: 100.0 * (10f64.powf(mean) - 1.0), range_db })
+    let middle = 0.5 * (range_db[0] + range_db[1]);
+    let [percent, middle_percent] =
+        [mean, test.value(middle) - anchor.value(middle)].map(|log| 100.0 * (10f64.powf(log) - 1.0));
+    Ok(BdRate { percent, middle_percent, range_db })
 }
 
 /// The indices of the points that no other beats in both regards, by bytes.
@@ -128,6 +133,12 @@ impl Curve {
                 if b > a { (b - a) / 6.0 * sum } else { 0.0 }
             })
             .sum()
+    }
+
+    /// The logarithm of the rate at a quality inside the curve's.
+    fn value(&self, quality: f64) -> f64 {
+        let behind = self.quality.partition_point(|&q| q <= quality);
+        self.at(behind.clamp(1, self.quality.len() - 1) - 1, quality)
     }
 
     /// The cubic of piece `i`.
@@ -191,7 +202,9 @@ mod tests {
             let test = curve(|q| share * 1e3 * 1.2f64.powf(q), &[17.0, 19.0, 24.0, 26.5, 33.0]);
             let bd = bd_rate(&anchor, &test).unwrap();
             // Logarithms and powers of doubles.
-            assert!((bd.percent - 100.0 * (share - 1.0)).abs() < 1e-9, "{share}: {}", bd.percent);
+            for percent in [bd.percent, bd.middle_percent] {
+                assert!((percent - 100.0 * (share - 1.0)).abs() < 1e-9, "{share}: {percent}");
+            }
             assert!((bd.range_db[0] - 18.0).abs() < 1e-9 && (bd.range_db[1] - 31.0).abs() < 1e-9);
         }
         let other = curve(|q| 0.5e3 * 1.3f64.powf(q), &DB);
@@ -206,7 +219,9 @@ mod tests {
         let anchor = curve(|q| 10f64.powf(2.0 + q / 10.0), &db);
         let test = curve(|q| 10f64.powf(2.0 + q * q / 200.0), &db);
         let expected = 100.0 * (10f64.powf(-1.0 / 3.0) - 1.0);
-        let percent = bd_rate(&anchor, &test).unwrap().percent;
+        let BdRate { percent, middle_percent, .. } = bd_rate(&anchor, &test).unwrap();
+        // At 15 dB, a point of both: 1.125 − 1.5.
+        assert!((middle_percent - 100.0 * (10f64.powf(-0.375) - 1.0)).abs() < 1e-9, "{middle_percent}");
         // Chords as the slopes at both ends are off by h/200 each: an error of h²/1200 over h, of 10 dB: 2e-8 in all.
         assert!((percent - expected).abs() < 1e-3, "{percent} {expected}");
         // The reverse comparison is the reverse ratio.

@@ -172,6 +172,8 @@ pub struct BdRow {
     pub angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
     pub bd_rate_percent: Option<f64>,
+    /// The difference in the middle of the qualities that both reach, percent.
+    pub middle_percent: Option<f64>,
     /// Over which qualities, decibels of DSSIM.
     pub range_db: Option<[f64; 2]>,
     /// Why there is no mean difference.
@@ -189,6 +191,8 @@ pub struct BdMean {
     pub angle_deg: f32,
     /// Mean of the scenes that have one, percent.
     pub bd_rate_percent: Option<f64>,
+    /// Mean of the differences in the middle of the curves, percent.
+    pub middle_percent: Option<f64>,
     /// Scenes with a mean difference.
     pub scenes: usize,
     /// Scenes without: curves that share no quality, or are none.
@@ -402,6 +406,7 @@ fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow>
                         codec,
                         angle_deg,
                         bd_rate_percent: result.as_ref().ok().map(|bd| bd.percent),
+                        middle_percent: result.as_ref().ok().map(|bd| bd.middle_percent),
                         range_db: result.as_ref().ok().map(|bd| bd.range_db),
                         refused: result.err().map(|e| e.to_string()),
                     });
@@ -424,15 +429,19 @@ fn means(rows: &[BdRow]) -> Vec<BdMean> {
             codec: row.codec,
             angle_deg: row.angle_deg,
             bd_rate_percent: None,
+            middle_percent: None,
             scenes: 0,
             refused: 0,
         };
         let same = rows.iter().filter(|r| (r.k, r.codec, r.angle_deg) == (of.k, of.codec, of.angle_deg));
-        let found: Vec<f64> = same.clone().filter_map(|r| r.bd_rate_percent).collect();
-        let refused = same.count() - found.len();
-        let sum: f64 = found.iter().sum();
-        let mean = (!found.is_empty()).then(|| sum / found.len() as f64);
-        means.push(BdMean { bd_rate_percent: mean, scenes: found.len(), refused, ..of });
+        let scenes = same.clone().filter(|r| r.bd_rate_percent.is_some()).count();
+        let mean = |percent: fn(&BdRow) -> Option<f64>| {
+            let sum: f64 = same.clone().filter_map(percent).sum();
+            (scenes > 0).then(|| sum / scenes as f64)
+        };
+        let [bd_rate_percent, middle_percent] = [mean(|r| r.bd_rate_percent), mean(|r| r.middle_percent)];
+        let refused = same.clone().count() - scenes;
+        means.push(BdMean { bd_rate_percent, middle_percent, scenes, refused, ..of });
     }
     means
 }

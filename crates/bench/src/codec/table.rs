@@ -50,20 +50,23 @@ pub fn table(report: &CodecReport) -> String {
     text += &format!("\ntimes are those of {threads}{clock}\n");
     if let Some(anchor) = &report.conditions.anchor {
         text += &format!(
-            "\nBD-rate over DSSIM against {anchor}, percent of bytes at the same picture\n{:<12} {:>4} {:<18}{}\n",
+            "\nBD-rate over DSSIM against {anchor}, percent of bytes at the same picture; mid: in the middle of both curves\n{:<12} {:>4} {:<18}{}{}\n",
             "scene",
             "k",
             "codec",
-            turns("at")
+            turns("at"),
+            turns("mid")
         );
         // Rows of one curve follow each other, one for each turn.
         for rows in report.bd_rates.chunks(angles.len().max(1)) {
-            let cells =
-                rows.iter().map(|r| cell(r.bd_rate_percent, r.refused.as_deref())).collect::<String>();
+            let at = rows.iter().map(|r| cell(r.bd_rate_percent, r.refused.as_deref()));
+            let middle = rows.iter().map(|r| cell(r.middle_percent, r.refused.as_deref()));
+            let cells = at.chain(middle).collect::<String>();
             text += &format!("{:<12} {:>4} {:<18}{cells}\n", rows[0].scene, k_name(rows[0].k), rows[0].codec);
         }
         for rows in report.bd_means.chunks(angles.len().max(1)) {
-            let cells = rows.iter().map(|r| cell(r.bd_rate_percent, None)).collect::<String>();
+            let at = rows.iter().map(|r| cell(r.bd_rate_percent, None));
+            let cells = at.chain(rows.iter().map(|r| cell(r.middle_percent, None))).collect::<String>();
             let scenes =
                 rows.iter().map(|r| format!("{}/{}", r.scenes, r.scenes + r.refused)).collect::<Vec<_>>();
             text += &format!(

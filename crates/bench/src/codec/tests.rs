@@ -133,12 +133,14 @@ fn means_are_over_the_scenes_that_have_one() {
         codec: "exact",
         angle_deg: 0.0,
         bd_rate_percent: percent,
+        middle_percent: percent.map(|p| p + 10.0),
         range_db: None,
         refused: percent.is_none().then(|| "finer everywhere".into()),
     };
     let means = means(&[row("a", Some(-50.0)), row("b", None), row("c", Some(-70.0))]);
     assert_eq!(means.len(), 1);
     assert_eq!((means[0].bd_rate_percent, means[0].scenes, means[0].refused), (Some(-60.0), 2, 1));
+    assert_eq!(means[0].middle_percent, Some(-50.0));
 }
 
 #[test]
