@@ -105,7 +105,7 @@ fn constant_wave(size: f32) -> Line {
 
 /// Waves below so many steps are not worth the time to add them.
 const FAINT: f32 = 0.1;
-const ROOT_OF_TWO: f32 = 1.414_213_5;
+const ROOT_OF_TWO: f32 = std::f32::consts::SQRT_2;
 const ROOT_OF_BLOCK: f32 = 2.828_427;
 /// How much less the mean behind two edges is for a wave that falls once, or three halves, along either.
 const SLOPE: f32 = 0.8;
