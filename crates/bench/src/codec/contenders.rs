@@ -111,8 +111,9 @@ pub(crate) fn select(names: &[String]) -> Result<Vec<Contender>, BenchError> {
     Ok(selected)
 }
 
-/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Each size of
-/// depths has the levels that some front of some scene was found to want; the search may leave out up to five of them.
+/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Levels of
+/// depths of different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
+/// some out.
 pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32, usize)> {
     let top = num_levels - 1;
     if layout == Layout::Published || part != Part::Depth || top == 0 {
