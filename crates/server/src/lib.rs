@@ -8,6 +8,7 @@
 mod generator;
 mod lights;
 mod parts;
+mod sending;
 mod serving;
 mod shots;
 

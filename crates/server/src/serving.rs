@@ -5,15 +5,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::codec::blocks::{Reference, References};
-use isinglass_core::codec::{CodecError, Coding, Settings};
+use isinglass_core::codec::blocks::References;
+use isinglass_core::codec::{Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
-use isinglass_core::wire::{LoadStatus, PoseRequest, ProbeRequest, ServerStats, VolumeChange};
-use isinglass_net::server::{ControlSender, FrameSender};
+use isinglass_core::wire::{LoadStatus, PoseRequest, ProbeRequest, VolumeChange};
+use isinglass_net::server::ControlSender;
 use isinglass_net::{Server, Session, SessionClosed};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
@@ -23,6 +23,7 @@ use tracing::Instrument;
 use crate::Command;
 use crate::generator::{GenerateError, Generated, Generator, Wish};
 use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD};
+use crate::sending::{Sending, Sent, Ticket, finished, send};
 use crate::shots::Shots;
 
 /// What all viewers share.
@@ -107,36 +108,6 @@ impl Drop for Viewer {
     fn drop(&mut self) {
         self.probing.abort();
     }
-}
-
-/// A frame on its way to the network.
-struct Sending {
-    task: JoinHandle<Result<Option<Sent>, SessionClosed>>,
-    ticket: Ticket,
-}
-
-/// What a frame is sent as.
-#[derive(Clone)]
-struct Ticket {
-    request: PoseRequest,
-    version: LookVersion,
-    /// When the request was taken up.
-    asked_at: Instant,
-    coding: Coding,
-    reference: Option<Arc<Reference>>,
-    /// Whether the same frame was sent before, less fine.
-    is_finer: bool,
-    wish: Wish,
-}
-
-/// A frame that the network has taken.
-struct Sent {
-    ticket: Ticket,
-    generated: Generated,
-    /// What later frames may be predicted from.
-    reference: Option<Arc<Reference>>,
-    bytes: usize,
-    encode_micros: u64,
 }
 
 impl Viewer {
@@ -572,65 +543,6 @@ async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
     if is_reading {
         tokio::time::sleep_until(tell_at).await;
     }
-}
-
-/// Returns when the frame is with the network; at once if there is none. Nothing is lost if this is dropped.
-async fn finished(sending: &mut Option<Sending>) -> Result<Option<Sent>, SessionClosed> {
-    let Some(running) = sending else { return Ok(None) };
-    let ended = (&mut running.task).await;
-    *sending = None;
-    ended.unwrap_or(Err(SessionClosed))
-}
-
-/// Encodes a frame on a thread for blocking work, and returns when the network has taken its base. None if it was given up
-/// or cannot be encoded.
-async fn send(
-    frames: FrameSender,
-    control: ControlSender,
-    generated: Generated,
-    ticket: Ticket,
-) -> Result<Option<Sent>, SessionClosed> {
-    let header = generated.frame.header;
-    let segments = generated.frame.num_segments() as u64;
-    let started = Instant::now();
-    let Ticket { coding, reference, wish, .. } = ticket.clone();
-    let encoded = tokio::task::spawn_blocking(move || {
-        let encoded = coding.encode_while(&generated.frame, reference.as_deref(), &|| wish.holds());
-        (encoded, generated)
-    });
-    let encoded = encoded.await;
-    let encode_micros = started.elapsed().as_micros() as u64;
-    let (encoded, reference, generated) = match encoded {
-        Ok((Ok((encoded, reference)), generated)) => (encoded, reference, generated),
-        Ok((Err(CodecError::Abandoned), _)) => return Ok(None),
-        Ok((Err(e), _)) => {
-            tracing::warn!("{e}");
-            return control.notice(&format!("the server cannot encode a frame: {e}")).await.map(|()| None);
-        }
-        Err(e) => {
-            tracing::error!("encoding ended early: {e}");
-            return Err(SessionClosed);
-        }
-    };
-    if !ticket.wish.holds() {
-        return Ok(None);
-    }
-    let bytes = encoded.num_bytes();
-    if ticket.is_finer {
-        frames.send_finer(header.frame, header.pose, encoded.chunks).await?;
-    } else {
-        control.stats(ServerStats {
-            frame: header.frame,
-            pose: header.pose,
-            pose_stamp_micros: ticket.request.stamp_micros,
-            generate_micros: generated.generate_micros,
-            encode_micros,
-            bytes: bytes as u64,
-            segments,
-        });
-        frames.send(header.frame, header.pose, encoded.chunks).await?;
-    }
-    Ok(Some(Sent { ticket, generated, reference, bytes, encode_micros }))
 }
 
 /// The picture size that is rendered for a wish: the same shape, at most [`max_lists`] pixels.

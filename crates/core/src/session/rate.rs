@@ -136,7 +136,7 @@ impl Pilot {
         // Generating a frame and encoding the one before go on at the same time.
         let making = self.generate_micros.max(self.blocks_micros.get() * lists);
         let budget = rate * (FRAME_MICROS.max(making * SHARE_OF_MAKING) / 1e6);
-        self.control.set_target(budget as usize);
+        self.control.set_target((budget * counted(num_lists)) as usize);
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
         let in_blocks = Coding::Blocks(blocks::Settings { quality, is_split: false });
@@ -146,9 +146,10 @@ impl Pilot {
             Mode::Auto => {
                 let bytes = self.control.expected_bytes(is_predicted, quality);
                 let (Some(bytes), true) = (bytes, self.exact_bytes.is_known()) else { return in_blocks };
+                let bytes = f64::from(bytes) / counted(num_lists);
                 let exact = self.exact_bytes.get() * lists;
                 let later = (self.exact_micros.get() - self.blocks_micros.get()) * lists
-                    + (exact - f64::from(bytes)) * 1e6 / rate;
+                    + (exact - bytes) * 1e6 / rate;
                 let may_be_later = EXACT_LATER_MICROS.max(making * EXACT_SHARE_OF_MAKING);
                 if later < may_be_later { Coding::default() } else { in_blocks }
             }
@@ -189,10 +190,17 @@ impl Pilot {
             }
             Coding::Blocks(settings) => {
                 self.blocks_micros.add(micros as f64 / lists);
+                let bytes = (bytes as f64 * counted(num_lists)) as usize;
                 self.control.observe(is_predicted, settings.quality, bytes);
             }
         }
     }
+}
+
+/// Bytes that the control counts for one of a frame: as those of a frame of [`COUNTED_LISTS`], since frames change their
+/// size with their margin and with the link.
+fn counted(num_lists: usize) -> f64 {
+    COUNTED_LISTS / num_lists.max(1) as f64
 }
 
 /// A mean that forgets.
@@ -217,6 +225,8 @@ impl Mean {
     }
 }
 
+/// Large, as the control counts in whole bytes.
+const COUNTED_LISTS: f64 = (1 << 20) as f64;
 /// The best quality if none is asked for: where the link carries it, a picture's fault is worth more than its bytes.
 pub const DEFAULT_QUALITY: u8 = blocks::MAX_QUALITY;
 /// Frames get no worse than this, however narrow the link: below, bytes hardly fall any more.
@@ -335,6 +345,27 @@ mod tests {
         assert!((20_000.0..=33_400.0).contains(&last), "{last} bytes a frame");
         pilot.plan.bytes_per_second = None;
         assert!(bytes_at(quality(pilot.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
+    }
+
+    #[test]
+    fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
+        let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(300_000.0) };
+        let mut pilot = Pilot::new(plan);
+        let mut at = |num_lists: usize| {
+            let coding = pilot.next(num_lists, true);
+            let bytes = bytes_at(quality(coding).unwrap(), 1.0) * num_lists as f64 / LISTS as f64;
+            pilot.handle_encoded(&coding, true, num_lists, bytes as usize, 1000);
+            (f64::from(quality(coding).unwrap()), bytes)
+        };
+        (0..10).for_each(|_| drop(at(LISTS)));
+        let (whole, of_whole) = at(LISTS);
+        let (small, of_small) = at(LISTS / 4);
+        // Two octaves of bytes, by the slope of `bytes_at`.
+        assert!((small - whole - 2.0 / 0.033).abs() < 12.0, "{whole} and {small}");
+        assert!(of_small < 11_000.0 && of_whole < 11_000.0, "{of_whole} and {of_small} bytes");
+        // And a larger one its worse: with the quality of the small one it would take four times the bytes.
+        let (again, of_again) = at(LISTS);
+        assert!((again - whole).abs() < 12.0 && of_again < 12_000.0, "{again}, {of_again} bytes");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 mod chunks;
 mod connection;
 mod decode;
+mod error;
 mod shot;
 mod status;
 mod wishes;
@@ -31,7 +32,7 @@ use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters
 
 use crate::link::Link;
 
-pub use connection::ConnectError;
+pub use error::ConnectError;
 pub use shot::ReceivedShot;
 use status::{Status, StatusBoard};
 use wishes::Wishes;
@@ -111,10 +112,17 @@ pub struct ReceivedFrame {
     pub frame: LayeredFrame,
     /// Whether its refinements are there too. The same frame comes once more when they are.
     pub is_complete: bool,
-    /// Whether all lists and depths are the server's own.
-    pub is_exact: bool,
+    /// About the quality of a frame in blocks, 0 to 100; none: all lists and depths are the server's own.
+    pub quality: Option<u8>,
     /// Stamps of its life so far.
     pub times: FrameTimes,
+}
+
+impl ReceivedFrame {
+    /// Whether all lists and depths are the server's own.
+    pub fn is_exact(&self) -> bool {
+        self.quality.is_none()
+    }
 }
 
 /// What the overlay shows. Times are on the client's clock.

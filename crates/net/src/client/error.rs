@@ -1,0 +1,106 @@
+//! Why a connection is not there.
+
+use std::time::Duration;
+
+use isinglass_core::wire::Refusal;
+
+use crate::identity::Fingerprint;
+use crate::link::place_of;
+
+/// Why there is no connection. The text is for the person at the viewer.
+#[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum ConnectError {
+    /// The name has no address.
+    #[error("cannot find '{host}': {problem}")]
+    Resolve {
+        /// The name.
+        host: String,
+        /// What the system says.
+        problem: String,
+    },
+    /// Nothing came back.
+    #[error(
+        "no answer from {host} on UDP port {port}: is the server running, and does a firewall block UDP?"
+    )]
+    NoAnswer {
+        /// Name or address.
+        host: String,
+        /// UDP port.
+        port: u16,
+    },
+    /// Another certificate than the link's.
+    #[error(
+        "the certificate at {} is not the link's (expected {expected}, found {found}): the server was \
+         started again and printed a new link, or someone is in between",
+        place_of(host, *port)
+    )]
+    Certificate {
+        /// Name or address.
+        host: String,
+        /// UDP port.
+        port: u16,
+        /// Of the link.
+        expected: Fingerprint,
+        /// Of the server.
+        found: Fingerprint,
+    },
+    /// The server speaks no version that this client does.
+    #[error("the server does not speak this viewer's protocol; install the same version on both")]
+    Version,
+    /// The server says no.
+    #[error("{0}")]
+    Refused(Refusal),
+    /// The server has too many connections to look at another one.
+    #[error("the server is too busy to take connections")]
+    Busy,
+    /// The same viewer has connected from elsewhere.
+    #[error("this viewer has connected again from elsewhere")]
+    Replaced,
+    /// What the server sent cannot be understood.
+    #[error("the server broke the protocol: {0}")]
+    Protocol(String),
+    /// The connection ended.
+    #[error("connection lost: {0}")]
+    Lost(String),
+    /// This machine cannot send.
+    #[error("cannot open a UDP socket: {0}")]
+    Socket(String),
+    /// Nothing was decided in the time given.
+    #[error("not connected within {0:?}")]
+    Undecided(Duration),
+}
+
+impl ConnectError {
+    /// Whether trying again may help, with nothing changed on this side.
+    pub fn is_temporary(&self) -> bool {
+        match self {
+            Self::Certificate { .. } | Self::Version | Self::Replaced => false,
+            Self::Refused(refusal) => refusal.is_temporary(),
+            _ => true,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_may_pass_is_tried_again() {
+        let fingerprint = crate::identity::Identity::generate().unwrap().fingerprint();
+        let host = String::from("h");
+        let certificate = ConnectError::Certificate {
+            host: host.clone(),
+            port: 1,
+            expected: fingerprint,
+            found: fingerprint,
+        };
+        for permanent in [certificate, ConnectError::Version, ConnectError::Refused(Refusal::UnknownToken)] {
+            assert!(!permanent.is_temporary());
+        }
+        let no_answer = ConnectError::NoAnswer { host, port: 1 };
+        for passing in [no_answer, ConnectError::Busy, ConnectError::Refused(Refusal::Full(1))] {
+            assert!(passing.is_temporary());
+        }
+    }
+}
