@@ -130,7 +130,9 @@ pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32,
 
 /// Between the qualities that are measured.
 const QUALITY_STEP: usize = 10;
-/// JPEG 2000 as Lochmann 2016 has it: what others are measured by.
+/// What names end with of codecs that code frames as Lochmann 2016 has it.
+pub(crate) const AS_PUBLISHED: &str = "-published";
+/// JPEG 2000 that way: what others are measured by.
 pub(crate) const PUBLISHED: &str = "jpeg2000-published";
 /// Of 10; without assembly it takes seconds a frame.
 #[cfg(feature = "rivals")]

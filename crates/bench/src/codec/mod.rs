@@ -36,6 +36,7 @@ mod webp;
 
 use std::collections::BTreeMap;
 
+use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_gpu::Backend;
@@ -43,7 +44,7 @@ use rayon::ThreadPool;
 use serde::Serialize;
 
 use self::bd::{RatePoint, bd_rate, front};
-use self::contenders::{Contender, PUBLISHED};
+use self::contenders::{AS_PUBLISHED, Contender, PUBLISHED};
 use self::measure::{Judge, Measured};
 use crate::error::BenchError;
 use crate::progress::Progress;
@@ -66,10 +67,29 @@ pub struct CodecOptions {
     pub codecs: Vec<String>,
     /// The codec that others are compared with; none: JPEG 2000 as published where it is measured.
     pub anchor: Option<String>,
+    /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
+    /// are as published, and for a moving camera, where frames are as large as pictures.
+    pub list_scales: Vec<f32>,
     /// Also code a moving camera; none: only stills.
     pub sequence: Option<SequenceOptions>,
     /// Also take times on several threads; none: only those of one thread.
     pub times: Option<TimeOptions>,
+}
+
+impl CodecOptions {
+    /// Columns, rows and field of view of the frames.
+    fn frame_intrinsics(&self) -> impl Iterator<Item = Intrinsics> {
+        let picture = self.subject.intrinsics;
+        self.list_scales.iter().map(move |scale| {
+            let scaled = |side: u32| ((side as f32 * scale).round() as u32).max(1);
+            Intrinsics { width: scaled(picture.width), height: scaled(picture.height), ..picture }
+        })
+    }
+
+    /// Whether frames of so many lists are for a codec: what is as published has as many as the picture has pixels.
+    fn takes(&self, contender: &Contender, lists: Intrinsics) -> bool {
+        lists == self.subject.intrinsics || !contender.name.ends_with(AS_PUBLISHED)
+    }
 }
 
 /// The whole result.
@@ -114,6 +134,8 @@ pub struct Uncoded {
     pub k: u8,
     /// The rule.
     pub layering: &'static str,
+    /// Columns and rows of lists.
+    pub lists: [u32; 2],
     /// Segments of the frame.
     pub segments: usize,
     /// From every turn.
@@ -282,20 +304,26 @@ impl Run<'_> {
         let judge = Judge { backend: self.backend, bounds, truths, pool: self.pool };
         progress.advance(1, &format!("{}: truth rendered", source.name));
         for &k in &options.subject.ks {
-            let camera = options.subject.orbit.camera(options.subject.intrinsics, &bounds);
             let mut frames: Vec<(Layering, LayeredFrame)> = Vec::new();
-            for contender in self.contenders {
-                let layering = contender.layering();
-                if frames.iter().all(|(of, _)| *of != layering) {
-                    let frame = renderer.generate(FrameHeader::alone(camera, k), layering)?;
-                    self.uncoded.push(Uncoded {
-                        scene: source.name.clone(),
-                        k,
-                        layering: layering.name(),
-                        segments: frame.num_segments(),
-                        distortion: judge.distortion(frame.clone())?,
-                    });
-                    frames.push((layering, frame));
+            for intrinsics in options.frame_intrinsics() {
+                let camera = options.subject.orbit.camera(intrinsics, &bounds);
+                for contender in self.contenders.iter().filter(|c| options.takes(c, intrinsics)) {
+                    let layering = contender.layering();
+                    let is_made = |(of, frame): &(Layering, LayeredFrame)| {
+                        *of == layering && frame.header.camera.intrinsics == intrinsics
+                    };
+                    if !frames.iter().any(is_made) {
+                        let frame = renderer.generate(FrameHeader::alone(camera, k), layering)?;
+                        self.uncoded.push(Uncoded {
+                            scene: source.name.clone(),
+                            k,
+                            layering: layering.name(),
+                            lists: [intrinsics.width, intrinsics.height],
+                            segments: frame.num_segments(),
+                            distortion: judge.distortion(frame.clone())?,
+                        });
+                        frames.push((layering, frame));
+                    }
                 }
             }
             progress.advance(1, &format!("{}: frames made", source.name));
@@ -303,8 +331,12 @@ impl Run<'_> {
                 progress.begin(&format!("{}: K = {k}, {}", source.name, contender.name));
                 let layering = contender.layering();
                 for (_, frame) in frames.iter().filter(|(of, _)| *of == layering) {
+                    let lists = frame.header.camera.intrinsics;
+                    if !options.takes(contender, lists) {
+                        continue;
+                    }
                     let measured = judge.measure(contender, frame)?;
-                    let points = measured.into_iter().map(|m| self.point(source, k, contender, m));
+                    let points = measured.into_iter().map(|m| self.point(source, k, contender, m, lists));
                     let points: Vec<Point> = points.collect();
                     self.points.extend(points);
                 }
@@ -327,8 +359,20 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn point(&self, source: &SceneSource, k: u8, contender: &Contender, measured: Measured) -> Point {
-        let pixels = self.options.subject.intrinsics.num_pixels() as f64;
+    fn point(
+        &self,
+        source: &SceneSource,
+        k: u8,
+        contender: &Contender,
+        measured: Measured,
+        lists: Intrinsics,
+    ) -> Point {
+        let picture = self.options.subject.intrinsics;
+        let pixels = picture.num_pixels() as f64;
+        let of_lists = match lists == picture {
+            true => String::new(),
+            false => format!(", {}×{} lists", lists.width, lists.height),
+        };
         let nanoseconds = |ms: f64| ms * 1e6 / pixels;
         // Milliseconds times megahertz are thousands of cycles.
         let cycles = |ms: f64| self.clock_mhz.map(|mhz| ms * mhz * 1e3 / pixels);
@@ -338,7 +382,7 @@ impl Run<'_> {
             k,
             codec: contender.name,
             layering: contender.layering().name(),
-            settings: measured.settings,
+            settings: measured.settings + &of_lists,
             bytes: measured.bytes,
             bytes_color_opacity_depth: measured.parts,
             bits_per_pixel: bits / pixels,

@@ -40,6 +40,7 @@ fn options(codecs: &[&str]) -> CodecOptions {
         subject,
         codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
         anchor: Some(codecs[0].to_owned()),
+        list_scales: vec![1.0],
         sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
         times: None,
     }
@@ -123,6 +124,37 @@ fn an_anchor_that_is_not_measured_is_refused() {
     let options = CodecOptions { anchor: Some("webp".into()), ..options(&["exact", "raw-zstd"]) };
     let error = run(&options).unwrap_err().to_string();
     assert!(error.contains("webp") && error.contains("raw-zstd"), "{error}");
+}
+
+#[test]
+fn frames_of_fewer_lists_are_for_all_but_what_is_as_published() {
+    let mut options = CodecOptions {
+        sequence: None,
+        list_scales: vec![1.0, 0.5],
+        ..options(&["blocks", "raw-zstd", "png-published"])
+    };
+    options.subject.ks = vec![4];
+    let report = run(&options).unwrap();
+    let Intrinsics { width, height, .. } = options.subject.intrinsics;
+    let half = format!("{}×{} lists", width / 2, height / 2);
+    let bytes = |codec: &str, of_half: bool| -> Vec<usize> {
+        let points =
+            report.points.iter().filter(|p| p.codec == codec && p.settings.contains(&half) == of_half);
+        points.map(|p| p.bytes).collect()
+    };
+    for codec in ["blocks", "raw-zstd"] {
+        let (whole, half) = (bytes(codec, false), bytes(codec, true));
+        assert_eq!(whole.len(), half.len(), "{codec}");
+        // A quarter of the lists, and what is the same for both.
+        let pairs = || whole.iter().zip(&half);
+        assert!(
+            pairs().all(|(whole, half)| half < whole && half * 6 > *whole),
+            "{codec}: {whole:?}, {half:?}"
+        );
+    }
+    assert!(!bytes("png-published", false).is_empty() && bytes("png-published", true).is_empty());
+    let of_half = |u: &&Uncoded| u.layering == "visibility-merge" && u.lists == [width / 2, height / 2];
+    assert_eq!(report.uncoded.iter().filter(of_half).count(), 1);
 }
 
 #[test]

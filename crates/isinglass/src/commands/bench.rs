@@ -232,6 +232,9 @@ struct CodecArgs {
     /// Turns of azimuth, degrees, between commas; 0 is the generating camera
     #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10", allow_hyphen_values = true)]
     angles: Vec<f32>,
+    /// Sides of frames in units of the pictures', between commas: every codec but those as published has the choice
+    #[arg(long, value_name = "SHARE", value_parser = parse_list_scale, value_delimiter = ',', default_value = "1")]
+    list_scale: Vec<f32>,
     /// Also draw the curves as SVG, whole or not at all
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     plot: Option<PathBuf>,
@@ -381,6 +384,7 @@ fn run_codec(args: CodecArgs) -> Result<()> {
         subject: common.subject(args.k, args.angles, args.backend.backend)?,
         codecs: args.codec,
         anchor: args.anchor,
+        list_scales: args.list_scale,
         sequence: args.turn.map(|degrees_per_second| codecs::SequenceOptions {
             degrees_per_second,
             frames: args.frames,
@@ -400,6 +404,12 @@ fn run_codec(args: CodecArgs) -> Result<()> {
 fn parse_threads(text: &str) -> Result<usize, String> {
     let threads = text.parse::<usize>().ok().filter(|n| (1..=256).contains(n));
     threads.ok_or_else(|| "expected 1 to 256 threads".into())
+}
+
+/// A side of a frame in units of the picture's.
+fn parse_list_scale(text: &str) -> Result<f32, String> {
+    let scale = text.parse::<f32>().ok().filter(|s| (0.05..=1.0).contains(s));
+    scale.ok_or_else(|| "expected 0.05 to 1".into())
 }
 
 /// Degrees, finite.
