@@ -378,10 +378,10 @@ fn while_the_camera_moves_a_narrow_link_is_asked_for_fewer_lists() {
     v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(move_on(&mut v, &mut now, 2, Some(20)), 60, "one bad frame or two say little");
     assert_eq!(move_on(&mut v, &mut now, 2, Some(20)), 45);
-    assert_eq!(move_on(&mut v, &mut now, 4, Some(20)), 30);
+    assert_eq!(move_on(&mut v, &mut now, 4, Some(26)), 30, "better, but still bad");
     // Between bad and good it stays, and so it does when good and bad take turns.
     assert_eq!(move_on(&mut v, &mut now, 9, Some(50)), 30);
-    for quality in [Some(20), Some(90), Some(20), None, Some(20)] {
+    for quality in [Some(20), Some(90), Some(20), None, Some(40)] {
         assert_eq!(move_on(&mut v, &mut now, 2, quality), 30);
     }
     // At rest all lists are asked for, and what comes then says nothing: the next movement begins where the last ended.
@@ -403,9 +403,26 @@ fn while_the_camera_moves_a_narrow_link_is_asked_for_fewer_lists() {
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
     v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(move_on(&mut v, &mut now, 20, Some(5)), 60);
-    assert!(
-        move_on(&mut Viewing::new(FakeSource::default(), size, Foresight::NONE), &mut now, 40, Some(5)) <= 15
-    );
+}
+
+#[test]
+fn lists_are_not_given_up_for_a_quality_that_stays() {
+    let size = FrameSize { follows_link: true, ..Default::default() };
+    let new = || Viewing::new(FakeSource::default(), size, Foresight::NONE);
+    let mut now = 1;
+    // Somebody has limited the quality: fewer lists bring no better one, so they are taken back, once and for all.
+    let mut v = new();
+    assert_eq!(move_on(&mut v, &mut now, 6, Some(20)), 45, "it is tried");
+    assert_eq!(move_on(&mut v, &mut now, 10, Some(20)), 60);
+    assert_eq!(move_on(&mut v, &mut now, 200, Some(20)), 60);
+    // Until the link holds it down further.
+    assert_eq!(move_on(&mut v, &mut now, 5, Some(12)), 45);
+    // And where the limit hides how wide the link has become, more lists are tried.
+    assert_eq!(move_on(&mut v, &mut now, 140, Some(50)), 45);
+    assert_eq!(move_on(&mut v, &mut now, 20, Some(50)), 60);
+    assert_eq!(move_on(&mut v, &mut now, 300, Some(50)), 60);
+    // The worst quality says only that the link is too narrow still.
+    assert_eq!(move_on(&mut new(), &mut now, 60, Some(5)), 15);
 }
 
 #[test]
