@@ -219,7 +219,7 @@ fn turned_over(runtime: &tokio::runtime::Runtime, plan: Plan, link: &LinkModel) 
     assert_eq!(at_rest.frame.header.camera.pose, pose(60));
     // The server goes with its connections; the test waits for what it needs of them first.
     let patience = Instant::now() + Duration::from_secs(60);
-    while plan.mode != Mode::Blocks && !client.latest_frame().is_some_and(|f| f.is_exact()) {
+    while plan.mode != Mode::Blocks && !client.latest_frame().is_some_and(|f| f.is_exact) {
         assert!(Instant::now() < patience, "the rest is never exact");
         std::thread::sleep(Duration::from_millis(5));
     }

@@ -285,7 +285,7 @@ impl StillSource {
         };
         let frame: LayeredFrame = generate(&self.scene, header, Layering::default());
         let times = FrameTimes::default();
-        Arc::new(ReceivedFrame { frame, is_complete: true, quality: None, times })
+        Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
     }
 }
 

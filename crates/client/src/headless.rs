@@ -47,12 +47,7 @@ pub struct HeadlessViewer<S> {
 impl<S: FrameSource> HeadlessViewer<S> {
     /// Pictures of the size `picture`, frames of the same and their margin.
     pub fn new(source: S, picture: Intrinsics, foresight: Foresight) -> Self {
-        let frame_size = FrameSize {
-            max_width: u32::MAX,
-            max_height: u32::MAX,
-            follows_link: true,
-            ..FrameSize::default()
-        };
+        let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, ..FrameSize::default() };
         let viewing = Viewing::new(source, frame_size, foresight);
         Self { viewing, picture, is_orthographic: false, records: Vec::new() }
     }

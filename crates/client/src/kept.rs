@@ -110,7 +110,7 @@ mod tests {
             mode: Default::default(),
         };
         let times = FrameTimes { connection: 1, ..Default::default() };
-        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, quality: None, times })
+        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })
     }
 
     #[test]

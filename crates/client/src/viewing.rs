@@ -1,8 +1,6 @@
 //! What a viewer does at every refresh, with or without a window: ask for the camera's frame, take the newest one
 //! there is, and know how the two stand to each other. Nothing here waits, draws or reads a clock.
 
-mod link_steps;
-
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +14,6 @@ use isinglass_core::prediction::Predictor;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
-use self::link_steps::LinkSteps;
 use crate::camera_controls::angle_between_degrees;
 use crate::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
 use crate::frame_source::FrameSource;
@@ -51,13 +48,11 @@ pub struct FrameSize {
     /// While the camera moves, frames are made so much smaller that the server needs no longer than this for one: a
     /// coarser frame that is fresh beats a fine one that is late. At rest they have their full size again.
     pub moving_budget: Option<Duration>,
-    /// While the camera moves, frames are made smaller too where the link carries them in a bad quality only.
-    pub follows_link: bool,
 }
 
 impl Default for FrameSize {
     fn default() -> Self {
-        Self { max_width: 1920, max_height: 1200, scale: 1.0, moving_budget: None, follows_link: false }
+        Self { max_width: 1920, max_height: 1200, scale: 1.0, moving_budget: None }
     }
 }
 
@@ -72,25 +67,20 @@ impl FrameSize {
         Intrinsics { width: scaled(width), height: scaled(height), ..picture }
     }
 
-    /// The same while the camera moves, if a list costs the server `micros_per_list` and the link carries frames of the
-    /// scale `carried`.
+    /// The same while the camera moves, if a list costs the server `micros_per_list`.
     fn moving_frame_for(
         &self,
         picture: Intrinsics,
         max_side: u32,
         micros_per_list: Option<f32>,
-        carried: f32,
     ) -> Intrinsics {
         let full = self.frame_for(picture, max_side);
-        let affordable = match (self.moving_budget, micros_per_list) {
-            (Some(budget), Some(micros_per_list)) => {
-                let cost = full.num_pixels() as f32 * micros_per_list;
-                (budget.as_micros() as f32 / cost).sqrt()
-            }
-            _ => 1.0,
+        let (Some(budget), Some(micros_per_list)) = (self.moving_budget, micros_per_list) else {
+            return full;
         };
-        let most = affordable.min(carried);
-        let step = MOVING_SCALES.into_iter().find(|s| *s <= most).unwrap_or(LEAST_MOVING_SCALE);
+        let cost = full.num_pixels() as f32 * micros_per_list;
+        let affordable = (budget.as_micros() as f32 / cost).sqrt();
+        let step = MOVING_SCALES.into_iter().find(|s| *s <= affordable).unwrap_or(LEAST_MOVING_SCALE);
         Self { scale: self.scale * step, ..*self }.frame_for(picture, max_side)
     }
 }
@@ -140,12 +130,8 @@ pub struct Viewing<S> {
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
     /// The first refresh.
     began_at: Option<Duration>,
-    /// When the movement began that goes on or was the last.
-    moving_since: Duration,
     moved_at: Duration,
     refreshed_at: Duration,
-    /// What the link leaves of the size of frames.
-    link: LinkSteps,
     /// What a list costs the server to generate and encode, as it last said.
     micros_per_list: Option<f32>,
     /// The look that was asked for, until the server has it.
@@ -174,10 +160,8 @@ impl<S: FrameSource> Viewing<S> {
             left: VecDeque::new(),
             last: None,
             began_at: None,
-            moving_since: Duration::ZERO,
             moved_at: Duration::ZERO,
             refreshed_at: Duration::ZERO,
-            link: LinkSteps::default(),
             micros_per_list: None,
             wanted_look: None,
             look_pace: Pace::new(LOOK_PERIOD),
@@ -214,14 +198,8 @@ impl<S: FrameSource> Viewing<S> {
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
-        if let Some(newest) = newest.as_deref().filter(|_| self.is_moving(now)) {
-            self.link.note(now, newest, self.moving_since);
-        }
         let frame = self.choose(now, newest, (pose, full));
         if self.last.as_ref().is_some_and(|(last, _)| has_moved(last, &camera)) {
-            if !self.is_moving(now) {
-                self.moving_since = now;
-            }
             self.moved_at = now;
         }
         let eye = eye_of(&camera, bounds);
@@ -311,19 +289,19 @@ impl<S: FrameSource> Viewing<S> {
                 false => full,
             };
         }
-        let carried = if self.frame_size.follows_link { self.link.scale() } else { 1.0 };
-        let moving = |micros| self.frame_size.moving_frame_for(picture, max_side, micros, carried);
         if self.is_beginning(now) {
-            return moving(Some(UNKNOWN_MICROS_PER_LIST));
+            return self.frame_size.moving_frame_for(picture, max_side, Some(UNKNOWN_MICROS_PER_LIST));
         }
         if !self.is_moving(now) {
             // An edit is seen at once in a small frame, and its full one is asked for when the hand rests.
             return match self.is_changing_look(now) {
-                true => moving(self.micros_per_list),
+                true => self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list),
                 false => full,
             };
         }
-        let of_size = |growth: f32| moving(self.micros_per_list.map(|m| m * growth));
+        let of_size = |growth: f32| {
+            self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list.map(|m| m * growth))
+        };
         let bare = of_size(1.0);
         let reach = self.predictor.reach().filter(|_| self.foresight.guards && !self.predictor.is_resting());
         let Some(reach) = reach else { return bare };
@@ -344,7 +322,7 @@ impl<S: FrameSource> Viewing<S> {
         let newest = newest?;
         let shown = self.last.as_ref().and_then(|(_, frame)| frame.as_ref());
         let shown = shown.filter(|f| {
-            let is_less = !newest.is_complete || f.is_exact() && !newest.is_exact();
+            let is_less = !newest.is_complete || f.is_exact && !newest.is_exact;
             is_less && is_own(&newest, own) && self.is_settled(now, f, own)
         });
         Some(shown.cloned().unwrap_or(newest))
@@ -460,7 +438,7 @@ impl<S: FrameSource> Viewing<S> {
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
         if self.is_settled(now, frame, (pose, full)) {
-            if full == picture && frame.is_exact() { Standing::Exact } else { Standing::Settled }
+            if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
         } else {
@@ -472,7 +450,7 @@ impl<S: FrameSource> Viewing<S> {
     fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
         // A server may send a frame in blocks again exactly, or leave it at that.
         let complete_since = frame.times.complete_decoded.map(Duration::from_micros);
-        let is_last = frame.is_exact() || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
+        let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
         let is_last = is_last && !self.source.is_draft();
         is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
     }

@@ -74,11 +74,7 @@ impl Default for WindowOptions {
             initial_orbit: InitialOrbit::default(),
             fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
             is_orthographic: false,
-            frame_size: FrameSize {
-                moving_budget: Some(MOVING_BUDGET),
-                follows_link: true,
-                ..FrameSize::default()
-            },
+            frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             stereo: Stereo::default(),
             foresight: Foresight::default(),
             shows_overlay: true,

@@ -31,7 +31,7 @@ pub fn table(report: &CodecReport) -> String {
             u.scene,
             u.k,
             "-",
-            u.layering,
+            format!("{}, {}×{} lists", u.layering, u.lists[0], u.lists[1]),
             "-",
             "-",
             "-",

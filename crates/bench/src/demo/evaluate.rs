@@ -11,7 +11,7 @@ use super::play::Played;
 use crate::error::BenchError;
 use crate::output::Rgb8;
 use crate::progress::Progress;
-use crate::rivals::{Method, stretch};
+use crate::rivals::Method;
 
 /// What the compared pictures showed.
 #[derive(Clone, Debug, Default)]
@@ -72,12 +72,16 @@ pub(crate) fn evaluate(
             method => method.draw(backend, frame, &bounds, &tick.camera)?,
         });
         let truth = rgb(renderer.render(&tick.camera)?);
-        // A margin around the picture is not shown, and a frame of fewer lists is shown as large as the picture.
-        let of = frame.header.camera.intrinsics;
-        let last = rgb(match of.margin_around(&tick.camera.intrinsics) {
-            Some(margin) => frame.flatten().cropped(margin),
-            None => stretch(&frame.flatten(), &of, &tick.camera),
-        });
+        let last = frame.flatten();
+        // A margin around the picture is not shown.
+        let margin = frame.header.camera.intrinsics.margin_around(&tick.camera.intrinsics).unwrap_or(0);
+        let last = rgb(last.cropped(margin));
+        if (last.width, last.height) != (shown.width, shown.height) {
+            return Err(BenchError::Demo(format!(
+                "the server sent {}x{} pixels, expected {width}x{height}; ask for a smaller size",
+                last.width, last.height
+            )));
+        }
         let errors = |a: &Rgb8, b: &Rgb8| compare(&a.bytes, &b.bytes, width, height, [0; 3]);
         evaluation.pictures.push(Evaluated {
             at: tick.at,

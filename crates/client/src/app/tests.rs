@@ -91,7 +91,7 @@ impl HereSource {
         };
         let frame = generate(&self.scene, header, self.look.1.layering);
         let times = FrameTimes::default();
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, quality: None, times }));
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times }));
     }
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct FakeSource {
     pub(crate) max_side: Option<u32>,
     pub(crate) stats: LinkStats,
     /// Whether frames come in blocks.
-    pub(crate) quality: Option<u8>,
+    pub(crate) in_blocks: bool,
     /// Frames of older looks are of the volume before.
     pub(crate) volume_since: LookVersion,
 }
@@ -104,7 +104,7 @@ impl FakeSource {
         let times =
             FrameTimes { pose_set: Some(micros), complete_decoded: Some(micros), ..Default::default() };
         let frame = LayeredFrame::empty(header);
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, quality: self.quality, times }));
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, is_exact: !self.in_blocks, times }));
     }
 }
 
@@ -241,23 +241,23 @@ fn a_frame_in_blocks_is_waited_behind_for_the_exact_one() {
     let picture = Intrinsics::perspective(320, 200, 0.7);
     let refresh = |v: &mut Viewing<FakeSource>, at| {
         let r = v.refresh(ms(at), near, picture, &BOUNDS);
-        (r.standing, r.frame.is_some_and(|f| f.is_exact()), v.source.asked.len())
+        (r.standing, r.frame.is_some_and(|f| f.is_exact), v.source.asked.len())
     };
-    v.source.quality = Some(60);
+    v.source.in_blocks = true;
     refresh(&mut v, 0);
     v.source.answer(1, ms(10), true);
     assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
-    v.source.quality = None;
+    v.source.in_blocks = false;
     v.source.answer(1, ms(100), true);
     // Now a margin is asked for; as long as that comes in blocks, the picture stays exact.
     assert_eq!(refresh(&mut v, 110), (Standing::Exact, true, 2));
-    v.source.quality = Some(60);
+    v.source.in_blocks = true;
     v.source.answer(2, ms(200), true);
     assert_eq!(refresh(&mut v, 210), (Standing::Exact, true, 2));
     // A server that leaves it at blocks.
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
     refresh(&mut v, 0);
-    v.source.quality = Some(60);
+    v.source.in_blocks = true;
     v.source.answer(1, ms(10), true);
     assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
     assert_eq!(refresh(&mut v, 2000), (Standing::Settled, false, 2));
@@ -355,74 +355,6 @@ fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
     v.source.stats.server = ServerStats { frame: FrameId(3), generate_micros: 40_000, ..Default::default() };
     v.refresh(ms(1000), at(9.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[3], (at(9.0), PICTURE));
-}
-
-/// Moves the camera with each of so many frames that come in a quality; what is asked for at last.
-fn move_on(v: &mut Viewing<FakeSource>, now: &mut u64, frames: u32, quality: Option<u8>) -> u32 {
-    v.source.quality = quality;
-    for _ in 0..frames {
-        *now += 33;
-        v.refresh(ms(*now), at(*now as f32 * 0.03), PICTURE, &BOUNDS);
-        v.source.answer(v.source.asked.len() as u32, ms(*now), true);
-        *now += 1;
-        v.refresh(ms(*now), at(*now as f32 * 0.03), PICTURE, &BOUNDS);
-    }
-    v.source.asked.last().unwrap().1.width
-}
-
-#[test]
-fn while_the_camera_moves_a_narrow_link_is_asked_for_fewer_lists() {
-    let size = FrameSize { follows_link: true, ..Default::default() };
-    let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
-    let mut now = 1;
-    v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
-    assert_eq!(move_on(&mut v, &mut now, 2, Some(20)), 60, "one bad frame or two say little");
-    assert_eq!(move_on(&mut v, &mut now, 2, Some(20)), 45);
-    assert_eq!(move_on(&mut v, &mut now, 4, Some(26)), 30, "better, but still bad");
-    // Between bad and good it stays, and so it does when good and bad take turns.
-    assert_eq!(move_on(&mut v, &mut now, 9, Some(50)), 30);
-    for quality in [Some(20), Some(90), Some(20), None, Some(40)] {
-        assert_eq!(move_on(&mut v, &mut now, 2, quality), 30);
-    }
-    // At rest all lists are asked for, and what comes then says nothing: the next movement begins where the last ended.
-    let resting = at(now as f32 * 0.03);
-    v.refresh(ms(now + 200), resting, PICTURE, &BOUNDS);
-    assert_eq!(v.source.asked.last(), Some(&(resting, PICTURE)));
-    v.source.quality = None;
-    for i in 0..5 {
-        v.source.answer(v.source.asked.len() as u32, ms(now + 200), true);
-        v.refresh(ms(now + 210 + i), resting, PICTURE, &BOUNDS);
-    }
-    now += 1000;
-    assert_eq!(move_on(&mut v, &mut now, 2, Some(50)), 30);
-    // A wide link gets them back, step by step; exact frames say the same.
-    assert_eq!(move_on(&mut v, &mut now, 4, Some(90)), 45);
-    assert_eq!(move_on(&mut v, &mut now, 4, None), 60);
-    assert_eq!(move_on(&mut v, &mut now, 20, Some(100)), 60);
-    // The control: who does not follow the link asks for all.
-    let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
-    v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
-    assert_eq!(move_on(&mut v, &mut now, 20, Some(5)), 60);
-}
-
-#[test]
-fn lists_are_not_given_up_for_a_quality_that_stays() {
-    let size = FrameSize { follows_link: true, ..Default::default() };
-    let new = || Viewing::new(FakeSource::default(), size, Foresight::NONE);
-    let mut now = 1;
-    // Somebody has limited the quality: fewer lists bring no better one, so they are taken back, once and for all.
-    let mut v = new();
-    assert_eq!(move_on(&mut v, &mut now, 6, Some(20)), 45, "it is tried");
-    assert_eq!(move_on(&mut v, &mut now, 10, Some(20)), 60);
-    assert_eq!(move_on(&mut v, &mut now, 200, Some(20)), 60);
-    // Until the link holds it down further.
-    assert_eq!(move_on(&mut v, &mut now, 5, Some(12)), 45);
-    // And where the limit hides how wide the link has become, more lists are tried.
-    assert_eq!(move_on(&mut v, &mut now, 140, Some(50)), 45);
-    assert_eq!(move_on(&mut v, &mut now, 20, Some(50)), 60);
-    assert_eq!(move_on(&mut v, &mut now, 300, Some(50)), 60);
-    // The worst quality says only that the link is too narrow still.
-    assert_eq!(move_on(&mut new(), &mut now, 60, Some(5)), 15);
 }
 
 #[test]

@@ -132,14 +132,6 @@ impl Assembly {
         matches!(self.0, Kind::Exact(_))
     }
 
-    /// The quality of a frame in blocks; none for an exact one, or before a chunk is there.
-    pub fn quality(&self) -> Option<u8> {
-        match &self.0 {
-            Kind::Exact(_) => None,
-            Kind::Blocks(a) => a.quality(),
-        }
-    }
-
     /// Whether the chunk is there.
     pub fn contains(&self, index: ChunkIndex) -> bool {
         match &self.0 {

@@ -198,7 +198,7 @@ impl Pilot {
 }
 
 /// Bytes that the control counts for one of a frame: as those of a frame of [`COUNTED_LISTS`], since frames change their
-/// size with their margin and with the link.
+/// size with their margin and while the camera moves.
 fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
@@ -357,7 +357,9 @@ mod tests {
             pilot.handle_encoded(&coding, true, num_lists, bytes as usize, 1000);
             (f64::from(quality(coding).unwrap()), bytes)
         };
-        (0..10).for_each(|_| drop(at(LISTS)));
+        for _ in 0..10 {
+            at(LISTS);
+        }
         let (whole, of_whole) = at(LISTS);
         let (small, of_small) = at(LISTS / 4);
         // Two octaves of bytes, by the slope of `bytes_at`.

@@ -232,7 +232,8 @@ struct CodecArgs {
     /// Turns of azimuth, degrees, between commas; 0 is the generating camera
     #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10", allow_hyphen_values = true)]
     angles: Vec<f32>,
-    /// Sides of frames in units of the pictures', between commas: every codec but those as published has the choice
+    /// Sides of frames in units of the pictures', between commas: every codec but those as published has the choice, and
+    /// those want 1 among them
     #[arg(long, value_name = "SHARE", value_parser = parse_list_scale, value_delimiter = ',', default_value = "1")]
     list_scale: Vec<f32>,
     /// Also draw the curves as SVG, whole or not at all

@@ -42,8 +42,8 @@ pub(super) fn run(shared: &Shared) {
         let now = shared.clock.now_micros();
         let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
         let Some(times) = times else { continue };
-        let (is_complete, quality) = (job.is_last, assembly.quality());
-        let received = ReceivedFrame { frame, is_complete, quality, times };
+        let (is_complete, is_exact) = (job.is_last, assembly.is_exact());
+        let received = ReceivedFrame { frame, is_complete, is_exact, times };
         shared.frame.store(Some(Arc::new(received)));
         tracing::trace!(is_complete = job.is_last, "decoded");
         (shared.wake)();

@@ -112,17 +112,10 @@ pub struct ReceivedFrame {
     pub frame: LayeredFrame,
     /// Whether its refinements are there too. The same frame comes once more when they are.
     pub is_complete: bool,
-    /// About the quality of a frame in blocks, 0 to 100; none: all lists and depths are the server's own.
-    pub quality: Option<u8>,
+    /// Whether all lists and depths are the server's own.
+    pub is_exact: bool,
     /// Stamps of its life so far.
     pub times: FrameTimes,
-}
-
-impl ReceivedFrame {
-    /// Whether all lists and depths are the server's own.
-    pub fn is_exact(&self) -> bool {
-        self.quality.is_none()
-    }
 }
 
 /// What the overlay shows. Times are on the client's clock.

@@ -16,7 +16,7 @@ use super::motion::Motion;
 use super::picture::{self, Corrections, roots};
 use super::reference::{Reference, References};
 use super::scales::scales;
-use super::steps::{self, STEPS_BYTES, Steps};
+use super::steps::{STEPS_BYTES, Steps};
 use crate::ids::FrameId;
 use crate::layer::{LayeredFrame, pack_halves};
 
@@ -249,11 +249,6 @@ impl BlocksAssembly {
             Content::Corrections(found) => *corrections = Some(found),
         }
         Ok(())
-    }
-
-    /// The quality that the steps are of, once a chunk is there.
-    pub(in super::super) fn quality(&self) -> Option<u8> {
-        self.head.map(|head| steps::quality(&head.steps, &self.first.frame.camera))
     }
 
     /// The bands with the corrections that are there; missing ones are empty.

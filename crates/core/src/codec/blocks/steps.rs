@@ -68,12 +68,6 @@ pub(super) fn from_quality(quality: u8, camera: &Camera) -> (Rule, Steps) {
     (Rule { lambda, units_per_pixel }, steps)
 }
 
-/// The quality that steps are of, by that of brightness: what [`from_quality`] makes steps like these of.
-pub(super) fn quality(steps: &Steps, camera: &Camera) -> u8 {
-    let distance = |quality: &u8| (from_quality(*quality, camera).1.color - steps.color).abs();
-    (0..=MAX_QUALITY).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
-}
-
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
 /// Bytes of [`Steps`].
@@ -90,28 +84,3 @@ const FAMILY: [[f32; 6]; 6] = [
     [0.8, 1.0, 0.1, 0.04, 0.016, 2.5],
     [0.16, 1.0, 0.055, 0.025, 0.01, 2.5],
 ];
-
-#[cfg(test)]
-mod tests {
-    use glam::Vec3;
-
-    use super::*;
-    use crate::camera::{Intrinsics, Pose};
-    use crate::space::Aabb;
-
-    #[test]
-    fn steps_tell_their_quality() {
-        let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-        let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.2, 5.0);
-        let camera = |width| Camera::new(pose, Intrinsics::perspective(width, 90, 0.7), &bounds);
-        for q in 0..=MAX_QUALITY {
-            let (_, steps) = from_quality(q, &camera(120));
-            let sent = Steps::from_bytes(steps.to_bytes()).unwrap();
-            assert_eq!(quality(&sent, &camera(60)), q);
-        }
-        // Whatever a peer sends is some quality.
-        let strange = Steps { depth: 1.0, opacity: 1.0, color: 1e9, picture: 0.0, chroma: 1.0 };
-        assert_eq!(quality(&strange, &camera(60)), 0);
-        assert_eq!(quality(&Steps { color: 1.0 / FINE, ..strange }, &camera(60)), MAX_QUALITY);
-    }
-}
