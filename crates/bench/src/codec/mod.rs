@@ -159,7 +159,7 @@ pub struct Point {
     pub bytes: usize,
     /// Bytes of colour, opacity and depth, where they are coded apart.
     pub bytes_color_opacity_depth: Option<[usize; 3]>,
-    /// Of the picture.
+    /// Bits for each pixel of the picture.
     pub bits_per_pixel: f64,
     /// With 30 such frames a second, megabits.
     pub mbit_s_at_30_hz: f64,
