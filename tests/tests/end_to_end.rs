@@ -255,6 +255,36 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     assert!(bytes as f64 <= 0.25e6 * 1.1 * seconds + 8e3, "{bytes} bytes in {seconds} s");
 }
 
+/// The exact frame of a moving camera's size says nothing of the full one: that comes in blocks first, which is soon.
+#[test]
+fn a_larger_frame_comes_in_blocks_before_it_is_exact() {
+    let runtime = runtime();
+    // An exact frame takes half a second and more.
+    let plan = Plan { bytes_per_second: Some(5e4), ..Plan::default() };
+    let server = runtime.block_on(serve_as(Builtin::Cloud, plan));
+    let address = runtime.block_on(server.mint_link(None)).unwrap();
+    let client = Client::connect(&address, ClientOptions::default()).unwrap();
+    let bounds = Builtin::Cloud.volume(48).bounds();
+    let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.3, bounds.radius() * SIZE.fit_distance());
+    let half = Intrinsics { width: SIZE.width / 2, height: SIZE.height / 2, ..SIZE };
+    // Whether the first frame of a size is exact; returns when there is one that is.
+    let is_exact_at_first = |size| {
+        let id = client.set_pose(pose, size);
+        let first = frame_for(&client, id).is_exact;
+        let patience = Instant::now() + Duration::from_secs(60);
+        while !client.latest_frame().is_some_and(|f| f.is_exact && f.frame.header.pose == id) {
+            assert!(Instant::now() < patience, "a frame at rest is never exact");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        first
+    };
+    assert!(!is_exact_at_first(half));
+    assert!(!is_exact_at_first(SIZE), "the full frame waited until it was exact");
+    // The control: nothing of this picture is new but its margin.
+    assert!(is_exact_at_first(SIZE.with_margin(3)));
+    runtime.block_on(server.close());
+}
+
 /// The frame of a resting camera is large; it is not finished when the camera moves. Sizes are counted, not times: the first
 /// frame takes some seconds on a few cores, and the camera moves after a third of one.
 #[test]

@@ -4,7 +4,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
@@ -336,7 +336,7 @@ impl Viewer {
     /// Generates the frame for a pose, and hands it over to be encoded and sent; false when the viewer has left.
     async fn answer(&mut self, request: &PoseRequest) -> bool {
         let asked_at = Instant::now();
-        self.give_up_finer(&request.pose);
+        self.give_up_finer(request);
         self.frame = self.frame.next();
         self.answered = Some((request.id, self.version));
         let header = FrameHeader {
@@ -398,7 +398,7 @@ impl Viewer {
         }
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
         let num_lists = header.camera.intrinsics.num_pixels();
-        let coding = if self.shows_exactly(&request.pose) {
+        let coding = if self.shows_exactly(&header.camera) {
             Coding::Exact(Settings { num_groups: 1, ..Settings::default() })
         } else {
             self.pilot.next(num_lists, reference.is_some())
@@ -454,22 +454,28 @@ impl Viewer {
         }
     }
 
-    /// Whether the viewer has, or will have, the exact picture from this pose: a frame for it has another margin only.
-    fn shows_exactly(&self, pose: &Pose) -> bool {
+    /// Whether the viewer has, or will have, the exact picture that this camera sees: a frame for it has another margin
+    /// only.
+    fn shows_exactly(&self, camera: &Camera) -> bool {
         let sent = self.resting.as_ref();
         let is_exact = sent.is_some_and(|sent| {
+            let header = &sent.generated.frame.header;
             matches!(sent.ticket.coding, Coding::Exact(_))
-                && sent.ticket.request.pose == *pose
-                && sent.generated.frame.header.look == self.version
+                && header.camera.pose == camera.pose
+                && is_same_picture(&header.camera.intrinsics, &camera.intrinsics)
+                && header.look == self.version
         });
         self.mode == Mode::Auto && is_exact
     }
 
-    /// Ends the sending of a frame that the camera no longer looks from, if it was only to be finer. Others may name one in
-    /// blocks, so that is sent to its end when it has begun.
-    fn give_up_finer(&mut self, pose: &Pose) {
+    /// Ends the sending of a frame that is not of what is asked for now, if it was only to be finer: the camera moves, or it
+    /// rests and its full size is wished for instead of a moving camera's. Others may name one in blocks, so that is sent to
+    /// its end when it has begun.
+    fn give_up_finer(&mut self, wanted: &PoseRequest) {
         let version = self.version;
-        let is_outdated = |t: &Ticket| t.is_finer && (t.request.pose != *pose || t.version != version);
+        let is_wanted =
+            |r: &PoseRequest| r.pose == wanted.pose && is_same_picture(&r.intrinsics, &wanted.intrinsics);
+        let is_outdated = |t: &Ticket| t.is_finer && (!is_wanted(&t.request) || t.version != version);
         if let Some(sending) = self.sending.take_if(|s| is_outdated(&s.ticket)) {
             sending.ticket.wish.give_up();
             match sending.ticket.coding {
@@ -543,6 +549,11 @@ async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
     if is_reading {
         tokio::time::sleep_until(tell_at).await;
     }
+}
+
+/// Whether frames of two sizes hold the same lists, but for a margin around them.
+fn is_same_picture(a: &Intrinsics, b: &Intrinsics) -> bool {
+    a.margin_around(b).is_some() || b.margin_around(a).is_some()
 }
 
 /// The picture size that is rendered for a wish: the same shape, at most [`max_lists`] pixels.
