@@ -19,7 +19,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{self, Reference, References, reference_named};
 use isinglass_core::codec::{
     Assembly, Coding, EncodedFrame, HEADER_BYTES, MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS, Settings,
-    bytes_by_plane, decode_chunk, encode, peek,
+    decode_chunk, encode, peek, spent,
 };
 use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
@@ -207,7 +207,7 @@ fn fuzz(duration: Duration, most: u64, seed: u64) -> Tally {
         let chunk = decode_chunk(&bytes, &references);
         let took = begin.elapsed();
         let used = MOST.load(Relaxed) - before;
-        let _ = bytes_by_plane(&bytes);
+        let _ = spent(&bytes, &references);
         tally.inputs += 1;
         let is_rate = peek(&bytes).is_ok_and(|header| header.is_rate());
         let bound = if is_rate { MAX_BLOCKS_BYTES } else { MAX_BYTES };

@@ -60,6 +60,21 @@ fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
     assert!(facts["bytes"] == planes && facts["bytes"] == chunks && planes > 0, "{facts}");
     let text = bench.ok("info a.iglf");
     assert!(["front", "blue", "rows 0–63", "all"].iter().all(|row| text.contains(row)), "{text}");
+    // A frame in blocks says it too, and what its tiles are.
+    bench.ok(&format!("layers builtin:shells@48 -o a.iglf --codec blocks {RENDER}"));
+    let facts = bench.json("info a.iglf --json");
+    let planes = facts["bytes_by_plane"].as_object().unwrap();
+    assert!(
+        ["cuts", "lists", "opacity", "brightness", "colour", "correction"]
+            .iter()
+            .all(|p| planes.contains_key(*p)),
+        "{facts}"
+    );
+    assert_eq!(facts["bytes"], sum(planes.values().collect()));
+    let tiles = facts["tiles"].as_array().unwrap();
+    assert_eq!(sum(tiles.iter().map(|t| &t["tiles"]).collect()), 64);
+    let text = bench.ok("info a.iglf");
+    assert!(["empty", "own cuts", "cuts from beside"].iter().all(|row| text.contains(row)), "{text}");
 }
 
 /// What is cut away is gone from the rendering and from the stored frame alike, and so with parallel rays.

@@ -4,7 +4,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::blocks::{self, BlocksAssembly, BlocksChunk, Reference, References};
-use super::header::{ChunkHeader, HEADER_BYTES, peek};
+use super::header::{ChunkHeader, peek};
+use super::spent::Spent;
 use super::{CodecError, assembly, planes};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
@@ -54,17 +55,11 @@ pub fn decode_chunk(bytes: &[u8], references: &References) -> Result<DecodedChun
     })
 }
 
-/// What a chunk spends its bytes on, in the order in which it does; the sum is the chunk's length.
-pub fn bytes_by_plane(bytes: &[u8]) -> Result<Vec<(&'static str, usize)>, CodecError> {
+/// What a chunk spends its bytes on. One of the rate mode is decoded for it: frames that it names must be among the
+/// references.
+pub fn spent(bytes: &[u8], references: &References) -> Result<Spent, CodecError> {
     let header = peek(bytes)?;
-    if !header.is_rate() {
-        return planes::bytes_by_plane(&header, bytes);
-    }
-    let (found, expected) = (bytes.len(), header.chunk_bytes());
-    if found != expected {
-        return Err(CodecError::Length { found, expected });
-    }
-    Ok(vec![("header", HEADER_BYTES), ("blocks", header.payload_bytes as usize)])
+    if header.is_rate() { blocks::spent(header, bytes, references) } else { planes::spent(&header, bytes) }
 }
 
 /// Collects the chunks of one frame.

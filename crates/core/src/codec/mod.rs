@@ -24,6 +24,7 @@ mod quantize;
 mod rans;
 mod rows;
 mod scale;
+mod spent;
 #[cfg(test)]
 mod tests;
 
@@ -38,8 +39,9 @@ use crate::wanted::{ALWAYS, Wanted};
 use blocks::{Reference, References};
 
 pub use bounded::{Bound, Misfit};
-pub use either::{Assembly, DecodedChunk, bytes_by_plane, decode_chunk};
+pub use either::{Assembly, DecodedChunk, decode_chunk, spent};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
+pub use spent::{Spent, TileClass};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

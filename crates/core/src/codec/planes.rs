@@ -12,6 +12,7 @@ use super::predict::{self, Misordered};
 use super::quantize::Lists;
 use super::rows::Rows;
 use super::scale::{self, Scale};
+use super::spent::{Spent, TileClass};
 use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
 
 /// The segments of one chunk, in the packed form of [`crate::layer::LayeredFrame`]. Every list is in order and within
@@ -104,10 +105,7 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
 
 /// What a chunk spends its bytes on: the header, the bitmap of tiles, the lengths of the parts, the tables, and every
 /// plane.
-pub(super) fn bytes_by_plane(
-    header: &ChunkHeader,
-    bytes: &[u8],
-) -> Result<Vec<(&'static str, usize)>, CodecError> {
+pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecError> {
     let (tiles, streams) = split(header, bytes)?;
     let mut sizes = vec![("header", HEADER_BYTES), ("tiles", tiles.bits.len())];
     if !streams.is_empty() {
@@ -117,8 +115,18 @@ pub(super) fn bytes_by_plane(
             (0..NUM_PLANES).map(|p| (PLANE_NAMES[p], parts[1 + 2 * p].len() + parts[2 + 2 * p].len())),
         );
     }
-    Ok(sizes)
+    let num = tiles.across * num_tiles(header.rows().len() as u32);
+    let num_filled = tiles.bits.iter().map(|bits| bits.count_ones() as usize).sum();
+    let in_planes = sizes.iter().skip(NUM_BEFORE_PLANES).map(|(_, bytes)| bytes).sum();
+    let tiles = vec![
+        TileClass { name: "empty", num: num - num_filled, bytes: 0 },
+        TileClass { name: "with segments", num: num_filled, bytes: in_planes },
+    ];
+    Ok(Spent { planes: sizes, tiles })
 }
+
+/// Of what a chunk has: header, bitmap, lengths and tables.
+const NUM_BEFORE_PLANES: usize = 4;
 
 /// The tiles of a chunk that hold anything, and the bytes behind their bitmap.
 fn split<'a>(header: &ChunkHeader, bytes: &'a [u8]) -> Result<(Tiles, &'a [u8]), CodecError> {

@@ -462,14 +462,16 @@ fn a_small_chunk_cannot_ask_for_much() {
 }
 
 #[test]
-fn bytes_by_plane_sum_to_the_chunk_and_name_every_plane() {
+fn what_bytes_are_for_sums_to_the_chunk_and_names_every_plane() {
     for settings in ALL_BITS {
         for chunk in encode(&random_frame(40, 130, 8, 15), &settings).unwrap().chunks {
-            let sizes = bytes_by_plane(&chunk.bytes).unwrap();
+            let Spent { planes: sizes, tiles } = spent(&chunk.bytes, &References::default()).unwrap();
             assert_eq!(sizes.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
             assert_eq!(sizes.len(), 4 + contexts::NUM_PLANES);
             assert!(sizes.iter().all(|&(name, bytes)| bytes > 0 && !name.is_empty()));
-            assert!(bytes_by_plane(&chunk.bytes[..chunk.bytes.len() - 1]).is_err());
+            let in_planes = sizes[4..].iter().map(|(_, bytes)| bytes).sum();
+            assert_eq!(tiles.last().unwrap().bytes, in_planes);
+            assert!(spent(&chunk.bytes[..chunk.bytes.len() - 1], &References::default()).is_err());
         }
     }
 }

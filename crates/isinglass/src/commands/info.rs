@@ -7,8 +7,8 @@ use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
-use isinglass_core::codec;
 use isinglass_core::codec::blocks::References;
+use isinglass_core::codec::{self, TileClass};
 use isinglass_core::volume::Histogram;
 use isinglass_formats::VolumeFacts;
 use isinglass_formats::iglf::{self, StoredFrame};
@@ -70,6 +70,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
             "bytes": spent.bytes(|_| true),
             "bytes_per_segment": per(spent.bytes(|_| true), segments),
             "bytes_by_plane": spent.planes().map(|p| (p.to_owned(), spent.of_plane(p, |_| true).into())).collect::<Map<_, _>>(),
+            "tiles": spent.tiles().into_iter().map(|t| json!({ "class": t.name, "tiles": t.num, "bytes": t.bytes })).collect::<Vec<_>>(),
             "chunks": spent.0.iter().map(|chunk| json!({
                 "group": chunk.group,
                 "band": chunk.band,
@@ -106,12 +107,12 @@ struct ChunkSpent {
     band: u8,
     rows: Range<u32>,
     segments: usize,
-    planes: Vec<(&'static str, usize)>,
+    bytes: codec::Spent,
 }
 
 impl ChunkSpent {
     fn bytes(&self) -> usize {
-        self.planes.iter().map(|(_, bytes)| bytes).sum()
+        self.bytes.planes.iter().map(|(_, bytes)| bytes).sum()
     }
 }
 
@@ -119,13 +120,14 @@ impl Spent {
     fn of(chunks: &[Vec<u8>]) -> Result<Self> {
         let mut spent = Vec::with_capacity(chunks.len());
         for bytes in chunks {
-            let chunk = codec::decode_chunk(bytes, &References::default())?;
+            let references = References::default();
+            let chunk = codec::decode_chunk(bytes, &references)?;
             spent.push(ChunkSpent {
                 group: usize::from(!chunk.header().is_base()),
                 band: chunk.header().band,
                 rows: chunk.rows(),
                 segments: chunk.num_segments(),
-                planes: codec::bytes_by_plane(bytes)?,
+                bytes: codec::spent(bytes, &references)?,
             });
         }
         Ok(Self(spent))
@@ -133,8 +135,20 @@ impl Spent {
 
     /// Planes in their order; those that a chunk without segments lacks are those of the others.
     fn planes(&self) -> impl Iterator<Item = &'static str> {
-        let longest = self.0.iter().max_by_key(|chunk| chunk.planes.len());
-        longest.into_iter().flat_map(|chunk| chunk.planes.iter().map(|(name, _)| *name))
+        let longest = self.0.iter().max_by_key(|chunk| chunk.bytes.planes.len());
+        longest.into_iter().flat_map(|chunk| chunk.bytes.planes.iter().map(|(name, _)| *name))
+    }
+
+    /// Tiles of all chunks, by class: those that there are.
+    fn tiles(&self) -> Vec<TileClass> {
+        let mut all: Vec<TileClass> = Vec::new();
+        for class in self.0.iter().flat_map(|chunk| &chunk.bytes.tiles).filter(|class| class.num > 0) {
+            match all.iter_mut().find(|c| c.name == class.name) {
+                Some(c) => (c.num, c.bytes) = (c.num + class.num, c.bytes + class.bytes),
+                None => all.push(*class),
+            }
+        }
+        all
     }
 
     fn bytes(&self, of: impl Fn(&ChunkSpent) -> bool) -> usize {
@@ -142,11 +156,11 @@ impl Spent {
     }
 
     fn of_plane(&self, plane: &str, of: impl Fn(&ChunkSpent) -> bool) -> usize {
-        let planes = self.0.iter().filter(|chunk| of(chunk)).flat_map(|chunk| &chunk.planes);
+        let planes = self.0.iter().filter(|chunk| of(chunk)).flat_map(|chunk| &chunk.bytes.planes);
         planes.filter(|(name, _)| *name == plane).map(|(_, bytes)| bytes).sum()
     }
 
-    /// Bytes of planes and of bands, by group and in all, and a segment's share.
+    /// Bytes of planes and of bands, by group and in all, and a segment's share; then the tiles.
     fn table(&self, segments: usize) -> String {
         let total = self.bytes(|_| true);
         let mut text = format!("  bytes        {total} in {} chunks\n\n", self.0.len());
@@ -167,6 +181,10 @@ impl Spent {
             row(&name, [0, 1].map(|g| self.bytes(|c| c.group == g && in_band(c))), own);
         }
         row("all", [0, 1].map(|g| self.bytes(|c| c.group == g)), segments);
+        text += &format!("\n  {:21} {:>8} {:>10} {:>8}\n", "tiles of 8×8 lists", "", "bytes", "/tile");
+        for TileClass { name, num, bytes } in self.tiles() {
+            text += &format!("  {name:21} {num:>8} {bytes:>10} {:8.2}\n", per(bytes, num));
+        }
         text
     }
 }

@@ -10,7 +10,7 @@ use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS
 use super::band::{Band, Cell, blocks_along};
 use super::bands::Borders;
 use super::coding::{BandCoder, Nothing, Place};
-use super::entropy::Decoder;
+use super::entropy::{Coder, Decoder};
 use super::model::{BLOCK, MAX_LAYERS};
 use super::motion::Motion;
 use super::picture::{self, Corrections, roots};
@@ -150,6 +150,16 @@ pub(in super::super) fn decode(
     bytes: &[u8],
     references: &References,
 ) -> Result<BlocksChunk, CodecError> {
+    read(header, bytes, references, Decoder::new).map(|(_, chunk)| chunk)
+}
+
+/// The same by the coder that `begin` makes of the coded bytes; returns it too.
+pub(super) fn read<'a, C: Coder>(
+    header: ChunkHeader,
+    bytes: &'a [u8],
+    references: &References,
+    begin: impl FnOnce(&'a [u8]) -> C,
+) -> Result<(C, BlocksChunk), CodecError> {
     let found = bytes.len();
     let mut coded = bytes.get(HEADER_BYTES..).unwrap_or_default();
     if found != header.chunk_bytes() {
@@ -174,7 +184,7 @@ pub(in super::super) fn decode(
             None => None,
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
-        let coder = BandCoder::new(Decoder::new(coded), &head, place, motion);
+        let coder = BandCoder::new(begin(coded), &head, place, motion);
         let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
         if !head.is_split && head.has_corrections(&band) {
             let corrections;
@@ -183,7 +193,7 @@ pub(in super::super) fn decode(
         }
         (decoder, Content::Base(Arc::new(band)))
     } else {
-        let (decoder, corrections) = picture::code(Decoder::new(coded), &head.steps, place, |_, _| 0)?;
+        let (decoder, corrections) = picture::code(begin(coded), &head.steps, place, |_, _| 0)?;
         (decoder, Content::Corrections(corrections))
     };
     if !decoder.is_at_end() {
@@ -192,7 +202,7 @@ pub(in super::super) fn decode(
             problem: "bytes are left over or missing".into(),
         });
     }
-    Ok(BlocksChunk { header, head, content })
+    Ok((decoder, BlocksChunk { header, head, content }))
 }
 
 /// Collects the chunks of a frame of the rate mode.

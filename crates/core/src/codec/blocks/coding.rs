@@ -9,6 +9,7 @@ use super::band::{Band, Lists, Planes};
 use super::chunk::Head;
 use super::edges::EdgeRows;
 use super::entropy::Coder;
+use super::meter::{About, BlockClass};
 use super::model::{BLOCK, BlockLayer, DepthPlane};
 use super::motion::{Motion, Shift};
 use super::reference::{Fetched, HALF, Reference};
@@ -199,7 +200,9 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         if C::ENCODES {
             source.plan(x, y, &|origin, out| self.offer(origin, x, y, out), plan);
         }
+        self.coder.about(About::Blocks);
         if self.copied(x, y, plan) {
+            self.coder.end_block(BlockClass::Copied);
             return;
         }
         let (left, above) = (self.left(x), self.above(y));
@@ -234,6 +237,13 @@ impl<'a, C: Coder> BandCoder<'a, C> {
                 self.layers.push(coded);
             }
         }
+        self.coder.end_block(match origin {
+            _ if self.band.planes.len() == first_plane => BlockClass::Empty,
+            Origin::Fresh => BlockClass::Fresh,
+            Origin::Left | Origin::Above => BlockClass::Continued,
+            Origin::Kept => BlockClass::Kept,
+            Origin::Copied => BlockClass::Copied,
+        });
         self.band.push(first_plane, &self.lists);
         self.origins.push(origin);
     }

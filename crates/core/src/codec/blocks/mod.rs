@@ -21,6 +21,7 @@ mod coding;
 mod edges;
 mod encode;
 mod entropy;
+mod meter;
 pub mod model;
 mod motion;
 mod picture;
@@ -52,6 +53,7 @@ use motion::Motion;
 
 pub(super) use chunk::{BlocksAssembly, decode};
 pub use chunk::{BlocksChunk, reference_named};
+pub(super) use meter::spent;
 pub use rate::{MAX_ENCODES, RateControl, encode_within};
 pub use reference::{MAX_REFERENCES, Reference, References};
 pub use steps::MAX_QUALITY;

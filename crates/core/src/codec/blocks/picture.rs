@@ -5,6 +5,7 @@ use super::super::{CodecError, MAX_CHUNK_SEGMENTS, at_most};
 use super::band::{Band, Cell, CellsOf};
 use super::coding::{Expected, Place, fixed_of, residual};
 use super::entropy::Coder;
+use super::meter::About;
 use super::model::{BLOCK_LISTS, MAX_LAYERS};
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
 use super::steps::Steps;
@@ -28,6 +29,7 @@ pub(super) fn code<C: Coder>(
     place: Place,
     mut source: impl FnMut(usize, &mut [Plane; 3]) -> u64,
 ) -> Result<(C, Corrections), CodecError> {
+    coder.about(About::Correction);
     let mut contexts = Contexts::new();
     let mut out = Corrections { places: Vec::new(), planes: Vec::new() };
     let mut classes: Vec<[u8; 3]> = Vec::new();

@@ -1,10 +1,13 @@
 use glam::Vec3;
 
+use super::model::BLOCK;
 use super::width::tests::with_each;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::codec::tests::soft_scene as scene;
-use crate::codec::{Assembly, Coding, DecodedChunk, HEADER_BYTES, assemble, decode, decode_chunk, peek};
+use crate::codec::{
+    Assembly, Coding, DecodedChunk, HEADER_BYTES, Spent, assemble, decode, decode_chunk, peek,
+};
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::image_error;
 use crate::kernels::layering::{Layering, generate};
@@ -499,4 +502,57 @@ fn an_empty_frame_is_nothing_but_headers() {
     let (encoded, _) = encode(&LayeredFrame::empty(frame.header), &whole(50), None).unwrap();
     assert!(encoded.num_bytes() < encoded.chunks.len() * 110, "{}", encoded.num_bytes());
     assert_eq!(decode(&bytes(&encoded)).unwrap().num_segments(), 0);
+}
+
+#[test]
+fn bits_are_counted_for_what_they_are_for() {
+    let scene = scene(Builtin::Shells);
+    let (alone, reference) = encode(&made(&scene, 1, 140, 93, 0.0), &whole(70), None).unwrap();
+    let mut references = References::default();
+    references.insert(Arc::new(reference.clone()));
+    let encoded =
+        |id, degrees| encode(&made(&scene, id, 140, 93, degrees), &whole(70), Some(&reference)).unwrap().0;
+    let split = Settings { quality: 70, is_split: true };
+    let (split, _) = encode(&made(&scene, 1, 140, 93, 0.0), &split, None).unwrap();
+    // Bytes for each matter and, by class, tiles and their bytes.
+    let sums = |frame: &EncodedFrame| {
+        let (mut matters, mut classes) = ([0; 9], [[0; 2]; 5]);
+        for chunk in &frame.chunks {
+            let Spent { planes, tiles } =
+                spent(peek(&chunk.bytes).unwrap(), &chunk.bytes, &references).unwrap();
+            assert_eq!(planes.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
+            matters.iter_mut().zip(&planes).for_each(|(sum, (_, bytes))| *sum += bytes);
+            classes.iter_mut().zip(&tiles).for_each(|(sum, t)| *sum = [sum[0] + t.num, sum[1] + t.bytes]);
+        }
+        (matters, classes)
+    };
+    let [header, head, blocks, cuts, lists, opacity, brightness, color, correction] =
+        [0, 1, 2, 3, 4, 5, 6, 7, 8];
+    let [empty, own, continued, kept, copied] = [0, 1, 2, 3, 4];
+    let num_tiles = 140usize.div_ceil(BLOCK) * 93usize.div_ceil(BLOCK);
+    let (matters, classes) = sums(&alone);
+    assert!(matters.iter().all(|&bytes| bytes > 0), "{matters:?}");
+    assert_eq!(classes.iter().map(|c| c[0]).sum::<usize>(), num_tiles);
+    assert!(classes[kept][0] == 0 && classes[copied][0] == 0 && classes[continued][0] > 0, "{classes:?}");
+    assert!(classes[empty][0] > 20 && classes[empty][1] < 20, "{classes:?}");
+    assert!(classes[own][1] > matters[cuts], "{classes:?}");
+    let in_tiles: usize = [blocks, cuts, lists, opacity, brightness, color].iter().map(|&m| matters[m]).sum();
+    assert_eq!(classes.iter().map(|c| c[1]).sum::<usize>(), in_tiles);
+    // The same bits for the same matters when corrections are chunks of their own.
+    let (of_split, _) = sums(&split);
+    let near = |m: usize| of_split[m].abs_diff(matters[m]) <= 4;
+    assert!(
+        [blocks, cuts, lists, opacity, brightness, color, correction].iter().all(|&m| near(m)),
+        "{of_split:?} {matters:?}"
+    );
+    assert!(of_split[header] == 2 * matters[header] && of_split[head] == 2 * matters[head]);
+    // A frame that moves keeps cuts, one at rest all of most blocks.
+    let (moved, classes) = sums(&encoded(2, 1.0));
+    assert!(classes[kept][0] > classes[own][0] && classes[copied][0] == 0, "{classes:?}");
+    assert!(moved[cuts] < matters[cuts] / 2, "{moved:?}");
+    let (_, classes) = sums(&encoded(2, 0.0));
+    assert!(
+        classes[copied][0] > 10 * (classes[own][0] + classes[kept][0] + classes[continued][0]),
+        "{classes:?}"
+    );
 }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::super::band::Planes;
 use super::super::entropy::Coder;
+use super::super::meter::About;
 use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
 use super::super::steps::Steps;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
@@ -19,6 +20,7 @@ pub(in super::super) struct PlaneCode {
 impl<C: Coder> BandCoder<'_, C> {
     /// Codes the planes of a block.
     pub(super) fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
+        self.coder.about(About::Cuts);
         let classes = neighbors.clone().map(|n| count_class(n.len()));
         let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
         let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);

@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::super::band::Planes;
 use super::super::edges::{Edges, spread};
 use super::super::entropy::Coder;
+use super::super::meter::About;
 use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
 use super::super::reference::{HALF, fetch};
 use super::super::scales::{fixed_from_f32, scales, whole, ycc_from_roots};
@@ -58,6 +59,7 @@ impl<C: Coder> BandCoder<'_, C> {
             Origin::Left | Origin::Above => 1,
             Origin::Kept | Origin::Copied => 2,
         };
+        self.coder.about(About::Lists);
         let means_in_front = in_front.map_or([0.0; 4], |l| l.means);
         if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
             return self.nothing(means_in_front);

@@ -1,0 +1,52 @@
+//! What the bytes of a chunk are for.
+
+/// What a chunk spends its bytes on.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Spent {
+    /// Names and bytes, in the order of the stream; the sum is the chunk's length.
+    pub planes: Vec<(&'static str, usize)>,
+    /// The tiles of 8×8 lists by what they are. Headers, tables and corrections belong to none.
+    pub tiles: Vec<TileClass>,
+}
+
+/// Tiles of one kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileClass {
+    /// What they are.
+    pub name: &'static str,
+    /// How many there are.
+    pub num: usize,
+    /// Bytes of all of them.
+    pub bytes: usize,
+}
+
+/// Whole bytes for shares of `total`, as near as they get with this sum. Shares of less than nothing count as nothing.
+pub(super) fn whole_bytes<const N: usize>(total: usize, shares: [f64; N]) -> [usize; N] {
+    let sum: f64 = shares.iter().sum();
+    let per_share = if sum > 0.0 { total as f64 / sum } else { 0.0 };
+    let (mut before, mut exact) = (0, 0.0);
+    let mut bytes = shares.map(|share| {
+        exact += share * per_share;
+        let until = (exact.round() as usize).min(total);
+        let own = until - before;
+        before = until;
+        own
+    });
+    if let Some(last) = bytes.last_mut() {
+        *last += total - before;
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_become_whole_bytes_of_the_same_sum() {
+        assert_eq!(whole_bytes(10, [1.0, 1.0, 2.0]), [3, 2, 5]);
+        assert_eq!(whole_bytes(7, [0.0, 5.0, 0.0]), [0, 7, 0]);
+        assert_eq!(whole_bytes(7, [0.0; 3]), [0, 0, 7]);
+        assert_eq!(whole_bytes(0, [3.0, 4.0]), [0, 0]);
+    }
+}
