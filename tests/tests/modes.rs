@@ -184,7 +184,7 @@ fn the_same_pose_is_exact_through_the_wire() {
 fn frames_of_projections_in_blocks_are_refused_and_coded_exactly_instead() {
     let (_, scene) = scenes_in(Mode::Mip).swap_remove(0);
     let frame = layering::generate(&scene, header(camera(&scene, 25.0, (64, 52)), 8), Layering::default());
-    let blocks = Coding::Blocks(isinglass_core::codec::blocks::Settings { quality: 60, is_split: false });
+    let blocks = Coding::Blocks(isinglass_core::codec::blocks::Settings::of(60));
     let error = blocks.encode(&frame, None).unwrap_err().to_string();
     assert!(error.contains("mip") && !error.contains('\n'), "{error}");
     assert!(matches!(blocks.for_mode(Mode::Mip), Coding::Exact(_)));

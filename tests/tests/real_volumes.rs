@@ -245,7 +245,7 @@ fn a_real_volume_goes_through_blocks() {
             mode: Default::default(),
         };
         let frame = generate(&scene, header, Layering::VisibilityMerge);
-        let settings = blocks::Settings { quality: 60, is_split: false };
+        let settings = blocks::Settings::of(60);
         let reference = references.newest().cloned();
         let (encoded, decoded) = blocks::encode(&frame, &settings, reference.as_deref()).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();

@@ -189,7 +189,7 @@ fn make_missing_vectors() {
         // Behind it are those that are written no more.
     ]) {
         let path = path(name);
-        let settings = blocks::Settings { quality, is_split };
+        let settings = blocks::Settings { is_split, ..blocks::Settings::of(quality) };
         if !path.exists() {
             let before = before.and(references.newest()).cloned();
             let (encoded, _) = blocks::encode(&frame, &settings, before.as_deref()).unwrap();

@@ -75,7 +75,7 @@ fn seeds() -> (Vec<Seed>, Vec<Arc<Reference>>) {
         let empty = LayeredFrame::empty(header);
         seeds.push(alone(encode(&empty, &Settings::default()).expect("valid bytes")));
         for is_split in [false, true] {
-            let blocks = Coding::Blocks(blocks::Settings { quality: 60, is_split });
+            let blocks = Coding::Blocks(blocks::Settings { is_split, ..blocks::Settings::of(60) });
             let mut references = References::default();
             let mut last = None;
             for (number, azimuth) in [(1, 0.5), (2, 0.52), (3, 0.54), (4, 0.54)] {

@@ -73,6 +73,18 @@ fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
     assert_eq!(facts["bytes"], sum(planes.values().collect()));
     let tiles = facts["tiles"].as_array().unwrap();
     assert_eq!(sum(tiles.iter().map(|t| &t["tiles"]).collect()), 64);
+    // Made for the own pose, as many bytes hold a better picture of it.
+    let bytes = facts["bytes"].as_u64().unwrap();
+    bench.ok(&format!(
+        "layers builtin:shells@48 -o near.iglf --codec blocks --bytes {bytes} --turn 0 {RENDER}"
+    ));
+    assert!(bench.json("info near.iglf --json")["bytes"].as_u64() <= Some(bytes));
+    bench.ok(&format!("render builtin:shells@48 -o a.png {RENDER}"));
+    let dssim = |frame: &str| {
+        bench.ok(&format!("reproject {frame} -o b.png --backend cpu"));
+        bench.json("compare a.png b.png --json")["dssim"].as_f64().unwrap()
+    };
+    assert!(dssim("near.iglf") < 0.9 * dssim("a.iglf"), "{} {}", dssim("near.iglf"), dssim("a.iglf"));
     let text = bench.ok("info a.iglf");
     assert!(["empty", "own cuts", "cuts from beside"].iter().all(|row| text.contains(row)), "{text}");
 }

@@ -271,7 +271,7 @@ async fn predicted_frames_are_shown_and_a_lost_one_is_healed() {
     let client =
         Client::connect(&link, ClientOptions { conditioner: Some(model), ..Default::default() }).unwrap();
     let mut session = server.accept().await.unwrap();
-    let settings = blocks::Settings { quality: 50, is_split: false };
+    let settings = blocks::Settings::of(50);
     let size = isinglass_core::camera::Intrinsics { width: 48, height: 32, ..INTRINSICS };
     let mut sent = References::default();
     let (mut named, mut shown_predicted, mut withheld) = (0, 0, 0);

@@ -11,6 +11,7 @@ mod parts;
 mod sending;
 mod serving;
 mod shots;
+mod turned;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;

@@ -16,6 +16,7 @@ use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
 use isinglass_gpu::Backend;
 use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 
 use crate::generator::Generator;
 use crate::lights::Lights;
@@ -241,3 +242,17 @@ impl Librarian {
 
 /// Viewers hear of a load's progress at most so often.
 pub(crate) const TELL_PERIOD: Duration = Duration::from_millis(100);
+
+/// Returns when there is news of a load to tell. Nothing is lost if this is dropped.
+pub(crate) async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
+    if load.changed().await.is_err() {
+        // Without a librarian there is no more news.
+        return std::future::pending().await;
+    }
+    // It has yet to be told.
+    load.mark_changed();
+    let is_reading = load.borrow().as_ref().is_some_and(Load::is_reading);
+    if is_reading {
+        tokio::time::sleep_until(tell_at).await;
+    }
+}

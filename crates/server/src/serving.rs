@@ -4,7 +4,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
@@ -22,9 +22,10 @@ use tracing::Instrument;
 
 use crate::Command;
 use crate::generator::{GenerateError, Generated, Generator, Wish};
-use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD};
+use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD, load_due};
 use crate::sending::{Sending, Sent, Ticket, finished, send};
 use crate::shots::Shots;
+use crate::turned::turned_deg;
 
 /// What all viewers share.
 #[derive(Clone)]
@@ -83,6 +84,8 @@ struct Viewer {
     frame: FrameId,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
+    /// The camera of the frame before, and when it was asked for.
+    turned_from: Option<(Pose, Instant)>,
     /// Encoding and handing over of the frame before: runs while the next one is generated.
     sending: Option<Sending>,
     /// Frames that later ones may be predicted from.
@@ -132,6 +135,7 @@ impl Viewer {
             pilot: Pilot::new(plan),
             frame: FrameId(0),
             answered: None,
+            turned_from: None,
             sending: None,
             sent: References::default(),
             resting: None,
@@ -396,6 +400,9 @@ impl Viewer {
                 return true;
             }
         }
+        let before = self.turned_from.replace((request.pose, asked_at));
+        let center = self.present.bounds.center();
+        self.pilot.handle_turned(before.and_then(|b| turned_deg(b, (request.pose, asked_at), center)));
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
         let num_lists = header.camera.intrinsics.num_pixels();
         let coding = if self.shows_exactly(&header.camera) {
@@ -535,20 +542,6 @@ async fn refined(refining: &mut Option<JoinHandle<bool>>) -> bool {
     let is_refined = running.await.unwrap_or(false);
     *refining = None;
     is_refined
-}
-
-/// Returns when there is news of a load to tell. Nothing is lost if this is dropped.
-async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
-    if load.changed().await.is_err() {
-        // Without a librarian there is no more news.
-        return std::future::pending().await;
-    }
-    // It has yet to be told.
-    load.mark_changed();
-    let is_reading = load.borrow().as_ref().is_some_and(Load::is_reading);
-    if is_reading {
-        tokio::time::sleep_until(tell_at).await;
-    }
 }
 
 /// Whether frames of two sizes hold the same lists, but for a margin around them.

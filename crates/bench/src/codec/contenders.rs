@@ -37,9 +37,9 @@ impl Contender {
     }
 }
 
-/// Every codec of this build.
-pub(crate) fn all() -> Vec<Contender> {
-    let mut all = product();
+/// Every codec of this build; blocks are made for each of the turns.
+pub(crate) fn all(turns_deg: &[Option<u8>]) -> Vec<Contender> {
+    let mut all = product(turns_deg);
     all.push(Contender { name: Compressor::Zstd.name(), way: Way::Raw(Compressor::Zstd) });
     all.push(Contender { name: "png-published", way: Way::Planes(Layout::Published, Box::new(Png)) });
     all.push(Contender { name: "blocks-planes", way: Way::Planes(Layout::Weighted, Box::new(Ours)) });
@@ -49,7 +49,7 @@ pub(crate) fn all() -> Vec<Contender> {
 }
 
 /// The modes of the product's codec, each with its settings.
-fn product() -> Vec<Contender> {
+fn product(turns_deg: &[Option<u8>]) -> Vec<Contender> {
     let mode = |name, settings: Vec<(String, Coding)>| Contender { name, way: Way::Product(settings) };
     let exact = [8, 10].into_iter().flat_map(|color_bits| {
         [1, 2].map(|num_groups| {
@@ -57,8 +57,12 @@ fn product() -> Vec<Contender> {
             (format!("{color_bits} bits, {num_groups} groups"), coding)
         })
     });
-    let blocks = (0..=blocks::MAX_QUALITY).step_by(QUALITY_STEP).map(|quality| {
-        (format!("quality {quality}"), Coding::Blocks(blocks::Settings { quality, is_split: false }))
+    let blocks = turns_deg.iter().flat_map(|&turn_deg| {
+        (0..=blocks::MAX_QUALITY).step_by(QUALITY_STEP).map(move |quality| {
+            let seen_at = turn_deg.map_or_else(String::new, |turn| format!(", seen at {turn}°"));
+            let settings = blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
+            (format!("quality {quality}{seen_at}"), Coding::Blocks(settings))
+        })
     });
     vec![mode("blocks", blocks.collect()), mode("exact", exact.collect())]
 }
@@ -87,8 +91,8 @@ fn others() -> Vec<Contender> {
 }
 
 /// Those of the build that are called `names`, in their order; all if there are no names.
-pub(crate) fn select(names: &[String]) -> Result<Vec<Contender>, BenchError> {
-    let mut all = all();
+pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<Contender>, BenchError> {
+    let mut all = all(turns_deg);
     if names.is_empty() {
         return Ok(all);
     }
@@ -148,7 +152,7 @@ mod tests {
     #[test]
     fn codecs_are_chosen_by_name_and_unknown_ones_refused_with_all() {
         let select = |names: &[&str]| {
-            select(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>())
+            select(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>(), &[None])
                 .map(|all| all.iter().map(|c| c.name).collect::<Vec<_>>())
         };
         assert_eq!(select(&["raw-zstd", "exact", "raw-zstd"]).unwrap(), ["raw-zstd", "exact"]);

@@ -70,6 +70,8 @@ pub struct CodecOptions {
     /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
     /// are as published, and for a moving camera, where frames are as large as pictures.
     pub list_scales: Vec<f32>,
+    /// Turns that frames in blocks are made to be seen at, degrees, none for all of them: blocks have the choice.
+    pub turns_deg: Vec<Option<u8>>,
     /// Also code a moving camera; none: only stills.
     pub sequence: Option<SequenceOptions>,
     /// Also take times on several threads; none: only those of one thread.
@@ -223,12 +225,12 @@ pub struct BdMean {
 
 /// The names of the codecs of this build.
 pub fn codec_names() -> Vec<&'static str> {
-    contenders::all().into_iter().map(|c| c.name).collect()
+    contenders::all(&[None]).into_iter().map(|c| c.name).collect()
 }
 
 /// Measures. Takes minutes a scene.
 pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
-    let contenders = contenders::select(&options.codecs)?;
+    let contenders = contenders::select(&options.codecs, &options.turns_deg)?;
     let anchor = anchor(options, &contenders)?;
     let backend = Backend::open(options.subject.backend)?;
     let pool = rayon::ThreadPoolBuilder::new()

@@ -41,6 +41,7 @@ fn options(codecs: &[&str]) -> CodecOptions {
         codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
         anchor: Some(codecs[0].to_owned()),
         list_scales: vec![1.0],
+        turns_deg: vec![None],
         sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
         times: None,
     }
@@ -127,10 +128,11 @@ fn an_anchor_that_is_not_measured_is_refused() {
 }
 
 #[test]
-fn frames_of_fewer_lists_are_for_all_but_what_is_as_published() {
+fn fewer_lists_are_for_all_but_what_is_as_published_and_turns_for_blocks() {
     let mut options = CodecOptions {
         sequence: None,
         list_scales: vec![1.0, 0.5],
+        turns_deg: vec![None, Some(0)],
         ..options(&["blocks", "raw-zstd", "png-published"])
     };
     options.subject.ks = vec![4];
@@ -152,6 +154,11 @@ fn frames_of_fewer_lists_are_for_all_but_what_is_as_published() {
             "{codec}: {whole:?}, {half:?}"
         );
     }
+    // Blocks have the choice of turns too.
+    let seen_at = |codec: &str| {
+        report.points.iter().filter(|p| p.codec == codec && p.settings.contains("seen at 0°")).count()
+    };
+    assert_eq!((2 * seen_at("blocks"), seen_at("raw-zstd")), (2 * bytes("blocks", false).len(), 0));
     assert!(!bytes("png-published", false).is_empty() && bytes("png-published", true).is_empty());
     let of_half = |u: &&Uncoded| u.layering == "visibility-merge" && u.lists == [width / 2, height / 2];
     assert_eq!(report.uncoded.iter().filter(of_half).count(), 1);

@@ -147,7 +147,7 @@ const CODINGS: [(&str, Coding); 4] = [
 ];
 
 const fn in_blocks(quality: u8) -> Coding {
-    Coding::Blocks(blocks::Settings { quality, is_split: false })
+    Coding::Blocks(blocks::Settings::of(quality))
 }
 
 const fn exact(num_groups: u8) -> Coding {

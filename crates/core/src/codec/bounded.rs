@@ -60,7 +60,7 @@ impl Bound {
             let misfit = self.misfit(frame, &decode(&chunks)?);
             Ok((encoded, coding, misfit))
         };
-        let in_blocks = |quality| attempt(Coding::Blocks(blocks::Settings { quality, is_split: false }));
+        let in_blocks = |quality| attempt(Coding::Blocks(blocks::Settings::of(quality)));
         if !frame.header.mode.is_projection() {
             let best = in_blocks(MAX_QUALITY)?;
             if self.holds(&best.2) {

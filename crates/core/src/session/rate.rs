@@ -70,7 +70,7 @@ impl LinkState {
 
 /// Decides how the frames of one connection are coded.
 ///
-/// For each frame: `handle_generated`, `handle_link`, then `next` (or `finer` for one that is sent again because the
+/// For each frame: `handle_generated`, `handle_turned`, `handle_link`, then `next` (or `finer` for one that is sent again because the
 /// camera rests), and `handle_encoded` when that is done.
 #[derive(Clone, Debug)]
 pub struct Pilot {
@@ -80,6 +80,8 @@ pub struct Pilot {
     ceiling: Option<f64>,
     link: Option<LinkState>,
     generate_micros: f64,
+    /// By how much the camera turns from frame to frame, degrees; none: it is not known to move.
+    turned_deg: Option<f32>,
     /// Time to encode a list, µs, exactly and in blocks, and bytes of a list of an exact frame.
     exact_micros: Mean,
     blocks_micros: Mean,
@@ -95,6 +97,7 @@ impl Pilot {
             ceiling: None,
             link: None,
             generate_micros: 0.0,
+            turned_deg: None,
             exact_micros: Mean::default(),
             blocks_micros: Mean::default(),
             exact_bytes: Mean::default(),
@@ -104,6 +107,12 @@ impl Pilot {
     /// A frame was generated in so many µs.
     pub fn handle_generated(&mut self, micros: u64) {
         self.generate_micros = micros as f64;
+    }
+
+    /// The camera has turned by so many degrees since the frame before; none if it had rested. A frame is shown from its own
+    /// camera until that of the next one, or where poses are not predicted well, from further on.
+    pub fn handle_turned(&mut self, degrees: Option<f32>) {
+        self.turned_deg = degrees.map(|now| 0.5 * (now + self.turned_deg.unwrap_or(now)));
     }
 
     /// The link is like this now.
@@ -139,7 +148,8 @@ impl Pilot {
         self.control.set_target((budget * counted(num_lists)) as usize);
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
-        let in_blocks = Coding::Blocks(blocks::Settings { quality, is_split: false });
+        let turn_deg = self.turned_deg.map(|t| t.ceil().clamp(1.0, f32::from(blocks::MAX_TURN_DEG)) as u8);
+        let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
             Mode::Exact => Coding::default(),
             Mode::Blocks => in_blocks,
@@ -160,7 +170,7 @@ impl Pilot {
     /// better.
     pub fn finer(&self, num_lists: usize, sent: &Coding) -> Option<Coding> {
         let exact = Coding::Exact(Settings { num_groups: 1, ..Settings::default() });
-        let at = |quality| Coding::Blocks(blocks::Settings { quality, is_split: false });
+        let at = |quality| Coding::Blocks(blocks::Settings::of(quality));
         let Coding::Blocks(last) = sent else { return None };
         match self.plan.mode {
             Mode::Exact => None,
@@ -302,6 +312,19 @@ mod tests {
     }
 
     #[test]
+    fn frames_are_made_for_the_turn_from_one_to_the_next() {
+        let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+        let mut next = |turned| {
+            pilot.handle_turned(turned);
+            let Coding::Blocks(settings) = pilot.next(LISTS, true) else { panic!("not in blocks") };
+            settings.turn_deg
+        };
+        assert_eq!(next(None), None);
+        assert_eq!([next(Some(1.2)), next(Some(5.2)), next(Some(5.2))], [Some(2), Some(4), Some(5)]);
+        assert_eq!([next(Some(90.0)), next(None), next(Some(0.001))], [Some(10), None, Some(1)]);
+    }
+
+    #[test]
     fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
         for megabytes in [0.6, 1.25, 6.0] {
             let mut link = FakeLink { bytes_per_second: megabytes * 1e6, window: 76_800.0, queued: 0.0 };
@@ -401,7 +424,7 @@ mod tests {
     #[test]
     fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
         let mut pilot = Pilot::new(Plan::default());
-        let blocks = Coding::Blocks(blocks::Settings { quality: 60, is_split: false });
+        let blocks = Coding::Blocks(blocks::Settings::of(60));
         pilot.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
         let mut coding = |exact_micros: u64, window_bytes| {
             pilot.exact_bytes = Mean::default();

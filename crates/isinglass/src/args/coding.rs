@@ -59,9 +59,10 @@ pub(crate) struct CodecArgs {
     /// Greatest shift of a list's middle for --bound, in pixels at a turn of --turn
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, value_parser = parse_pixels, requires = "bound")]
     pub(crate) shift: f32,
-    /// Turn for --shift, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 10.0, value_parser = parse_turn, requires = "bound")]
-    pub(crate) turn: f32,
+    /// The turn that the frame is seen at, degrees: for --shift [default: 10], and for --codec blocks, which spends its bytes
+    /// where they show at that turn, up to 10 [default: fit for all]
+    #[arg(long, value_name = "DEG", value_parser = parse_turn)]
+    pub(crate) turn: Option<f32>,
 }
 
 /// A codec.

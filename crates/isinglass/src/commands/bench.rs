@@ -18,6 +18,7 @@ use isinglass_bench::view::Orbit;
 use isinglass_bench::{codec as codecs, latency, quality, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec;
+use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::look::DEFAULT_K;
@@ -236,6 +237,9 @@ struct CodecArgs {
     /// those want 1 among them
     #[arg(long, value_name = "SHARE", value_parser = parse_list_scale, value_delimiter = ',', default_value = "1")]
     list_scale: Vec<f32>,
+    /// Turns that frames in blocks are made to be seen at, 0 to 10 degrees, or "all", between commas: blocks have the choice
+    #[arg(long, value_name = "DEG", value_parser = parse_seen_at, value_delimiter = ',', default_value = "all")]
+    seen_at: Vec<SeenAt>,
     /// Also draw the curves as SVG, whole or not at all
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     plot: Option<PathBuf>,
@@ -386,6 +390,7 @@ fn run_codec(args: CodecArgs) -> Result<()> {
         codecs: args.codec,
         anchor: args.anchor,
         list_scales: args.list_scale,
+        turns_deg: args.seen_at.into_iter().map(|SeenAt(turn_deg)| turn_deg).collect(),
         sequence: args.turn.map(|degrees_per_second| codecs::SequenceOptions {
             degrees_per_second,
             frames: args.frames,
@@ -411,6 +416,18 @@ fn parse_threads(text: &str) -> Result<usize, String> {
 fn parse_list_scale(text: &str) -> Result<f32, String> {
     let scale = text.parse::<f32>().ok().filter(|s| (0.05..=1.0).contains(s));
     scale.ok_or_else(|| "expected 0.05 to 1".into())
+}
+
+/// A turn that a frame is made for; none: all.
+#[derive(Clone, Copy, Debug)]
+struct SeenAt(Option<u8>);
+
+fn parse_seen_at(text: &str) -> Result<SeenAt, String> {
+    if text == "all" {
+        return Ok(SeenAt(None));
+    }
+    let turn_deg = text.parse::<u8>().ok().filter(|t| *t <= MAX_TURN_DEG);
+    turn_deg.map(|t| SeenAt(Some(t))).ok_or_else(|| format!("expected 0 to {MAX_TURN_DEG} degrees, or all"))
 }
 
 /// Degrees, finite.

@@ -98,24 +98,31 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
 /// The frame as it was asked for, what it became, and how far it is off where that was bounded.
 fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding, Option<Misfit>)> {
     if let Some(picture_255) = args.bound {
-        let turn_radians = args.turn.to_radians();
+        let turn_radians = args.turn.unwrap_or(BOUND_TURN_DEG).to_radians();
         let bound = Bound { picture_255, shift_pixels: args.shift, turn_radians };
         let (encoded, coding, misfit) = bound.encode(frame)?;
         return Ok((encoded, coding, Some(misfit)));
     }
-    let in_blocks = |quality| Coding::Blocks(blocks::Settings { quality, is_split: false });
+    let turn_deg = args.turn.map(|t| t.round().min(f32::from(blocks::MAX_TURN_DEG)) as u8);
+    let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
         (CodecChoice::Blocks, _) if frame.header.mode.is_projection() => {
             bail!("--codec blocks: found --mode {}, expected --codec exact with it", frame.header.mode)
         }
+        (CodecChoice::Exact, _) if turn_deg.is_some() => {
+            bail!("--turn: found --codec exact, expected --codec blocks or --bound")
+        }
         (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
         // Nobody waits for a part of a file.
         (CodecChoice::Exact, None) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
-        (CodecChoice::Blocks, None) => in_blocks(args.quality),
+        (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality)),
         (CodecChoice::Blocks, Some(bytes)) => {
-            let (encoded, _, quality) = blocks::encode_within(frame, bytes, None)?;
-            return Ok((encoded, in_blocks(quality), None));
+            let (encoded, _, quality) = blocks::encode_within(frame, bytes, &in_blocks(0), None)?;
+            return Ok((encoded, Coding::Blocks(in_blocks(quality)), None));
         }
     };
     Ok((coding.encode(frame, None)?.0, coding, None))
 }
+
+/// The turn that --shift is meant at if none is said, degrees.
+const BOUND_TURN_DEG: f32 = 10.0;

@@ -56,16 +56,27 @@ pub use chunk::{BlocksChunk, reference_named};
 pub(super) use meter::spent;
 pub use rate::{MAX_ENCODES, RateControl, encode_within};
 pub use reference::{MAX_REFERENCES, Reference, References};
-pub use steps::MAX_QUALITY;
+pub use steps::{MAX_QUALITY, MAX_TURN_DEG};
 
 /// How to encode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// 0 to [`MAX_QUALITY`].
     pub quality: u8,
+    /// The turn that the frame is made to be seen at: degrees between its camera and the one that it is shown from, at most
+    /// [`MAX_TURN_DEG`]. The less, the more of the bytes is spent on the picture at the frame's own pose, and the less on
+    /// depths. None where it is not known: fit for all turns.
+    pub turn_deg: Option<u8>,
     /// Whether the corrections of the picture are chunks of their own, so that a frame can be shown before they are
     /// there. Costs the headers, and a frame can be a reference only with all of its chunks.
     pub is_split: bool,
+}
+
+impl Settings {
+    /// Of a quality, for all turns, in one piece.
+    pub const fn of(quality: u8) -> Self {
+        Self { quality, turn_deg: None, is_split: false }
+    }
 }
 
 /// Encodes a frame, which must be valid ([`LayeredFrame::validate`]); if a reference is given, which the receiver must
@@ -92,7 +103,7 @@ pub(super) fn encode_while(
     let camera = frame.header.camera;
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
-    let (rule, steps) = steps::from_quality(settings.quality, &camera);
+    let (rule, steps) = steps::from_settings(settings, &camera);
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
     let borders = Borders::of(frame, num_bands);
     let reference_frame = reference.map(Reference::frame);

@@ -59,13 +59,14 @@ impl RateControl {
 }
 
 /// The best picture of at most `max_bytes`, by at most [`MAX_ENCODES`] trials: the encoded frame, what a receiver will
-/// have as a reference, and its quality.
+/// have as a reference, and its quality. What else is said by `settings` holds for all trials.
 ///
 /// # Errors
 /// Those of [`encode`], and [`CodecError::TooLarge`] if not even the least quality is found to be so small.
 pub fn encode_within(
     frame: &LayeredFrame,
     max_bytes: usize,
+    settings: &Settings,
     reference: Option<&Reference>,
 ) -> Result<(EncodedFrame, Reference, u8), CodecError> {
     let mut control = RateControl::new(max_bytes);
@@ -89,7 +90,7 @@ pub fn encode_within(
             _ => control.quality(reference.is_some()),
         };
         let quality = guess.clamp(least, most);
-        let (encoded, decoded) = encode(frame, &Settings { quality, is_split: false }, reference)?;
+        let (encoded, decoded) = encode(frame, &Settings { quality, ..*settings }, reference)?;
         let bytes = encoded.num_bytes();
         control = RateControl::new(max_bytes);
         control.observe(reference.is_some(), quality, bytes);

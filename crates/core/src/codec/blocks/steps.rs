@@ -2,6 +2,7 @@
 
 use crate::camera::Camera;
 
+use super::Settings;
 use super::relayer::{Rule, units_per_pixel};
 
 /// The steps that values are quantised in, as a decoder needs them.
@@ -48,9 +49,11 @@ impl Steps {
     }
 }
 
-/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`].
-pub(super) fn from_quality(quality: u8, camera: &Camera) -> (Rule, Steps) {
-    let at = f32::from(quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
+/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn.
+pub(super) fn from_settings(settings: &Settings, camera: &Camera) -> (Rule, Steps) {
+    let [moves, corrections] = settings.turn_deg.map_or([1.0, 1.0], for_turn);
+    let at =
+        f32::from(settings.quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
     let row = (at as usize).min(FAMILY.len() - 2);
     let part = at - row as f32;
     // Between two rows the steps are in proportion.
@@ -62,12 +65,32 @@ pub(super) fn from_quality(quality: u8, camera: &Camera) -> (Rule, Steps) {
         depth: (pixels * units_per_pixel).round().clamp(1.0, 16384.0),
         opacity: fine(opacity),
         color: fine(color),
-        picture: fine(picture),
+        picture: fine(picture * corrections),
         chroma: (chroma * CHROMA).round() / CHROMA,
     };
-    (Rule { lambda, units_per_pixel }, steps)
+    (Rule { lambda: lambda * moves, units_per_pixel }, steps)
 }
 
+/// What λ and the step of corrections are multiplied by for a turn.
+///
+/// Matter that is moved along a ray is seen beside its place in proportion to the sine of the turn, so the move that is
+/// accepted to be rid of a layer is in inverse proportion to that, down to a turn where other faults hide it. The correction
+/// is of the picture at the own pose: it matters most there, and the less the further it is turned (docs/MATH.md).
+fn for_turn(turn_deg: u8) -> [f32; 2] {
+    let turn_deg = turn_deg.min(MAX_TURN_DEG);
+    let nearer = ALL_TURNS_DEG / f32::from(turn_deg).max(LEAST_TURN_DEG);
+    [nearer * nearer.sqrt().sqrt(), CORRECTIONS[usize::from(turn_deg)]]
+}
+
+/// Greatest turn that a frame is made for, degrees.
+pub const MAX_TURN_DEG: u8 = 10;
+/// The turn that λ suits in [`FAMILY`].
+const ALL_TURNS_DEG: f32 = 6.0;
+/// The least turn that layers are chosen for.
+const LEAST_TURN_DEG: f32 = 1.5;
+/// For each turn, by measurement.
+const CORRECTIONS: [f32; MAX_TURN_DEG as usize + 1] =
+    [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
 /// Bytes of [`Steps`].

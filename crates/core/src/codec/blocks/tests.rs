@@ -44,7 +44,7 @@ fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {
 }
 
 fn whole(quality: u8) -> Settings {
-    Settings { quality, is_split: false }
+    Settings::of(quality)
 }
 
 /// DSSIM and PSNR against `reference`, cast `degrees` away from the frames' pose.
@@ -91,7 +91,7 @@ fn what_decodes_is_what_the_encoder_worked_with() {
             // The size is no multiple of a block.
             for id in 1..4 {
                 let frame = made(&scene, id, 140, 93, id as f32);
-                let settings = Settings { quality, is_split };
+                let settings = Settings { is_split, ..Settings::of(quality) };
                 let reference = references.newest().cloned();
                 let (encoded, reference) = encode(&frame, &settings, reference.as_deref()).unwrap();
                 let assembly = assemble(&bytes(&encoded), &references).unwrap();
@@ -116,7 +116,7 @@ fn what_decodes_is_what_the_encoder_worked_with() {
 fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
     let scene = scene(Builtin::Shells);
     let four = made(&scene, 1, 48, 272, 0.0);
-    let (encoded, reference) = encode(&four, &Settings { quality: 60, is_split: true }, None).unwrap();
+    let (encoded, reference) = encode(&four, &Settings { is_split: true, ..Settings::of(60) }, None).unwrap();
     assert_eq!(encoded.chunks.len(), 8);
     let none = References::default();
     let decoded: Vec<_> = encoded.chunks.iter().map(|c| decode_chunk(&c.bytes, &none).unwrap()).collect();
@@ -183,7 +183,7 @@ fn the_picture_survives_at_its_pose_and_beside_it() {
 fn corrections_take_back_most_of_what_the_picture_is_off() {
     let scene = scene(Builtin::Shells);
     let frame = made(&scene, 1, 160, 160, 0.0);
-    let (encoded, _) = encode(&frame, &Settings { quality: 50, is_split: true }, None).unwrap();
+    let (encoded, _) = encode(&frame, &Settings { is_split: true, ..Settings::of(50) }, None).unwrap();
     let mut assembly = Assembly::new(&peek(&encoded.chunks[0].bytes).unwrap());
     let none = References::default();
     for chunk in encoded.chunks.iter().filter(|c| c.is_base) {
@@ -337,7 +337,7 @@ fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
 fn damaged_bytes_never_do_more_than_fail() {
     let scene = scene(Builtin::Shells);
     let (_, reference) = encode(&made(&scene, 1, 72, 70, 0.0), &whole(60), None).unwrap();
-    let settings = Settings { quality: 60, is_split: true };
+    let settings = Settings { is_split: true, ..Settings::of(60) };
     let next = made(&scene, 2, 72, 70, 1.0);
     let [predicted, alone] =
         [Some(&reference), None].map(|reference| encode(&next, &settings, reference).unwrap().0);
@@ -393,7 +393,8 @@ fn chunks_that_contradict_each_other_are_refused() {
     let scene = scene(Builtin::Cubus);
     let frame = made(&scene, 1, 70, 140, 0.0);
     let split = |quality| {
-        let (encoded, _) = encode(&frame, &Settings { quality, is_split: true }, None).unwrap();
+        let (encoded, _) =
+            encode(&frame, &Settings { is_split: true, ..Settings::of(quality) }, None).unwrap();
         let none = References::default();
         encoded.chunks.iter().map(|c| decode_chunk(&c.bytes, &none).unwrap()).collect::<Vec<_>>()
     };
@@ -447,7 +448,7 @@ fn a_wanted_number_of_bytes_is_kept_along_a_chain_and_found_again_behind_a_cut()
         // A cut to another volume behind the 12th.
         let frame = made(&scenes[usize::from(id > 12)], id, 128, 128, id as f32);
         let quality = rate.quality(reference.is_some());
-        let settings = Settings { quality, is_split: false };
+        let settings = Settings::of(quality);
         let (encoded, decoded) = encode(&frame, &settings, reference.as_ref()).unwrap();
         rate.observe(reference.is_some(), quality, encoded.num_bytes());
         reference = Some(decoded);
@@ -466,15 +467,18 @@ fn a_wanted_number_of_bytes_is_kept_along_a_chain_and_found_again_behind_a_cut()
 fn a_frame_is_made_as_good_as_a_number_of_bytes_allows() {
     let frame = made(&scene(Builtin::Shells), 1, 128, 128, 0.0);
     for max_bytes in [2000, 4000, 9000] {
-        let (encoded, decoded, quality) = encode_within(&frame, max_bytes, None).unwrap();
+        let (encoded, decoded, quality) = encode_within(&frame, max_bytes, &whole(0), None).unwrap();
         let bytes = encoded.num_bytes();
         assert!(bytes <= max_bytes && bytes > max_bytes * 9 / 10, "{bytes} of {max_bytes}");
         let again = encode(&frame, &whole(quality), None).unwrap();
         assert_eq!((again.0, again.1.to_frame()), (encoded, decoded.to_frame()));
     }
-    let (encoded, _, quality) = encode_within(&frame, 1 << 24, None).unwrap();
+    let (encoded, _, quality) = encode_within(&frame, 1 << 24, &whole(0), None).unwrap();
     assert_eq!((quality, encoded), (MAX_QUALITY, encode(&frame, &whole(MAX_QUALITY), None).unwrap().0));
-    assert!(matches!(encode_within(&frame, 600, None), Err(CodecError::TooLarge { limit: 600, .. })));
+    assert!(matches!(
+        encode_within(&frame, 600, &whole(0), None),
+        Err(CodecError::TooLarge { limit: 600, .. })
+    ));
 }
 
 /// Counts how often an encoder asks, and says no from some time on.
@@ -512,7 +516,7 @@ fn bits_are_counted_for_what_they_are_for() {
     references.insert(Arc::new(reference.clone()));
     let encoded =
         |id, degrees| encode(&made(&scene, id, 140, 93, degrees), &whole(70), Some(&reference)).unwrap().0;
-    let split = Settings { quality: 70, is_split: true };
+    let split = Settings { is_split: true, ..Settings::of(70) };
     let (split, _) = encode(&made(&scene, 1, 140, 93, 0.0), &split, None).unwrap();
     // Bytes for each matter and, by class, tiles and their bytes.
     let sums = |frame: &EncodedFrame| {
@@ -555,4 +559,26 @@ fn bits_are_counted_for_what_they_are_for() {
         classes[copied][0] > 10 * (classes[own][0] + classes[kept][0] + classes[continued][0]),
         "{classes:?}"
     );
+}
+
+/// Of as many bytes, each frame is the best at the turn that it is made for.
+#[test]
+fn bytes_are_spent_where_a_turn_shows_them() {
+    for builtin in [Builtin::Cloud, Builtin::Shells] {
+        let frame = made(&scene(builtin), 1, 160, 160, 0.0);
+        let (usual, _) = encode(&frame, &whole(50), None).unwrap();
+        let [now, later] = [0.0, 10.0]
+            .map(|degrees| move |frame: &LayeredFrame, truth: &LayeredFrame| error(frame, truth, degrees).0);
+        let found = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn_deg| {
+            let settings = Settings { turn_deg, ..whole(0) };
+            let (encoded, ..) = encode_within(&frame, usual.num_bytes(), &settings, None).unwrap();
+            assert!(encoded.num_bytes() * 10 > usual.num_bytes() * 9, "{builtin:?} {turn_deg:?}");
+            let decoded = decode(&bytes(&encoded)).unwrap();
+            [now(&decoded, &frame), later(&decoded, &frame)]
+        });
+        println!("{builtin:?}: DSSIM at 0° and 10° made for 0°, all, 10°: {found:?}");
+        let [near, all, far] = found;
+        assert!(near[0] < 0.8 * all[0] && all[0] < far[0], "{builtin:?} {found:?}");
+        assert!(far[1] < near[1] && all[1] < near[1], "{builtin:?} {found:?}");
+    }
 }
