@@ -109,8 +109,8 @@ impl Pilot {
         self.generate_micros = micros as f64;
     }
 
-    /// The camera has turned by so many degrees since the frame before; none if it had rested. A frame is shown from its own
-    /// camera until that of the next one, or where poses are not predicted well, from further on.
+    /// The camera has turned by so many degrees since the frame before; none if it had rested. A frame is shown from
+    /// about its own camera until the next one comes.
     pub fn handle_turned(&mut self, degrees: Option<f32>) {
         self.turned_deg = degrees.map(|now| 0.5 * (now + self.turned_deg.unwrap_or(now)));
     }
@@ -148,7 +148,8 @@ impl Pilot {
         self.control.set_target((budget * counted(num_lists)) as usize);
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
-        let turn_deg = self.turned_deg.map(|t| t.ceil().clamp(1.0, f32::from(blocks::MAX_TURN_DEG)) as u8);
+        let turn_deg =
+            self.turned_deg.map(|t| (t.ceil() + MISJUDGED_DEG).min(f32::from(blocks::MAX_TURN_DEG)) as u8);
         let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
             Mode::Exact => Coding::default(),
@@ -254,6 +255,8 @@ const EXACT_SHARE_OF_MAKING: f64 = 0.15;
 const LONG_SECONDS: f64 = 0.25;
 /// What a list of an exact frame takes as long as none was seen.
 const EXACT_BYTES_PER_LIST: f64 = 8.0;
+/// By how much predicted poses are off, degrees.
+const MISJUDGED_DEG: f32 = 1.0;
 /// Part of what the link carries that frames may fill.
 const FILLING: f64 = 0.9;
 /// A queue on the way shall be gone after so long.
@@ -320,8 +323,8 @@ mod tests {
             settings.turn_deg
         };
         assert_eq!(next(None), None);
-        assert_eq!([next(Some(1.2)), next(Some(5.2)), next(Some(5.2))], [Some(2), Some(4), Some(5)]);
-        assert_eq!([next(Some(90.0)), next(None), next(Some(0.001))], [Some(10), None, Some(1)]);
+        assert_eq!([next(Some(1.2)), next(Some(5.2)), next(Some(5.2))], [Some(3), Some(5), Some(6)]);
+        assert_eq!([next(Some(90.0)), next(None), next(Some(0.001))], [Some(10), None, Some(2)]);
     }
 
     #[test]

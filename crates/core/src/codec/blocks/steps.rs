@@ -49,9 +49,10 @@ impl Steps {
     }
 }
 
-/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn.
-pub(super) fn from_settings(settings: &Settings, camera: &Camera) -> (Rule, Steps) {
-    let [moves, corrections] = settings.turn_deg.map_or([1.0, 1.0], for_turn);
+/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
+pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (Rule, Steps) {
+    let for_turn = if is_predicted { predicted_for_turn } else { alone_for_turn };
+    let [moves, corrections] = settings.turn_deg.map_or([1.0, 1.0], |t| for_turn(t.min(MAX_TURN_DEG)));
     let at =
         f32::from(settings.quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
     let row = (at as usize).min(FAMILY.len() - 2);
@@ -71,26 +72,27 @@ pub(super) fn from_settings(settings: &Settings, camera: &Camera) -> (Rule, Step
     (Rule { lambda: lambda * moves, units_per_pixel }, steps)
 }
 
-/// What λ and the step of corrections are multiplied by for a turn.
+/// What λ and the step of corrections are multiplied by in frames alone that are seen at a turn.
 ///
 /// Matter that is moved along a ray is seen beside its place in proportion to the sine of the turn, so the move that is
 /// accepted to be rid of a layer is in inverse proportion to that, down to a turn where other faults hide it. The correction
 /// is of the picture at the own pose: it matters most there, and the less the further it is turned (docs/MATH.md).
-fn for_turn(turn_deg: u8) -> [f32; 2] {
-    let turn_deg = turn_deg.min(MAX_TURN_DEG);
-    let nearer = ALL_TURNS_DEG / f32::from(turn_deg).max(LEAST_TURN_DEG);
-    [nearer * nearer.sqrt().sqrt(), CORRECTIONS[usize::from(turn_deg)]]
+fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
+    let nearer = 6.0 / f32::from(turn_deg).max(1.5);
+    let corrections = [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
+    [nearer * nearer.sqrt().sqrt(), corrections[usize::from(turn_deg)]]
+}
+
+/// The same in predicted frames, by measurement. Layers are kept from frame to frame, so they are worth having sooner, while
+/// corrections are coded anew each time.
+fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
+    let nearer = 3.0 / f32::from(turn_deg).max(1.0);
+    let corrections = [0.85, 1.1, 1.4, 1.6, 1.8, 1.9, 1.92, 1.94, 1.96, 1.98, 2.0];
+    [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
 /// Greatest turn that a frame is made for, degrees.
 pub const MAX_TURN_DEG: u8 = 10;
-/// The turn that λ suits in [`FAMILY`].
-const ALL_TURNS_DEG: f32 = 6.0;
-/// The least turn that layers are chosen for.
-const LEAST_TURN_DEG: f32 = 1.5;
-/// For each turn, by measurement.
-const CORRECTIONS: [f32; MAX_TURN_DEG as usize + 1] =
-    [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
 /// Bytes of [`Steps`].

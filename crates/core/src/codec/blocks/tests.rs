@@ -565,20 +565,31 @@ fn bits_are_counted_for_what_they_are_for() {
 #[test]
 fn bytes_are_spent_where_a_turn_shows_them() {
     for builtin in [Builtin::Cloud, Builtin::Shells] {
-        let frame = made(&scene(builtin), 1, 160, 160, 0.0);
-        let (usual, _) = encode(&frame, &whole(50), None).unwrap();
+        let scene = scene(builtin);
+        let (before, reference) = encode(&made(&scene, 1, 160, 160, -1.0), &whole(50), None).unwrap();
+        let mut references = References::default();
+        references.insert(Arc::new(reference.clone()));
+        let frame = made(&scene, 2, 160, 160, 0.0);
+        let usual = before.num_bytes();
         let [now, later] = [0.0, 10.0]
             .map(|degrees| move |frame: &LayeredFrame, truth: &LayeredFrame| error(frame, truth, degrees).0);
-        let found = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn_deg| {
+        let found = |turn_deg, reference: Option<&Reference>| {
+            let bytes_allowed = if reference.is_some() { usual / 2 } else { usual };
             let settings = Settings { turn_deg, ..whole(0) };
-            let (encoded, ..) = encode_within(&frame, usual.num_bytes(), &settings, None).unwrap();
-            assert!(encoded.num_bytes() * 10 > usual.num_bytes() * 9, "{builtin:?} {turn_deg:?}");
-            let decoded = decode(&bytes(&encoded)).unwrap();
+            let (encoded, ..) = encode_within(&frame, bytes_allowed, &settings, reference).unwrap();
+            assert!(encoded.num_bytes() * 10 > bytes_allowed * 9, "{builtin:?} {turn_deg:?}");
+            let decoded = assemble(&bytes(&encoded), &references).unwrap().to_frame_and_reference().0;
             [now(&decoded, &frame), later(&decoded, &frame)]
-        });
-        println!("{builtin:?}: DSSIM at 0° and 10° made for 0°, all, 10°: {found:?}");
-        let [near, all, far] = found;
-        assert!(near[0] < 0.8 * all[0] && all[0] < far[0], "{builtin:?} {found:?}");
-        assert!(far[1] < near[1] && all[1] < near[1], "{builtin:?} {found:?}");
+        };
+        let alone = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn| found(turn, None));
+        let predicted = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn| found(turn, Some(&reference)));
+        println!(
+            "{builtin:?}: DSSIM at 0° and 10° made for 0°, all, 10°: {alone:?}, predicted {predicted:?}"
+        );
+        for [near, all, far] in [alone, predicted] {
+            assert!(near[0] < all[0] && all[0] < far[0], "{builtin:?} {alone:?} {predicted:?}");
+            assert!(far[1] < near[1] && far[1] < all[1], "{builtin:?} {alone:?} {predicted:?}");
+        }
+        assert!(alone[0][0] < 0.8 * alone[1][0], "{builtin:?} {alone:?}");
     }
 }
