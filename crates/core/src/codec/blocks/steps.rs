@@ -87,7 +87,7 @@ fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
 /// corrections are coded anew each time.
 fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
     let nearer = 3.0 / f32::from(turn_deg).max(1.0);
-    let corrections = [0.85, 1.1, 1.4, 1.6, 1.8, 1.9, 1.92, 1.94, 1.96, 1.98, 2.0];
+    let corrections = [0.9, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
     [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
