@@ -1,5 +1,6 @@
 //! How frames become bytes.
 
+use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 
@@ -46,9 +47,9 @@ pub(crate) struct CodecArgs {
     /// Codec: exact, which keeps every list and depth, or blocks, which takes far fewer bytes
     #[arg(long, value_enum, default_value_t = CodecChoice::Exact)]
     pub(crate) codec: CodecChoice,
-    /// Quality of --codec blocks, from 0 to 100
-    #[arg(long, value_name = "Q", default_value_t = 60, value_parser = clap::value_parser!(u8).range(0..=100))]
-    pub(crate) quality: u8,
+    /// Quality of --codec blocks, from 0 to 100 [default: 60]
+    #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(0..=100))]
+    pub(crate) quality: Option<u8>,
     /// The best quality of --codec blocks that makes the frame no larger than so many bytes
     #[arg(long, value_name = "N", conflicts_with = "quality")]
     pub(crate) bytes: Option<usize>,
@@ -63,6 +64,26 @@ pub(crate) struct CodecArgs {
     /// where they show at that turn, up to 10 [default: fit for all]
     #[arg(long, value_name = "DEG", value_parser = parse_turn)]
     pub(crate) turn: Option<f32>,
+}
+
+impl CodecArgs {
+    /// # Errors
+    ///
+    /// Of usage, where an argument has no meaning for the codec.
+    pub(crate) fn check(&self) -> Result<(), clap::Error> {
+        if self.codec == CodecChoice::Blocks || self.bound.is_some() {
+            return Ok(());
+        }
+        let given = [
+            ("--quality", self.quality.is_some(), "--codec blocks"),
+            ("--bytes", self.bytes.is_some(), "--codec blocks"),
+            ("--turn", self.turn.is_some(), "--codec blocks or --bound"),
+        ];
+        given.iter().find(|(_, is_given, _)| *is_given).map_or(Ok(()), |(name, _, codec)| {
+            let text = format!("{name}: found --codec exact, expected {codec}");
+            Err(clap::Error::raw(ErrorKind::ArgumentConflict, text))
+        })
+    }
 }
 
 /// A codec.

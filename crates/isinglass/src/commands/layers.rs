@@ -53,6 +53,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     if args.output.exists() && !args.output.is_file() {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
+    args.codec.check()?;
     let seen = args.state.read(given)?;
     let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
     let backend = args.backend.open()?;
@@ -109,13 +110,9 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
         (CodecChoice::Blocks, _) if frame.header.mode.is_projection() => {
             bail!("--codec blocks: found --mode {}, expected --codec exact with it", frame.header.mode)
         }
-        (CodecChoice::Exact, _) if turn_deg.is_some() => {
-            bail!("--turn: found --codec exact, expected --codec blocks or --bound")
-        }
-        (CodecChoice::Exact, Some(_)) => bail!("--bytes: found --codec exact, expected --codec blocks"),
         // Nobody waits for a part of a file.
-        (CodecChoice::Exact, None) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
-        (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality)),
+        (CodecChoice::Exact, _) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
+        (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality.unwrap_or(QUALITY))),
         (CodecChoice::Blocks, Some(bytes)) => {
             let (encoded, _, quality) = blocks::encode_within(frame, bytes, &in_blocks(0), None)?;
             return Ok((encoded, Coding::Blocks(in_blocks(quality)), None));
@@ -123,6 +120,9 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
     };
     Ok((coding.encode(frame, None)?.0, coding, None))
 }
+
+/// The quality of frames in blocks if none is said.
+const QUALITY: u8 = 60;
 
 /// The turn that --shift is meant at if none is said, degrees.
 const BOUND_TURN_DEG: f32 = 10.0;
