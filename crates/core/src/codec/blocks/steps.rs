@@ -86,8 +86,8 @@ fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
 /// The same in predicted frames, by measurement. Layers are kept from frame to frame, so they are worth having sooner, while
 /// corrections are coded anew each time.
 fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
-    let nearer = 3.0 / f32::from(turn_deg).max(1.0);
-    let corrections = [0.9, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
+    let nearer = 3.0 / f32::from(turn_deg).max(0.5);
+    let corrections = [0.6, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
     [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
