@@ -38,6 +38,9 @@ pub trait FrameSource {
     /// A frame was on the screen, for the ledger.
     fn note_shown(&mut self, frame: FrameId);
 
+    /// How far the camera is turned from that of the frame on the screen, degrees, if it is one to be better.
+    fn note_turn(&mut self, _degrees: Option<f32>) {}
+
     /// How the viewer fares, for the server.
     fn report(&mut self, stats: ClientStats);
 
@@ -123,6 +126,10 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
         (**self).note_shown(frame);
     }
 
+    fn note_turn(&mut self, degrees: Option<f32>) {
+        (**self).note_turn(degrees);
+    }
+
     fn report(&mut self, stats: ClientStats) {
         (**self).report(stats);
     }
@@ -205,6 +212,10 @@ impl FrameSource for Client {
 
     fn note_shown(&mut self, frame: FrameId) {
         Client::note_shown(self, frame);
+    }
+
+    fn note_turn(&mut self, degrees: Option<f32>) {
+        Client::note_turn(self, degrees);
     }
 
     fn report(&mut self, stats: ClientStats) {

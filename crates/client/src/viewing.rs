@@ -244,16 +244,19 @@ impl<S: FrameSource> Viewing<S> {
             self.kept.note(frame, &drawn);
             kept = self.kept.choose(frame, &camera, &drawn);
         }
-        let header = frame.as_ref().map(|f| f.frame.header);
+        let turned_degrees = frame.as_ref().map(|f| {
+            let (of_frame, shown) = (eye_of(&f.frame.header.camera, bounds), eye_of(&camera, bounds));
+            angle_between_degrees(&of_frame, &shown, bounds.center())
+        });
+        // An exact frame is one that was made at rest: it does not tell what those of a moving camera are seen at.
+        let is_exact = frame.as_ref().is_some_and(|f| f.is_exact);
+        self.source.note_turn(turned_degrees.filter(|_| !is_exact));
         let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, (pose, full))),
-            turned_degrees: header.map(|h| {
-                let (of_frame, shown) = (eye_of(&h.camera, bounds), eye_of(&camera, bounds));
-                angle_between_degrees(&of_frame, &shown, bounds.center())
-            }),
+            turned_degrees,
             is_ahead: predicted.is_some(),
             kept,
             camera,

@@ -13,7 +13,7 @@ use isinglass_core::codec::{
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
-use isinglass_core::wire::Refusal;
+use isinglass_core::wire::{PoseRequest, Refusal};
 use isinglass_net::{Client, ClientOptions, ConnectError, Identity, LinkModel, Server, ServerOptions, State};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -43,6 +43,20 @@ async fn a_viewer_gets_the_exact_frame_for_its_pose() {
 
 fn bytes(frame: codec::EncodedFrame) -> Vec<Vec<u8>> {
     frame.chunks.into_iter().map(|c| c.bytes).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn how_far_frames_are_turned_reaches_the_server() {
+    let mut server = server();
+    let client = connect(&server.mint_link("127.0.0.1").unwrap());
+    let mut session = server.accept().await.unwrap();
+    for (noted, told) in [(None, None), (Some(7.4), Some(7)), (Some(500.0), Some(180)), (None, None)] {
+        client.note_turn(noted);
+        let id = client.set_pose(pose(told.unwrap_or(1).into()), INTRINSICS);
+        let has_come = |p: &Option<PoseRequest>| p.is_some_and(|p| p.id == id);
+        let request = *session.poses.wait_for(has_come).await.unwrap();
+        assert_eq!(request.unwrap().shown_turn_deg, told, "{noted:?}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

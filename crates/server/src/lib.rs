@@ -11,7 +11,6 @@ mod parts;
 mod sending;
 mod serving;
 mod shots;
-mod turned;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;

@@ -4,7 +4,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
@@ -25,7 +25,6 @@ use crate::generator::{GenerateError, Generated, Generator, Wish};
 use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD, load_due};
 use crate::sending::{Sending, Sent, Ticket, finished, send};
 use crate::shots::Shots;
-use crate::turned::turned_deg;
 
 /// What all viewers share.
 #[derive(Clone)]
@@ -84,8 +83,6 @@ struct Viewer {
     frame: FrameId,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
-    /// The camera of the frame before, and when it was asked for.
-    turned_from: Option<(Pose, Instant)>,
     /// Encoding and handing over of the frame before: runs while the next one is generated.
     sending: Option<Sending>,
     /// Frames that later ones may be predicted from.
@@ -135,7 +132,6 @@ impl Viewer {
             pilot: Pilot::new(plan),
             frame: FrameId(0),
             answered: None,
-            turned_from: None,
             sending: None,
             sent: References::default(),
             resting: None,
@@ -400,9 +396,7 @@ impl Viewer {
                 return true;
             }
         }
-        let before = self.turned_from.replace((request.pose, asked_at));
-        let center = self.present.bounds.center();
-        self.pilot.handle_turned(before.and_then(|b| turned_deg(b, (request.pose, asked_at), center)));
+        self.pilot.handle_turned(request.shown_turn_deg);
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
         let num_lists = header.camera.intrinsics.num_pixels();
         let coding = if self.shows_exactly(&header.camera) {

@@ -18,6 +18,7 @@ pub(crate) struct FakeSource {
     pub(crate) look: Option<(LookVersion, Arc<Look>)>,
     pub(crate) wanted_looks: Vec<Look>,
     pub(crate) shown: Vec<FrameId>,
+    pub(crate) turned: Option<f32>,
     pub(crate) max_side: Option<u32>,
     pub(crate) stats: LinkStats,
     /// Whether frames come in blocks.
@@ -79,6 +80,10 @@ impl FrameSource for FakeSource {
 
     fn note_shown(&mut self, frame: FrameId) {
         self.shown.push(frame);
+    }
+
+    fn note_turn(&mut self, degrees: Option<f32>) {
+        self.turned = degrees;
     }
 
     fn report(&mut self, _stats: ClientStats) {}
@@ -175,6 +180,12 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
     // Azimuths apart at this elevation: the arc is cos(elevation) shorter.
     assert!((r.turned_degrees.unwrap() - 11.0 * 0.2f32.cos()).abs() < 0.1, "{r:?}");
     assert!(turned.len() == 9);
+    // An exact frame was made at rest; how far one in blocks is turned is told to the server.
+    assert_eq!(v.source.turned, None);
+    v.source.in_blocks = true;
+    v.source.answer(12, ms(11 * 16), true);
+    let r = v.refresh(ms(21 * 16), at(21.0), PICTURE, &BOUNDS);
+    assert!(r.turned_degrees > Some(8.0) && v.source.turned == r.turned_degrees, "{r:?}");
 }
 
 #[test]

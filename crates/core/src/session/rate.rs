@@ -80,7 +80,7 @@ pub struct Pilot {
     ceiling: Option<f64>,
     link: Option<LinkState>,
     generate_micros: f64,
-    /// By how much the camera turns from frame to frame, degrees; none: it is not known to move.
+    /// How far frames are turned when they are seen, degrees; none: it is not known.
     turned_deg: Option<f32>,
     /// Time to encode a list, µs, exactly and in blocks, and bytes of a list of an exact frame.
     exact_micros: Mean,
@@ -109,10 +109,12 @@ impl Pilot {
         self.generate_micros = micros as f64;
     }
 
-    /// The camera has turned by so many degrees since the frame before; none if it had rested. A frame is shown from
-    /// about its own camera until the next one comes.
-    pub fn handle_turned(&mut self, degrees: Option<f32>) {
-        self.turned_deg = degrees.map(|now| 0.5 * (now + self.turned_deg.unwrap_or(now)));
+    /// The viewer shows a frame turned by so many degrees; none if it is not one of a moving camera.
+    pub fn handle_turned(&mut self, degrees: Option<u8>) {
+        self.turned_deg = degrees.map(|now| {
+            let now = f32::from(now);
+            now + TURN_KEPT * (self.turned_deg.unwrap_or(now) - now)
+        });
     }
 
     /// The link is like this now.
@@ -149,7 +151,7 @@ impl Pilot {
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
         let turn_deg =
-            self.turned_deg.map(|t| (t.ceil() + MISJUDGED_DEG).min(f32::from(blocks::MAX_TURN_DEG)) as u8);
+            self.turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
         let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
             Mode::Exact => Coding::default(),
@@ -175,7 +177,10 @@ impl Pilot {
         let Coding::Blocks(last) = sent else { return None };
         match self.plan.mode {
             Mode::Exact => None,
-            Mode::Blocks => (last.quality < self.plan.quality).then(|| at(self.plan.quality)),
+            Mode::Blocks => {
+                let is_for_turn = last.turn_deg.is_some();
+                (is_for_turn || last.quality < self.plan.quality).then(|| at(self.plan.quality))
+            }
             Mode::Auto => {
                 let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
                 let takes_long = bytes / self.bytes_per_second() > LONG_SECONDS;
@@ -255,8 +260,13 @@ const EXACT_SHARE_OF_MAKING: f64 = 0.15;
 const LONG_SECONDS: f64 = 0.25;
 /// What a list of an exact frame takes as long as none was seen.
 const EXACT_BYTES_PER_LIST: f64 = 8.0;
-/// By how much predicted poses are off, degrees.
-const MISJUDGED_DEG: f32 = 1.0;
+/// Frames are made to be seen at least so far turned: the camera moves, so none is seen from its own pose alone.
+const LEAST_TURN_DEG: u8 = 1;
+/// Part of the turn that frames are made for: seen nearer than they are meant for they lose more than seen further, and a
+/// camera that stops sees them from near.
+const MEANT: f32 = 0.5;
+/// Part of the turn before that stays, frame by frame.
+const TURN_KEPT: f32 = 0.75;
 /// Part of what the link carries that frames may fill.
 const FILLING: f64 = 0.9;
 /// A queue on the way shall be gone after so long.
@@ -315,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_made_for_the_turn_from_one_to_the_next() {
+    fn frames_are_made_for_the_turn_they_are_seen_at() {
         let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, ..Plan::default() });
         let mut next = |turned| {
             pilot.handle_turned(turned);
@@ -323,8 +333,13 @@ mod tests {
             settings.turn_deg
         };
         assert_eq!(next(None), None);
-        assert_eq!([next(Some(1.2)), next(Some(5.2)), next(Some(5.2))], [Some(3), Some(5), Some(6)]);
-        assert_eq!([next(Some(90.0)), next(None), next(Some(0.001))], [Some(10), None, Some(2)]);
+        assert_eq!([next(Some(4)), next(Some(12)), next(Some(12))], [Some(2), Some(3), Some(4)]);
+        assert_eq!([next(Some(90)), next(None), next(Some(0))], [Some(10), None, Some(1)]);
+        // Where it rests, it is made once more for any turn, though it be at the best quality.
+        let sent =
+            |turn_deg| Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(DEFAULT_QUALITY) });
+        assert_eq!(pilot.finer(LISTS, &sent(Some(5))), Some(sent(None)));
+        assert_eq!(pilot.finer(LISTS, &sent(None)), None);
     }
 
     #[test]

@@ -168,7 +168,16 @@ mod tests {
     fn datagram(id: u32, newest_complete: Option<FrameId>) -> Vec<u8> {
         let pose = Pose::orbit(Vec3::ZERO, 0.1 * id as f32, 0.0, 3.0);
         let intrinsics = Intrinsics::perspective(8, 8, 0.5);
-        PoseRequest { id: PoseId(id), stamp_micros: 0, pose, intrinsics, newest_complete }.encode().to_vec()
+        PoseRequest {
+            id: PoseId(id),
+            stamp_micros: 0,
+            pose,
+            intrinsics,
+            newest_complete,
+            shown_turn_deg: None,
+        }
+        .encode()
+        .to_vec()
     }
 
     #[test]

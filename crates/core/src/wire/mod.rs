@@ -20,14 +20,14 @@ pub use control::{
     VolumeDescription, Welcome,
 };
 pub use parts::{LoadState, LoadStatus, Part, Parts};
-pub use pose::{POSE_BYTES, PoseError, PoseRequest};
+pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
 pub use shot::ShotRequest;
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.
-pub const PROTOCOL_VERSION: u32 = 5;
+pub const PROTOCOL_VERSION: u32 = 6;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/5";
+pub const ALPN: &[u8] = b"isinglass/6";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

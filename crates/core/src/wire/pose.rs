@@ -32,6 +32,9 @@ pub struct PoseRequest {
     pub intrinsics: Intrinsics,
     /// The newest frame whose base is complete at the client.
     pub newest_complete: Option<FrameId>,
+    /// How far the client's camera is turned from that of the frame it shows, about the middle of the volume, whole degrees
+    /// up to [`MAX_SHOWN_TURN_DEG`]; none where it shows none or one of its own pose.
+    pub shown_turn_deg: Option<u8>,
 }
 
 /// Why a datagram is not a pose.
@@ -56,7 +59,7 @@ impl PoseRequest {
     pub fn encode(&self) -> [u8; POSE_BYTES] {
         let mut out = [0; POSE_BYTES];
         let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
-        put(0, &[KIND]);
+        put(0, &[KIND, self.shown_turn_deg.map_or(0, |t| t.min(MAX_SHOWN_TURN_DEG) + 1)]);
         put(2, &(self.intrinsics.width.min(MAX_SIDE) as u16).to_le_bytes());
         put(4, &(self.intrinsics.height.min(MAX_SIDE) as u16).to_le_bytes());
         put(8, &self.id.0.to_le_bytes());
@@ -82,7 +85,7 @@ impl PoseRequest {
         if bytes[0] != KIND {
             return Err(PoseError::Kind(bytes[0]));
         }
-        if bytes[1] != 0 || u16_at(6) != 0 {
+        if u16_at(6) != 0 {
             return Err(PoseError::Field("reserved byte"));
         }
         let request = Self {
@@ -98,6 +101,7 @@ impl PoseRequest {
                 projection: Projection::from_number(f32_at(52)),
             },
             newest_complete: Some(FrameId(u32_at(12))).filter(|f| f.0 != 0),
+            shown_turn_deg: bytes[1].checked_sub(1),
         };
         request.validate()?;
         Ok(request)
@@ -118,6 +122,8 @@ impl PoseRequest {
             Err(PoseError::Value("size"))
         } else if !i.projection.is_valid() {
             Err(PoseError::Value("projection"))
+        } else if self.shown_turn_deg > Some(MAX_SHOWN_TURN_DEG) {
+            Err(PoseError::Value("turn"))
         } else {
             Ok(())
         }
@@ -126,6 +132,8 @@ impl PoseRequest {
 
 /// Length of a pose datagram: far below the 1200 bytes that every QUIC path carries.
 pub const POSE_BYTES: usize = 56;
+/// As far as two directions can be apart.
+pub const MAX_SHOWN_TURN_DEG: u8 = 180;
 /// Farthest an eye may be from the origin: squares of it are still finite single-precision numbers.
 const MAX_COORDINATE: f32 = 1e15;
 /// First byte of a pose datagram.
@@ -142,14 +150,17 @@ mod tests {
             pose: Pose::orbit(Vec3::new(1.0, -2.0, 3.0), 0.3, -0.7, 5.0),
             intrinsics: Intrinsics::perspective(640, 480, 0.6),
             newest_complete: Some(FrameId(12)),
+            shown_turn_deg: Some(7),
         }
     }
 
     #[test]
     fn decoding_inverts_encoding() {
-        for newest_complete in [None, Some(FrameId(1)), Some(FrameId(u32::MAX))] {
+        for (newest_complete, shown_turn_deg) in
+            [(None, None), (Some(FrameId(1)), Some(0)), (Some(FrameId(u32::MAX)), Some(180))]
+        {
             for intrinsics in [request().intrinsics, Intrinsics::orthographic(640, 480, 0.25)] {
-                let r = PoseRequest { newest_complete, intrinsics, ..request() };
+                let r = PoseRequest { newest_complete, shown_turn_deg, intrinsics, ..request() };
                 assert_eq!(PoseRequest::decode(&r.encode()), Ok(r));
             }
         }
@@ -180,6 +191,9 @@ mod tests {
             assert_eq!(wrong, Err(PoseError::Value("projection")));
         }
         assert_eq!(with(&|r| r.id = PoseId(0)), Err(PoseError::Field("id")));
+        let mut too_far = request().encode();
+        too_far[1] = 182;
+        assert_eq!(PoseRequest::decode(&too_far), Err(PoseError::Value("turn")));
         let mut too_wide = request().encode();
         too_wide[3] = 0xff;
         assert_eq!(PoseRequest::decode(&too_wide), Err(PoseError::Value("size")));

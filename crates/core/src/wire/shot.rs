@@ -71,7 +71,14 @@ mod tests {
     fn request(width: u32, height: u32) -> ShotRequest {
         let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0);
         let intrinsics = Intrinsics::perspective(width, height, 0.5);
-        let view = PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
+        let view = PoseRequest {
+            id: PoseId(1),
+            stamp_micros: 0,
+            pose,
+            intrinsics,
+            newest_complete: None,
+            shown_turn_deg: None,
+        };
         ShotRequest { id: ShotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
     }
 

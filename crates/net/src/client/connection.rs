@@ -466,6 +466,7 @@ async fn send_poses(shared: &Shared, connection: &Connection) {
                 shared.session().handle_pose(request.stamp_micros, request.id);
             }
             request.newest_complete = shared.session().newest_complete();
+            request.shown_turn_deg = shared.wishes.shown_turn_deg();
             match connection.send_datagram(request.encode().to_vec().into()) {
                 Ok(()) => {}
                 Err(SendDatagramError::ConnectionLost(_)) => return,

@@ -203,6 +203,12 @@ impl Client {
         self.shared.wishes.pose(self.shared.clock.now_micros(), pose, intrinsics)
     }
 
+    /// How far the camera is turned from that of the frame on the screen, about the middle of the volume, degrees; none where
+    /// there is none or it needs no more. The server makes frames to be seen so, with the bytes there are.
+    pub fn note_turn(&self, degrees: Option<f32>) {
+        self.shared.wishes.note_turn(degrees);
+    }
+
     /// Asks for another look. The newest wins; it is asked for again after a lost connection.
     ///
     /// # Errors

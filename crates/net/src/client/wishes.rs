@@ -3,7 +3,7 @@
 //! The network's own channels take locks, which their readers hold for moments; a display loop that met one would stand still.
 //! So a thread of its own, the messenger, carries the wishes over: it sleeps until it is woken, which waits for nothing either.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, Thread};
 
@@ -11,7 +11,7 @@ use arc_swap::ArcSwapOption;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{PoseId, ProbeId, ShotId};
 use isinglass_core::look::Look;
-use isinglass_core::wire::{ClientStats, Part, PoseRequest, ProbeRequest, ShotRequest};
+use isinglass_core::wire::{ClientStats, MAX_SHOWN_TURN_DEG, Part, PoseRequest, ProbeRequest, ShotRequest};
 
 use super::{Shared, shot};
 
@@ -20,6 +20,8 @@ use super::{Shared, shot};
 pub(super) struct Wishes {
     /// The newest, which stays: the next one is numbered after it.
     pose: ArcSwapOption<PoseRequest>,
+    /// Whole degrees and one; 0 where it is none.
+    shown_turn: AtomicU8,
     look: ArcSwapOption<Look>,
     /// Its inside is none where it is a wish for no other part.
     part: ArcSwapOption<Option<Part>>,
@@ -42,8 +44,14 @@ impl Wishes {
                 return newest.clone();
             }
             let stamp_micros = now_micros;
-            let request =
-                PoseRequest { id: number.next(), stamp_micros, pose, intrinsics, newest_complete: None };
+            let request = PoseRequest {
+                id: number.next(),
+                stamp_micros,
+                pose,
+                intrinsics,
+                newest_complete: None,
+                shown_turn_deg: None,
+            };
             if let Err(e) = request.validate() {
                 tracing::warn!("pose ignored: {e}");
                 return newest.clone();
@@ -53,6 +61,17 @@ impl Wishes {
         });
         self.knock();
         number
+    }
+
+    /// Goes with the next datagram, whatever pose that has.
+    pub(super) fn note_turn(&self, degrees: Option<f32>) {
+        let whole = |d: f32| d.round().clamp(0.0, MAX_SHOWN_TURN_DEG.into()) as u8 + 1;
+        self.shown_turn.store(degrees.map_or(0, whole), Ordering::Relaxed);
+    }
+
+    /// As it was noted last.
+    pub(super) fn shown_turn_deg(&self) -> Option<u8> {
+        self.shown_turn.load(Ordering::Relaxed).checked_sub(1)
     }
 
     pub(super) fn look(&self, look: Look) {
@@ -83,7 +102,14 @@ impl Wishes {
     pub(super) fn shot(&self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
         let id = ShotId(self.newest_shot.fetch_add(1, Ordering::Relaxed).wrapping_add(1));
         // Its number is of no meaning here.
-        let view = PoseRequest { id: PoseId(1), stamp_micros: 0, pose, intrinsics, newest_complete: None };
+        let view = PoseRequest {
+            id: PoseId(1),
+            stamp_micros: 0,
+            pose,
+            intrinsics,
+            newest_complete: None,
+            shown_turn_deg: None,
+        };
         let request = ShotRequest { id, view: view.encode().to_vec(), background };
         self.shot.store(Some(Arc::new(Some(request))));
         self.knock();
