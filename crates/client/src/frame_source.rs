@@ -38,7 +38,7 @@ pub trait FrameSource {
     /// A frame was on the screen, for the ledger.
     fn note_shown(&mut self, frame: FrameId);
 
-    /// How far the camera is turned from that of the frame on the screen, degrees, if it is one to be better.
+    /// What the next wish says of [`isinglass_core::wire::PoseRequest::shown_turn_deg`], degrees.
     fn note_turn(&mut self, _degrees: Option<f32>) {}
 
     /// How the viewer fares, for the server.

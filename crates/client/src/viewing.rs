@@ -215,6 +215,11 @@ impl<S: FrameSource> Viewing<S> {
             }
             self.left.push_back((left, self.refreshed_at));
         }
+        let is_of_volume = frame.as_deref().is_none_or(|f| self.source.is_of_volume(f));
+        // How exact frames are seen says nothing of frames in blocks: they are there at rest, or come another way.
+        let tells = |f: &&ReceivedFrame| !f.is_exact && is_of_volume && self.is_moving(now);
+        let told = frame.as_deref().filter(tells).map(|f| turned_degrees(f, &camera, bounds));
+        self.source.note_turn(told);
         let wish = (ahead, size);
         if self.asked.replace(wish) != Some(wish) {
             self.source.set_pose(ahead, size);
@@ -233,7 +238,6 @@ impl<S: FrameSource> Viewing<S> {
         }
         self.last = Some((camera, frame.clone()));
         // Until the first frame of another volume is there, the one before is shown as it was, and as large.
-        let is_of_volume = frame.as_deref().is_none_or(|f| self.source.is_of_volume(f));
         let drawn = *self.frame_bounds.get_or_insert(*bounds);
         let (drawn, camera) = match is_of_volume {
             true => (*self.frame_bounds.insert(*bounds), camera),
@@ -244,13 +248,7 @@ impl<S: FrameSource> Viewing<S> {
             self.kept.note(frame, &drawn);
             kept = self.kept.choose(frame, &camera, &drawn);
         }
-        let turned_degrees = frame.as_ref().map(|f| {
-            let (of_frame, shown) = (eye_of(&f.frame.header.camera, bounds), eye_of(&camera, bounds));
-            angle_between_degrees(&of_frame, &shown, bounds.center())
-        });
-        // An exact frame is one that was made at rest: it does not tell what those of a moving camera are seen at.
-        let is_exact = frame.as_ref().is_some_and(|f| f.is_exact);
-        self.source.note_turn(turned_degrees.filter(|_| !is_exact));
+        let turned_degrees = frame.as_deref().map(|f| turned_degrees(f, &camera, &drawn));
         let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
@@ -471,6 +469,12 @@ impl<S: FrameSource> Viewing<S> {
         let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
         now.checked_sub(since)
     }
+}
+
+/// How far a camera is turned from a frame's, about the middle of the box, degrees.
+fn turned_degrees(frame: &ReceivedFrame, camera: &Camera, bounds: &Aabb) -> f32 {
+    let (of_frame, shown) = (eye_of(&frame.frame.header.camera, bounds), eye_of(camera, bounds));
+    angle_between_degrees(&of_frame, &shown, bounds.center())
 }
 
 /// The camera that sees the box `to` as `camera` sees the box `from`, where both are the same but for their size.

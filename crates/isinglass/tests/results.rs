@@ -78,7 +78,7 @@ fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
     bench.ok(&format!(
         "layers builtin:shells@48 -o near.iglf --codec blocks --bytes {bytes} --turn 0 {RENDER}"
     ));
-    assert!(bench.json("info near.iglf --json")["bytes"].as_u64() <= Some(bytes));
+    assert!(bench.json("info near.iglf --json")["bytes"].as_u64().unwrap() <= bytes);
     bench.ok(&format!("render builtin:shells@48 -o a.png {RENDER}"));
     let dssim = |frame: &str| {
         bench.ok(&format!("reproject {frame} -o b.png --backend cpu"));

@@ -338,6 +338,8 @@ impl Viewer {
         let asked_at = Instant::now();
         self.give_up_finer(request);
         self.frame = self.frame.next();
+        // Another look of a camera that rests, then: what was said of its movement is over.
+        let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
         self.answered = Some((request.id, self.version));
         let header = FrameHeader {
             frame: self.frame,
@@ -396,7 +398,7 @@ impl Viewer {
                 return true;
             }
         }
-        self.pilot.handle_turned(request.shown_turn_deg);
+        self.pilot.handle_turned(request.shown_turn_deg.filter(|_| !is_again));
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
         let num_lists = header.camera.intrinsics.num_pixels();
         let coding = if self.shows_exactly(&header.camera) {

@@ -280,7 +280,8 @@ fn row(
     })
 }
 
-/// What prediction gains, for every scene, K, codec and turn that rows were measured of.
+/// What prediction gains, for every scene, K, codec and turn that rows were measured of, by the best of all settings on
+/// either side.
 pub(super) fn gains(rows: &[SequenceRow]) -> Vec<SequenceBd> {
     let mut gains: Vec<SequenceBd> = Vec::new();
     for row in rows.iter().filter(|row| row.is_predicted) {
@@ -325,9 +326,12 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
     };
     match &contender.way {
         Way::Product(settings) => {
-            let blocks = settings.iter().enumerate().filter(|(_, (_, c))| matches!(c, Coding::Blocks(_)));
+            let is_taken = |coding: &Coding| match coding {
+                Coding::Blocks(of_blocks) => of_blocks.quality.is_multiple_of(SEQUENCE_STEP),
+                Coding::Exact(_) => false,
+            };
             let mut all = Vec::new();
-            for (_, (name, coding)) in blocks.step_by(SEQUENCE_STEP) {
+            for (name, coding) in settings.iter().filter(|(_, coding)| is_taken(coding)) {
                 for (is_predicted, settings) in [(false, name.clone()), (true, format!("{name}, inter"))] {
                     let coder = Box::new(InBlocks::new(*coding, is_predicted, judge.pool));
                     all.push(Candidate { settings, is_predicted, coder });
@@ -513,8 +517,8 @@ mod video {
     }
 }
 
-/// Blocks are given every so many of their settings.
-const SEQUENCE_STEP: usize = 2;
+/// Blocks are given the qualities that are multiples of this.
+const SEQUENCE_STEP: u8 = 20;
 
 #[cfg(test)]
 mod tests {

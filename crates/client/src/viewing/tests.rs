@@ -180,12 +180,15 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
     // Azimuths apart at this elevation: the arc is cos(elevation) shorter.
     assert!((r.turned_degrees.unwrap() - 11.0 * 0.2f32.cos()).abs() < 0.1, "{r:?}");
     assert!(turned.len() == 9);
-    // An exact frame was made at rest; how far one in blocks is turned is told to the server.
+    // How far frames in blocks are turned is told to the server, of exact ones not.
     assert_eq!(v.source.turned, None);
     v.source.in_blocks = true;
     v.source.answer(12, ms(11 * 16), true);
     let r = v.refresh(ms(21 * 16), at(21.0), PICTURE, &BOUNDS);
     assert!(r.turned_degrees > Some(8.0) && v.source.turned == r.turned_degrees, "{r:?}");
+    // A rest is told before anything is asked for because of it.
+    v.refresh(ms(21 * 16 + 200), at(21.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.turned, None);
 }
 
 #[test]

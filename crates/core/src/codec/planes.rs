@@ -107,22 +107,23 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
 /// plane.
 pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecError> {
     let (tiles, streams) = split(header, bytes)?;
-    let mut sizes = vec![("header", HEADER_BYTES), ("tiles", tiles.bits.len())];
+    let mut parts = vec![("header", HEADER_BYTES), ("tiles", tiles.bits.len())];
     if !streams.is_empty() {
-        let parts = split_parts(streams)?;
-        sizes.extend([("part lengths", DIRECTORY_BYTES), (TABLES, parts[0].len())]);
-        sizes.extend(
-            (0..NUM_PLANES).map(|p| (PLANE_NAMES[p], parts[1 + 2 * p].len() + parts[2 + 2 * p].len())),
+        let streams = split_parts(streams)?;
+        parts.extend([("part lengths", DIRECTORY_BYTES), (TABLES, streams[0].len())]);
+        parts.extend(
+            (0..NUM_PLANES).map(|p| (PLANE_NAMES[p], streams[1 + 2 * p].len() + streams[2 + 2 * p].len())),
         );
     }
     let num = tiles.across * num_tiles(header.rows().len() as u32);
     let num_filled = tiles.bits.iter().map(|bits| bits.count_ones() as usize).sum();
-    let in_planes = sizes.iter().skip(NUM_BEFORE_PLANES).map(|(_, bytes)| bytes).sum();
+    let in_planes = parts.iter().skip(NUM_BEFORE_PLANES).map(|(_, bytes)| bytes).sum();
+    let num_of_base = |num: usize| if header.is_base() { num } else { 0 };
     let tiles = vec![
-        TileClass { name: "empty", num: num - num_filled, bytes: 0 },
-        TileClass { name: "with segments", num: num_filled, bytes: in_planes },
+        TileClass { name: "empty", num: num_of_base(num - num_filled), bytes: 0 },
+        TileClass { name: "with segments", num: num_of_base(num_filled), bytes: in_planes },
     ];
-    Ok(Spent { planes: sizes, tiles })
+    Ok(Spent { parts, tile_side: TILE, tiles })
 }
 
 /// Of what a chunk has: header, bitmap, lengths and tables.

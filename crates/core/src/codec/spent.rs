@@ -3,9 +3,11 @@
 /// What a chunk spends its bytes on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Spent {
-    /// Names and bytes, in the order of the stream; the sum is the chunk's length.
-    pub planes: Vec<(&'static str, usize)>,
-    /// The tiles of 8×8 lists by what they are. Headers, tables and corrections belong to none.
+    /// Headers and planes: names and bytes, in the order of the stream; the sum is the chunk's length.
+    pub parts: Vec<(&'static str, usize)>,
+    /// Lists along the side of a tile.
+    pub tile_side: usize,
+    /// The tiles by what they are. Headers, tables and corrections belong to none.
     pub tiles: Vec<TileClass>,
 }
 
@@ -14,13 +16,13 @@ pub struct Spent {
 pub struct TileClass {
     /// What they are.
     pub name: &'static str,
-    /// How many there are.
+    /// How many there are. A refinement has none of its own: they are those of its base.
     pub num: usize,
     /// Bytes of all of them.
     pub bytes: usize,
 }
 
-/// Whole bytes for shares of `total`, as near as they get with this sum. Shares of less than nothing count as nothing.
+/// Whole bytes for shares of `total`, none of which is negative, as near as they get with this sum.
 pub(super) fn whole_bytes<const N: usize>(total: usize, shares: [f64; N]) -> [usize; N] {
     let sum: f64 = shares.iter().sum();
     let per_share = if sum > 0.0 { total as f64 / sum } else { 0.0 };

@@ -464,15 +464,31 @@ fn a_small_chunk_cannot_ask_for_much() {
 #[test]
 fn what_bytes_are_for_sums_to_the_chunk_and_names_every_plane() {
     for settings in ALL_BITS {
-        for chunk in encode(&random_frame(40, 130, 8, 15), &settings).unwrap().chunks {
-            let Spent { planes: sizes, tiles } = spent(&chunk.bytes, &References::default()).unwrap();
-            assert_eq!(sizes.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
-            assert_eq!(sizes.len(), 4 + contexts::NUM_PLANES);
-            assert!(sizes.iter().all(|&(name, bytes)| bytes > 0 && !name.is_empty()));
-            let in_planes = sizes[4..].iter().map(|(_, bytes)| bytes).sum();
-            assert_eq!(tiles.last().unwrap().bytes, in_planes);
+        let (mut num_tiles, mut num_filled) = (0, 0);
+        let frame = random_frame(40, 130, 8, 15);
+        for chunk in encode(&frame, &settings).unwrap().chunks {
+            let Spent { parts, tile_side, tiles } = spent(&chunk.bytes, &References::default()).unwrap();
+            assert_eq!(parts.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
+            assert_eq!(parts.len(), 4 + contexts::NUM_PLANES);
+            assert!(parts.iter().all(|&(name, bytes)| bytes > 0 && !name.is_empty()));
+            let [empty, filled] = tiles[..] else { panic!("{tiles:?}") };
+            let before_planes = ["header", "tiles", "part lengths", "tables"];
+            let in_planes = parts.iter().filter(|(name, _)| !before_planes.contains(name));
+            assert_eq!(filled.bytes, in_planes.map(|(_, bytes)| bytes).sum::<usize>());
+            assert_eq!((empty.name, filled.name, tile_side), ("empty", "with segments", TILE));
+            num_tiles += empty.num + filled.num;
+            num_filled += filled.num;
             assert!(spent(&chunk.bytes[..chunk.bytes.len() - 1], &References::default()).is_err());
         }
+        // Of two groups too, each tile counts once.
+        let is_filled = |x: usize, y: usize| {
+            let lists = (0..TILE * TILE).map(|i| (x * TILE + i % TILE, y * TILE + i / TILE));
+            let mut inside = lists.filter(|&(x, y)| x < 40 && y < 130);
+            inside.any(|(x, y)| frame.offsets[y * 40 + x] < frame.offsets[y * 40 + x + 1])
+        };
+        let all = (0..40usize.div_ceil(TILE)).flat_map(|x| (0..130usize.div_ceil(TILE)).map(move |y| (x, y)));
+        assert_eq!(num_tiles, all.clone().count());
+        assert_eq!(num_filled, all.filter(|&(x, y)| is_filled(x, y)).count());
     }
 }
 

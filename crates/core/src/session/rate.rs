@@ -80,8 +80,10 @@ pub struct Pilot {
     ceiling: Option<f64>,
     link: Option<LinkState>,
     generate_micros: f64,
-    /// How far frames are turned when they are seen, degrees; none: it is not known.
+    /// How far frames of a moving camera are turned when they are seen, degrees; none: it is not known.
     turned_deg: Option<f32>,
+    /// Whether the next one is seen so.
+    is_turned: bool,
     /// Time to encode a list, µs, exactly and in blocks, and bytes of a list of an exact frame.
     exact_micros: Mean,
     blocks_micros: Mean,
@@ -98,6 +100,7 @@ impl Pilot {
             link: None,
             generate_micros: 0.0,
             turned_deg: None,
+            is_turned: false,
             exact_micros: Mean::default(),
             blocks_micros: Mean::default(),
             exact_bytes: Mean::default(),
@@ -109,12 +112,15 @@ impl Pilot {
         self.generate_micros = micros as f64;
     }
 
-    /// The viewer shows a frame turned by so many degrees; none if it is not one of a moving camera.
+    /// The viewer shows frames turned by so many degrees; none: the next frame is not one of a moving camera, or that is not
+    /// known.
     pub fn handle_turned(&mut self, degrees: Option<u8>) {
-        self.turned_deg = degrees.map(|now| {
-            let now = f32::from(now);
-            now + TURN_KEPT * (self.turned_deg.unwrap_or(now) - now)
-        });
+        self.is_turned = degrees.is_some();
+        if let Some(now) = degrees {
+            // A view that was jumped to says no more than one that is far off.
+            let now = f32::from(now).min(f32::from(blocks::MAX_TURN_DEG) / MEANT);
+            self.turned_deg = Some(now + TURN_KEPT * (self.turned_deg.unwrap_or(now) - now));
+        }
     }
 
     /// The link is like this now.
@@ -146,12 +152,14 @@ impl Pilot {
         let lists = num_lists as f64;
         // Generating a frame and encoding the one before go on at the same time.
         let making = self.generate_micros.max(self.blocks_micros.get() * lists);
-        let budget = rate * (FRAME_MICROS.max(making * SHARE_OF_MAKING) / 1e6);
+        let age = making + self.link.map_or(0.0, |link| link.least_rtt_micros as f64);
+        let budget = rate * (FRAME_MICROS.max(age * SHARE_OF_AGE) / 1e6);
         self.control.set_target((budget * counted(num_lists)) as usize);
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
+        let turned_deg = self.turned_deg.filter(|_| self.is_turned);
         let turn_deg =
-            self.turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
+            turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
         let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
             Mode::Exact => Coding::default(),
@@ -179,7 +187,8 @@ impl Pilot {
             Mode::Exact => None,
             Mode::Blocks => {
                 let is_for_turn = last.turn_deg.is_some();
-                (is_for_turn || last.quality < self.plan.quality).then(|| at(self.plan.quality))
+                let best = self.plan.quality.max(last.quality);
+                (is_for_turn || last.quality < best).then(|| at(best))
             }
             Mode::Auto => {
                 let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
@@ -249,10 +258,10 @@ pub const DEFAULT_QUALITY: u8 = blocks::MAX_QUALITY;
 pub const LEAST_QUALITY: u8 = 5;
 /// Quality between that of a moving camera and an exact frame.
 const FINE_QUALITY: u8 = 90;
-/// Time that a frame of a moving camera may take on the link: 30 a second. If it is long in the making, it may take a part of
-/// that more, as the age that it is shown with hardly grows.
+/// Time that a frame of a moving camera may take on the link: 30 a second, or a part of the age that it is shown with anyway,
+/// by its making and the way to and fro: that grows by as much, and the picture has the more bytes (docs/BENCHMARKS.md).
 const FRAME_MICROS: f64 = 1e6 / 30.0;
-const SHARE_OF_MAKING: f64 = 0.25;
+const SHARE_OF_AGE: f64 = 0.25;
 /// An exact frame is worth so much delay, µs: half a refresh at 30 Hz, or a part of the time in the making.
 const EXACT_LATER_MICROS: f64 = 16_000.0;
 const EXACT_SHARE_OF_MAKING: f64 = 0.15;
@@ -334,12 +343,23 @@ mod tests {
         };
         assert_eq!(next(None), None);
         assert_eq!([next(Some(4)), next(Some(12)), next(Some(12))], [Some(2), Some(3), Some(4)]);
-        assert_eq!([next(Some(90)), next(None), next(Some(0))], [Some(10), None, Some(1)]);
-        // Where it rests, it is made once more for any turn, though it be at the best quality.
+        // One at rest is made for all, and says nothing of the next movement.
+        assert_eq!([next(None), next(Some(12)), next(Some(0))], [None, Some(4), Some(3)]);
+        // A jump to another view is forgotten like any turn: twice the half of 20 degrees is the most.
+        assert_eq!([next(Some(180)), next(Some(180)), next(Some(180))], [Some(5), Some(6), Some(7)]);
+        for _ in 0..8 {
+            next(Some(0));
+        }
+        assert_eq!(next(Some(0)), Some(1));
+        // Where it rests, it is made once more for any turn, though it be at the best quality, and never worse.
         let sent =
             |turn_deg| Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(DEFAULT_QUALITY) });
         assert_eq!(pilot.finer(LISTS, &sent(Some(5))), Some(sent(None)));
         assert_eq!(pilot.finer(LISTS, &sent(None)), None);
+        let plan = Plan { mode: Mode::Blocks, quality: 0, ..Plan::default() };
+        let moving = blocks::Settings { turn_deg: Some(5), ..blocks::Settings::of(LEAST_QUALITY) };
+        let finer = Pilot::new(plan).finer(LISTS, &Coding::Blocks(moving));
+        assert_eq!(finer.and_then(quality), Some(LEAST_QUALITY));
     }
 
     #[test]
@@ -386,6 +406,29 @@ mod tests {
         assert!((20_000.0..=33_400.0).contains(&last), "{last} bytes a frame");
         pilot.plan.bytes_per_second = None;
         assert!(bytes_at(quality(pilot.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
+    }
+
+    #[test]
+    fn frames_over_a_long_way_may_take_a_part_of_it() {
+        let bytes_over = |rtt_micros, generate_micros| {
+            let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(3e5) };
+            let mut pilot = Pilot::new(plan);
+            let mut last = 0.0;
+            for _ in 0..20 {
+                pilot.handle_generated(generate_micros);
+                let link = LinkState { window_bytes: 10_000_000, rtt_micros, least_rtt_micros: rtt_micros };
+                pilot.handle_link(link);
+                let coding = pilot.next(LISTS, true);
+                last = bytes_at(quality(coding).unwrap(), 1.0);
+                pilot.handle_encoded(&coding, true, LISTS, last as usize, 1000);
+            }
+            last / 3e5
+        };
+        let [near, far, slow] =
+            [(20_000, 20_000), (350_000, 50_000), (20_000, 380_000)].map(|(r, g)| bytes_over(r, g));
+        // Seconds of the link: one thirtieth, and a quarter of 400 ms.
+        assert!((0.025..0.034).contains(&near), "{near}");
+        assert!((0.075..0.101).contains(&far) && (0.075..0.101).contains(&slow), "{far} {slow}");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! | offset | type | meaning |
 //! |---|---|---|
 //! | 0 | u8 | kind, 1 |
-//! | 1 | u8 | 0 |
+//! | 1 | u8 | 0 for no turn shown, or 1 + its whole degrees, see [`PoseRequest::shown_turn_deg`] |
 //! | 2 | u16 | width in pixels |
 //! | 4 | u16 | height in pixels |
 //! | 6 | u16 | 0 |
@@ -32,8 +32,8 @@ pub struct PoseRequest {
     pub intrinsics: Intrinsics,
     /// The newest frame whose base is complete at the client.
     pub newest_complete: Option<FrameId>,
-    /// How far the client's camera is turned from that of the frame it shows, about the middle of the volume, whole degrees
-    /// up to [`MAX_SHOWN_TURN_DEG`]; none where it shows none or one of its own pose.
+    /// While the client's camera moves, how far it is turned from that of the frame it shows, about the middle of the volume,
+    /// whole degrees up to [`MAX_SHOWN_TURN_DEG`]. None at rest, and where it shows no frame or an exact one.
     pub shown_turn_deg: Option<u8>,
 }
 

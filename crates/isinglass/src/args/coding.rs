@@ -2,6 +2,7 @@
 
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
+use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
 
 /// How the frames of a server become bytes.
@@ -61,7 +62,7 @@ pub(crate) struct CodecArgs {
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, value_parser = parse_pixels, requires = "bound")]
     pub(crate) shift: f32,
     /// The turn that the frame is seen at, degrees: for --shift [default: 10], and for --codec blocks, which spends its bytes
-    /// where they show at that turn, up to 10 [default: fit for all]
+    /// where they show at that turn, at most 10 and rounded [default: fit for all]
     #[arg(long, value_name = "DEG", value_parser = parse_turn)]
     pub(crate) turn: Option<f32>,
 }
@@ -71,8 +72,18 @@ impl CodecArgs {
     ///
     /// Of usage, where an argument has no meaning for the codec.
     pub(crate) fn check(&self) -> Result<(), clap::Error> {
-        if self.codec == CodecChoice::Blocks || self.bound.is_some() {
+        let usage = |text| Err(clap::Error::raw(ErrorKind::ArgumentConflict, text));
+        if self.bound.is_some() {
             return Ok(());
+        }
+        if self.codec == CodecChoice::Blocks {
+            let most = f32::from(MAX_TURN_DEG);
+            return match self.turn {
+                Some(turn) if turn > most => {
+                    usage(format!("--turn: found {turn}, expected at most {most} with --codec blocks"))
+                }
+                _ => Ok(()),
+            };
         }
         let given = [
             ("--quality", self.quality.is_some(), "--codec blocks"),
@@ -80,8 +91,7 @@ impl CodecArgs {
             ("--turn", self.turn.is_some(), "--codec blocks or --bound"),
         ];
         given.iter().find(|(_, is_given, _)| *is_given).map_or(Ok(()), |(name, _, codec)| {
-            let text = format!("{name}: found --codec exact, expected {codec}");
-            Err(clap::Error::raw(ErrorKind::ArgumentConflict, text))
+            usage(format!("{name}: found --codec exact, expected {codec}"))
         })
     }
 }

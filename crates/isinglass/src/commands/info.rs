@@ -45,7 +45,7 @@ fn is_stored_frame(path: &Path) -> bool {
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {
     let StoredFrame { frame, orientation } = iglf::read(path)?;
-    let spent = Spent::of(&iglf::read_chunks(path)?)?;
+    let spent = FrameSpent::of(&iglf::read_chunks(path)?)?;
     let header = frame.header;
     let camera = header.camera;
     let size = [camera.intrinsics.width, camera.intrinsics.height];
@@ -69,7 +69,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
             "segments_mean": segments as f64 / num_filled.max(1) as f64,
             "bytes": spent.bytes(|_| true),
             "bytes_per_segment": per(spent.bytes(|_| true), segments),
-            "bytes_by_plane": spent.planes().map(|p| (p.to_owned(), spent.of_plane(p, |_| true).into())).collect::<Map<_, _>>(),
+            "bytes_by_plane": spent.parts().map(|p| (p.to_owned(), spent.of_part(p, |_| true).into())).collect::<Map<_, _>>(),
             "tiles": spent.tiles().into_iter().map(|t| json!({ "class": t.name, "tiles": t.num, "bytes": t.bytes })).collect::<Vec<_>>(),
             "chunks": spent.0.iter().map(|chunk| json!({
                 "group": chunk.group,
@@ -99,7 +99,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
 }
 
 /// What the chunks of a frame spend their bytes on.
-struct Spent(Vec<ChunkSpent>);
+struct FrameSpent(Vec<ChunkSpent>);
 
 struct ChunkSpent {
     /// 0 base, 1 refinement.
@@ -107,16 +107,16 @@ struct ChunkSpent {
     band: u8,
     rows: Range<u32>,
     segments: usize,
-    bytes: codec::Spent,
+    spent: codec::Spent,
 }
 
 impl ChunkSpent {
     fn bytes(&self) -> usize {
-        self.bytes.planes.iter().map(|(_, bytes)| bytes).sum()
+        self.spent.parts.iter().map(|(_, bytes)| bytes).sum()
     }
 }
 
-impl Spent {
+impl FrameSpent {
     fn of(chunks: &[Vec<u8>]) -> Result<Self> {
         let mut spent = Vec::with_capacity(chunks.len());
         for bytes in chunks {
@@ -127,22 +127,24 @@ impl Spent {
                 band: chunk.header().band,
                 rows: chunk.rows(),
                 segments: chunk.num_segments(),
-                bytes: codec::spent(bytes, &references)?,
+                spent: codec::spent(bytes, &references)?,
             });
         }
         Ok(Self(spent))
     }
 
-    /// Planes in their order; those that a chunk without segments lacks are those of the others.
-    fn planes(&self) -> impl Iterator<Item = &'static str> {
-        let longest = self.0.iter().max_by_key(|chunk| chunk.bytes.planes.len());
-        longest.into_iter().flat_map(|chunk| chunk.bytes.planes.iter().map(|(name, _)| *name))
+    /// Headers and planes in their order; those that a chunk without segments lacks are those of the others.
+    fn parts(&self) -> impl Iterator<Item = &'static str> {
+        let longest = self.0.iter().max_by_key(|chunk| chunk.spent.parts.len());
+        longest.into_iter().flat_map(|chunk| chunk.spent.parts.iter().map(|(name, _)| *name))
     }
 
     /// Tiles of all chunks, by class: those that there are.
     fn tiles(&self) -> Vec<TileClass> {
         let mut all: Vec<TileClass> = Vec::new();
-        for class in self.0.iter().flat_map(|chunk| &chunk.bytes.tiles).filter(|class| class.num > 0) {
+        for class in
+            self.0.iter().flat_map(|chunk| &chunk.spent.tiles).filter(|class| class.num + class.bytes > 0)
+        {
             match all.iter_mut().find(|c| c.name == class.name) {
                 Some(c) => (c.num, c.bytes) = (c.num + class.num, c.bytes + class.bytes),
                 None => all.push(*class),
@@ -155,9 +157,9 @@ impl Spent {
         self.0.iter().filter(|chunk| of(chunk)).map(ChunkSpent::bytes).sum()
     }
 
-    fn of_plane(&self, plane: &str, of: impl Fn(&ChunkSpent) -> bool) -> usize {
-        let planes = self.0.iter().filter(|chunk| of(chunk)).flat_map(|chunk| &chunk.bytes.planes);
-        planes.filter(|(name, _)| *name == plane).map(|(_, bytes)| bytes).sum()
+    fn of_part(&self, part: &str, of: impl Fn(&ChunkSpent) -> bool) -> usize {
+        let parts = self.0.iter().filter(|chunk| of(chunk)).flat_map(|chunk| &chunk.spent.parts);
+        parts.filter(|(name, _)| *name == part).map(|(_, bytes)| bytes).sum()
     }
 
     /// Bytes of planes and of bands, by group and in all, and a segment's share; then the tiles.
@@ -171,8 +173,8 @@ impl Spent {
             let [base, refinement] = groups;
             text += &format!("  {name:14} {base:10} {refinement:10} {both:10} {:8.3}\n", per(both, segments));
         };
-        for plane in self.planes() {
-            row(plane, [0, 1].map(|g| self.of_plane(plane, |c| c.group == g)), segments);
+        for part in self.parts() {
+            row(part, [0, 1].map(|g| self.of_part(part, |c| c.group == g)), segments);
         }
         for chunk in (0..=u8::MAX).filter_map(|band| self.0.iter().find(|c| c.band == band)) {
             let in_band = |c: &ChunkSpent| c.band == chunk.band;
@@ -181,7 +183,14 @@ impl Spent {
             row(&name, [0, 1].map(|g| self.bytes(|c| c.group == g && in_band(c))), own);
         }
         row("all", [0, 1].map(|g| self.bytes(|c| c.group == g)), segments);
-        text += &format!("\n  {:21} {:>8} {:>10} {:>8}\n", "tiles of 8×8 lists", "", "bytes", "/tile");
+        let side = self.0.first().map_or(0, |chunk| chunk.spent.tile_side);
+        text += &format!(
+            "\n  {:21} {:>8} {:>10} {:>8}\n",
+            format!("tiles of {side}×{side} lists"),
+            "",
+            "bytes",
+            "/tile"
+        );
         for TileClass { name, num, bytes } in self.tiles() {
             text += &format!("  {name:21} {num:>8} {bytes:>10} {:8.2}\n", per(bytes, num));
         }

@@ -104,7 +104,7 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
         let (encoded, coding, misfit) = bound.encode(frame)?;
         return Ok((encoded, coding, Some(misfit)));
     }
-    let turn_deg = args.turn.map(|t| t.round().min(f32::from(blocks::MAX_TURN_DEG)) as u8);
+    let turn_deg = args.turn.map(|t| t.round() as u8);
     let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
         (CodecChoice::Blocks, _) if frame.header.mode.is_projection() => {

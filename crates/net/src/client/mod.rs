@@ -203,8 +203,8 @@ impl Client {
         self.shared.wishes.pose(self.shared.clock.now_micros(), pose, intrinsics)
     }
 
-    /// How far the camera is turned from that of the frame on the screen, about the middle of the volume, degrees; none where
-    /// there is none or it needs no more. The server makes frames to be seen so, with the bytes there are.
+    /// What the datagrams from now on say of [`PoseRequest::shown_turn_deg`], degrees: the server makes frames to be seen so,
+    /// with the bytes there are. It takes what the first datagram of a pose says.
     pub fn note_turn(&self, degrees: Option<f32>) {
         self.shared.wishes.note_turn(degrees);
     }

@@ -63,7 +63,7 @@ impl Wishes {
         number
     }
 
-    /// Goes with the next datagram, whatever pose that has.
+    /// Goes with all datagrams from now on.
     pub(super) fn note_turn(&self, degrees: Option<f32>) {
         let whole = |d: f32| d.round().clamp(0.0, MAX_SHOWN_TURN_DEG.into()) as u8 + 1;
         self.shown_turn.store(degrees.map_or(0, whole), Ordering::Relaxed);

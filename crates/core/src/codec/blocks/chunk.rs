@@ -10,7 +10,7 @@ use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS
 use super::band::{Band, Cell, blocks_along};
 use super::bands::Borders;
 use super::coding::{BandCoder, Nothing, Place};
-use super::entropy::{Coder, Decoder};
+use super::entropy::{Decoder, Reader};
 use super::model::{BLOCK, MAX_LAYERS};
 use super::motion::Motion;
 use super::picture::{self, Corrections, roots};
@@ -154,7 +154,7 @@ pub(in super::super) fn decode(
 }
 
 /// The same by the coder that `begin` makes of the coded bytes; returns it too.
-pub(super) fn read<'a, C: Coder>(
+pub(super) fn read<'a, C: Reader>(
     header: ChunkHeader,
     bytes: &'a [u8],
     references: &References,

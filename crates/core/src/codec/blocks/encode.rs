@@ -132,11 +132,13 @@ impl<'a> Layering<'a> {
         }
     }
 
-    /// Whether the reference, from the same camera and no coarser, shows the block as well as it could be coded.
+    /// Whether the reference, from the same camera and no coarser, shows the block as well as it could be coded. Nor may its
+    /// layers have been worth more: it is made for a lesser turn then, and the picture here does not tell.
     fn is_same(&mut self, x: usize, y: usize) -> bool {
         let Some((reference, motion)) = self.reference else { return false };
         let is_fine =
-            reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth);
+            reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth)
+                && reference.lambda.is_some_and(|lambda| lambda <= self.rule.lambda * LIKE_LAMBDA);
         let at = [x, y + self.place.first_row];
         let Some((band, block)) = reference.block(at[0] as i32, at[1] as i32) else { return false };
         if !(motion.is_still && is_fine && band.has_matter(block)) {
@@ -241,6 +243,8 @@ impl Layering<'_> {
 const NO_WANTED: u32 = u32::MAX;
 /// Part of the step of corrections that a block may be off on average and still be the same.
 const SAME: f32 = 0.75;
+/// What layers were worth may differ by so much from what they are worth.
+const LIKE_LAMBDA: f32 = 1.01;
 /// Planes of a neighbour are taken if their error is at most so many times that of fresh ones, and for each layer so much
 /// of what a layer is worth more.
 const SLACK: f32 = 1.15;

@@ -20,9 +20,6 @@ pub(super) trait Coder {
     /// Whether more was read than there is; an encoder has never.
     fn is_overrun(&self) -> bool;
 
-    /// Whether exactly the bytes of one encoder were read.
-    fn is_at_end(&self) -> bool;
-
     /// The bits from here on are about this.
     fn about(&mut self, _: About) {}
 
@@ -72,6 +69,12 @@ pub(super) trait Coder {
         let size = self.number(&mut models.size, value.unsigned_abs().saturating_sub(1)) as i32 + 1;
         if is_negative { -size } else { size }
     }
+}
+
+/// A coder that reads.
+pub(super) trait Reader: Coder {
+    /// Whether exactly the bytes of one encoder were read.
+    fn is_at_end(&self) -> bool;
 }
 
 /// The probability of a one, and how many bits it has learnt from.
@@ -244,10 +247,6 @@ impl Coder for Encoder {
     fn is_overrun(&self) -> bool {
         false
     }
-
-    fn is_at_end(&self) -> bool {
-        false
-    }
 }
 
 /// Reads. Past the end of its bytes it reads zeros.
@@ -315,7 +314,9 @@ impl Coder for Decoder<'_> {
     fn is_overrun(&self) -> bool {
         self.at > self.bytes.len()
     }
+}
 
+impl Reader for Decoder<'_> {
     fn is_at_end(&self) -> bool {
         self.at == self.bytes.len()
     }

@@ -5,7 +5,8 @@ use super::super::header::ChunkHeader;
 use super::super::spent::{Spent, TileClass, whole_bytes};
 use super::super::{CodecError, HEADER_BYTES};
 use super::chunk::read;
-use super::entropy::{Coder, Decoder, Model};
+use super::entropy::{Coder, Decoder, Model, Reader};
+use super::model::BLOCK;
 use super::reference::References;
 
 /// What a bit is about.
@@ -24,7 +25,29 @@ pub(super) enum About {
     Correction,
 }
 
-const ABOUTS: [&str; 7] = ["blocks", "cuts", "lists", "opacity", "brightness", "colour", "correction"];
+impl About {
+    const ALL: [Self; 7] = [
+        Self::Blocks,
+        Self::Cuts,
+        Self::Lists,
+        Self::Opacity,
+        Self::Brightness,
+        Self::Color,
+        Self::Correction,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Blocks => "blocks",
+            Self::Cuts => "cuts",
+            Self::Lists => "lists",
+            Self::Opacity => "opacity",
+            Self::Brightness => "brightness",
+            Self::Color => "colour",
+            Self::Correction => "correction",
+        }
+    }
+}
 
 /// What a block is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +63,19 @@ pub(super) enum BlockClass {
     Copied,
 }
 
-const CLASSES: [&str; 5] = ["empty", "own cuts", "cuts from beside", "cuts from before", "copied"];
+impl BlockClass {
+    const ALL: [Self; 5] = [Self::Empty, Self::Fresh, Self::Continued, Self::Kept, Self::Copied];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Empty => "empty",
+            Self::Fresh => "own cuts",
+            Self::Continued => "cuts from beside",
+            Self::Kept => "cuts from before",
+            Self::Copied => "copied",
+        }
+    }
+}
 
 /// Reads, and counts.
 #[derive(Debug)]
@@ -48,11 +83,11 @@ pub(super) struct Meter<'a> {
     decoder: Decoder<'a>,
     about: About,
     /// Bits of each matter.
-    bits: [f64; ABOUTS.len()],
+    bits: [f64; About::ALL.len()],
     /// Of the block that is being read, of those of each class, and how many these are.
     block_bits: f64,
-    class_bits: [f64; CLASSES.len()],
-    nums: [usize; CLASSES.len()],
+    class_bits: [f64; BlockClass::ALL.len()],
+    nums: [usize; BlockClass::ALL.len()],
 }
 
 impl<'a> Meter<'a> {
@@ -60,10 +95,10 @@ impl<'a> Meter<'a> {
         Self {
             decoder: Decoder::new(bytes),
             about: About::Blocks,
-            bits: [0.0; ABOUTS.len()],
+            bits: [0.0; About::ALL.len()],
             block_bits: 0.0,
-            class_bits: [0.0; CLASSES.len()],
-            nums: [0; CLASSES.len()],
+            class_bits: [0.0; BlockClass::ALL.len()],
+            nums: [0; BlockClass::ALL.len()],
         }
     }
 
@@ -92,10 +127,6 @@ impl Coder for Meter<'_> {
         self.decoder.is_overrun()
     }
 
-    fn is_at_end(&self) -> bool {
-        self.decoder.is_at_end()
-    }
-
     fn about(&mut self, about: About) {
         self.about = about;
     }
@@ -103,6 +134,12 @@ impl Coder for Meter<'_> {
     fn end_block(&mut self, class: BlockClass) {
         self.class_bits[class as usize] += std::mem::take(&mut self.block_bits);
         self.nums[class as usize] += 1;
+    }
+}
+
+impl Reader for Meter<'_> {
+    fn is_at_end(&self) -> bool {
+        self.decoder.is_at_end()
     }
 }
 
@@ -119,15 +156,18 @@ pub(in super::super) fn spent(
         meter
     };
     let (meter, _) = read(header, bytes, references, begin)?;
-    let mut planes = vec![("header", HEADER_BYTES), ("head", bytes.len() - HEADER_BYTES - coded)];
+    let mut parts = vec![("header", HEADER_BYTES), ("head", bytes.len() - HEADER_BYTES - coded)];
     let matters = whole_bytes(coded, meter.bits);
-    planes.extend(ABOUTS.into_iter().zip(matters));
+    parts.extend(About::ALL.map(|about| (about.name(), matters[about as usize])));
     // What follows the blocks is their correction.
     let in_blocks = coded - matters[About::Correction as usize];
     let tiles = whole_bytes(in_blocks, meter.class_bits);
-    let tiles =
-        (0..CLASSES.len()).map(|c| TileClass { name: CLASSES[c], num: meter.nums[c], bytes: tiles[c] });
-    Ok(Spent { planes, tiles: tiles.collect() })
+    let tiles = BlockClass::ALL.map(|class| TileClass {
+        name: class.name(),
+        num: meter.nums[class as usize],
+        bytes: tiles[class as usize],
+    });
+    Ok(Spent { parts, tile_side: BLOCK, tiles: tiles.to_vec() })
 }
 
 #[cfg(test)]

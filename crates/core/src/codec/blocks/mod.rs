@@ -165,7 +165,7 @@ pub(super) fn encode_while(
             Ok(Chunk { index, is_base: header.is_base(), bytes })
         })
         .collect::<Result<_, CodecError>>()?;
-    let reference = Reference::new(frame_header, Some(steps), decoded).with_notes(notes);
+    let reference = Reference::new(frame_header, Some(steps), decoded).with_notes(rule.lambda, notes);
     Ok((EncodedFrame { header: frame_header, chunks }, reference))
 }
 

@@ -59,7 +59,7 @@ impl RateControl {
 }
 
 /// The best picture of at most `max_bytes`, by at most [`MAX_ENCODES`] trials: the encoded frame, what a receiver will
-/// have as a reference, and its quality. What else is said by `settings` holds for all trials.
+/// have as a reference, and its quality. What `settings` say beside a quality holds for all trials.
 ///
 /// # Errors
 /// Those of [`encode`], and [`CodecError::TooLarge`] if not even the least quality is found to be so small.

@@ -22,6 +22,8 @@ pub struct Reference {
     pub(super) bands: Vec<Arc<Band>>,
     /// Band and row of blocks in it, for each row of blocks.
     pub(super) rows: Vec<(u8, u32)>,
+    /// What its layers were worth; none of a frame that was decoded.
+    pub(super) lambda: Option<f32>,
     /// Band by band, block by block; none of a frame that was decoded.
     pub(super) notes: Vec<Notes>,
 }
@@ -45,12 +47,12 @@ impl Reference {
                 (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
             })
             .collect();
-        Self { header, steps, bands, rows, notes: Vec::new() }
+        Self { header, steps, bands, rows, lambda: None, notes: Vec::new() }
     }
 
     /// With what was noted when it was encoded.
-    pub(super) fn with_notes(self, notes: Vec<Notes>) -> Self {
-        Self { notes, ..self }
+    pub(super) fn with_notes(self, lambda: f32, notes: Vec<Notes>) -> Self {
+        Self { lambda: Some(lambda), notes, ..self }
     }
 
     /// The frame.

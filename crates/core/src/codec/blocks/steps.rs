@@ -79,7 +79,7 @@ pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Ca
 /// is of the picture at the own pose: it matters most there, and the less the further it is turned (docs/MATH.md).
 fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
     let nearer = 6.0 / f32::from(turn_deg).max(1.5);
-    let corrections = [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
+    let corrections: ByTurn = [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
     [nearer * nearer.sqrt().sqrt(), corrections[usize::from(turn_deg)]]
 }
 
@@ -87,10 +87,12 @@ fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
 /// corrections are coded anew each time.
 fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
     let nearer = 3.0 / f32::from(turn_deg).max(0.5);
-    let corrections = [0.6, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
+    let corrections: ByTurn = [0.6, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
     [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
+/// A number for each turn.
+type ByTurn = [f32; MAX_TURN_DEG as usize + 1];
 /// Greatest turn that a frame is made for, degrees.
 pub const MAX_TURN_DEG: u8 = 10;
 /// Best quality.

@@ -332,7 +332,7 @@ mod tests {
         for (n, &mask) in masks.iter().enumerate() {
             assert_eq!(contexts.mask(&mut decoder, before(n), expected(n), beside(n), 0), mask);
         }
-        assert!(decoder.is_at_end());
+        assert!(super::super::entropy::Reader::is_at_end(&decoder));
     }
 
     #[test]

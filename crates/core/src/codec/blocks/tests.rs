@@ -510,6 +510,9 @@ fn an_empty_frame_is_nothing_but_headers() {
 
 #[test]
 fn bits_are_counted_for_what_they_are_for() {
+    const MATTERS: [&str; 9] =
+        ["header", "head", "blocks", "cuts", "lists", "opacity", "brightness", "colour", "correction"];
+    const CLASSES: [&str; 5] = ["empty", "own cuts", "cuts from beside", "cuts from before", "copied"];
     let scene = scene(Builtin::Shells);
     let (alone, reference) = encode(&made(&scene, 1, 140, 93, 0.0), &whole(70), None).unwrap();
     let mut references = References::default();
@@ -522,10 +525,13 @@ fn bits_are_counted_for_what_they_are_for() {
     let sums = |frame: &EncodedFrame| {
         let (mut matters, mut classes) = ([0; 9], [[0; 2]; 5]);
         for chunk in &frame.chunks {
-            let Spent { planes, tiles } =
+            let Spent { parts, tiles, tile_side } =
                 spent(peek(&chunk.bytes).unwrap(), &chunk.bytes, &references).unwrap();
-            assert_eq!(planes.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
-            matters.iter_mut().zip(&planes).for_each(|(sum, (_, bytes))| *sum += bytes);
+            assert_eq!(parts.iter().map(|(_, bytes)| bytes).sum::<usize>(), chunk.bytes.len());
+            assert_eq!(parts.iter().map(|(name, _)| *name).collect::<Vec<_>>(), MATTERS);
+            assert_eq!(tiles.iter().map(|tile| tile.name).collect::<Vec<_>>(), CLASSES);
+            assert_eq!(tile_side, BLOCK);
+            matters.iter_mut().zip(&parts).for_each(|(sum, (_, bytes))| *sum += bytes);
             classes.iter_mut().zip(&tiles).for_each(|(sum, t)| *sum = [sum[0] + t.num, sum[1] + t.bytes]);
         }
         (matters, classes)
