@@ -28,6 +28,7 @@ mod spent;
 #[cfg(test)]
 mod tests;
 
+use std::cmp::Reverse;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -256,31 +257,43 @@ fn encode_while(
     // A mean has all of its lists at once: the picture of some would be too dark.
     let is_whole = settings.num_groups == 1 || frame.header.mode.compositing() == Compositing::Mean;
     let base_k = if is_whole { MAX_K } else { base_k(frame) };
-    let bands: Vec<_> = (0..num_bands)
-        .into_par_iter()
+    let lists_of = |band| {
+        let rows = header::band_rows(intrinsics.height, num_bands, band);
+        rows.start as usize * width..rows.end as usize * width
+    };
+    // Those with most segments begin, one at a time for each thread.
+    let mut most_first: Vec<_> = (0..num_bands).collect();
+    most_first.sort_by_key(|&band| {
+        let lists = lists_of(band);
+        Reverse(frame.offsets[lists.end] - frame.offsets[lists.start])
+    });
+    let mut bands: Vec<_> = most_first
+        .into_iter()
+        .par_bridge()
         .map(|band| {
-            let rows = header::band_rows(intrinsics.height, num_bands, band);
-            let lists = rows.start as usize * width..rows.end as usize * width;
+            let lists = lists_of(band);
             if !wanted() {
                 return Err(CodecError::Abandoned);
             }
-            Ok(quantize::band(frame, lists, base_k, scale).map(|mut group| {
+            let groups = quantize::band(frame, lists, base_k, scale).map(|mut group| {
                 if !wanted() {
                     return Err(CodecError::Abandoned);
                 }
                 let payload = planes::encode(&mut group.lists, width, scale)?;
                 Ok((group, payload))
-            }))
+            });
+            Ok((band, groups))
         })
         .collect::<Result<_, _>>()?;
+    bands.sort_unstable_by_key(|(band, _)| *band);
 
     // (group, contribution, band, payload); a refinement without segments is not sent.
     let mut parts = Vec::with_capacity(MAX_CHUNKS);
-    for (band, groups) in bands.into_iter().enumerate() {
+    for (band, groups) in bands {
         for (number, group) in groups.into_iter().enumerate() {
             let (group, payload) = group?;
             if number == 0 || !group.lists.codes.is_empty() {
-                parts.push((number, group.contribution, band as u8, payload));
+                parts.push((number, group.contribution, band, payload));
             }
         }
     }
@@ -322,14 +335,25 @@ pub fn assemble<B: AsRef<[u8]> + Sync>(
     let first = chunks.first().ok_or(CodecError::Incomplete { found: 0, expected: 1 })?;
     let mut assembly = Assembly::new(&peek(first.as_ref())?);
     at_most("chunks", chunks.len(), MAX_CHUNKS)?;
-    let decoded: Vec<_> = chunks.par_iter().map(|bytes| decode_chunk(bytes.as_ref(), references)).collect();
-    for chunk in decoded {
-        assembly.insert(chunk?)?;
+    for chunk in decode_chunks(chunks, references)? {
+        assembly.insert(chunk)?;
     }
     if !assembly.complete() {
         return Err(CodecError::Incomplete { found: chunks.len(), expected: assembly.num_chunks() });
     }
     Ok(assembly)
+}
+
+/// Decodes chunks, in whatever order. The longest begin, as bands differ by what there is to see: so no thread is left with a
+/// long one at the end.
+pub fn decode_chunks<B: AsRef<[u8]> + Sync>(
+    chunks: &[B],
+    references: &References,
+) -> Result<Vec<DecodedChunk>, CodecError> {
+    let mut longest_first: Vec<_> = chunks.iter().map(AsRef::as_ref).collect();
+    longest_first.sort_by_key(|bytes| Reverse(bytes.len()));
+    // One at a time for each thread.
+    longest_first.into_iter().par_bridge().map(|bytes| decode_chunk(bytes, references)).collect()
 }
 
 fn at_most(what: &'static str, found: usize, limit: usize) -> Result<(), CodecError> {

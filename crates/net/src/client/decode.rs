@@ -6,7 +6,6 @@ use std::time::Duration;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, Assembly, CodecError};
 use isinglass_core::session::client::DecodeJob;
-use rayon::prelude::*;
 
 use super::{ReceivedFrame, Shared};
 
@@ -73,9 +72,7 @@ fn decode(
     job: &DecodeJob,
     references: &References,
 ) -> Result<(), CodecError> {
-    let chunks: Vec<_> =
-        job.chunks.par_iter().map(|c| codec::decode_chunk(c, references)).collect::<Result<_, _>>()?;
-    for chunk in chunks {
+    for chunk in codec::decode_chunks(&job.chunks, references)? {
         assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
     }
     Ok(())
