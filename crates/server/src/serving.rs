@@ -338,7 +338,7 @@ impl Viewer {
         let asked_at = Instant::now();
         self.give_up_finer(request);
         self.frame = self.frame.next();
-        // Another look of a camera that rests, then: what was said of its movement is over.
+        // The look is another, or its shade: what was said of the camera's movement then has been taken.
         let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
         self.answered = Some((request.id, self.version));
         let header = FrameHeader {

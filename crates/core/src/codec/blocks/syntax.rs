@@ -287,7 +287,7 @@ const POSITION: [u8; BLOCK_LISTS] = {
 
 #[cfg(test)]
 mod tests {
-    use super::super::entropy::{Decoder, Encoder};
+    use super::super::entropy::{Decoder, Encoder, Reader};
     use super::*;
 
     #[test]
@@ -332,7 +332,7 @@ mod tests {
         for (n, &mask) in masks.iter().enumerate() {
             assert_eq!(contexts.mask(&mut decoder, before(n), expected(n), beside(n), 0), mask);
         }
-        assert!(super::super::entropy::Reader::is_at_end(&decoder));
+        assert!(decoder.is_at_end());
     }
 
     #[test]

@@ -567,6 +567,27 @@ fn bits_are_counted_for_what_they_are_for() {
     );
 }
 
+/// The picture at the own pose does not show for which turn a frame was made, so what was made for a lesser one is not kept.
+#[test]
+fn a_rest_does_not_copy_what_was_made_for_a_lesser_turn() {
+    let scene = scene(Builtin::Shells);
+    let [before, now] = [1, 2].map(|id| made(&scene, id, 128, 128, 0.0));
+    let num_copied = |turn_deg| {
+        let settings = Settings { turn_deg, ..whole(70) };
+        let (_, reference) = encode(&before, &settings, None).unwrap();
+        let mut references = References::default();
+        references.insert(Arc::new(reference.clone()));
+        let (encoded, _) = encode(&now, &whole(70), Some(&reference)).unwrap();
+        let copied = encoded.chunks.iter().map(|chunk| {
+            let spent = spent(peek(&chunk.bytes).unwrap(), &chunk.bytes, &references).unwrap();
+            spent.tiles.iter().find(|tile| tile.name == "copied").unwrap().num
+        });
+        copied.sum::<usize>()
+    };
+    let [lesser, all, greater] = [Some(1), None, Some(MAX_TURN_DEG)].map(num_copied);
+    assert!(lesser == 0 && all > 50 && greater > 50, "{lesser}, {all}, {greater} blocks");
+}
+
 /// Of as many bytes, each frame is the best at the turn that it is made for.
 #[test]
 fn bytes_are_spent_where_a_turn_shows_them() {
