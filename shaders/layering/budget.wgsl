@@ -29,12 +29,21 @@ fn count_join(cost: f32) {
     atomicAdd(&budget.joins[bitcast<u32>(cost) >> BIN_SHIFT], 1u);
 }
 
-// One pixel of 4² or, of a large frame, 8²: what the joins cost.
+// Every so many pixels along each axis one is of the sample: as many that at least SAMPLE_RAYS are, but no fewer than 4.
+fn sample_stride(width: u32, height: u32) -> u32 {
+    var stride = 4u;
+    while ((stride + 1u) * (stride + 1u) * SAMPLE_RAYS <= width * height) {
+        stride += 1u;
+    }
+    return stride;
+}
+
+// One ray of the sample: what the joins cost.
 @compute @workgroup_size(8, 8)
 fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(camera.width);
     let height = u32(camera.height);
-    let stride = select(4u, 8u, width * height >= LARGE_FRAME);
+    let stride = sample_stride(width, height);
     let x = id.x * stride + min(stride / 2u, width / 2u);
     let y = (band.first_row + id.y) * stride + min(stride / 2u, height / 2u);
     if (x >= width || y >= height || id.y >= band.num_rows) {
@@ -71,12 +80,12 @@ fn choose_threshold() {
 const COST_LEAST: f32 = 1e-20;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
-// Lists of a frame of which one ray in 64 says enough.
-const LARGE_FRAME: u32 = 131072;
+// Rays that say enough of a frame.
+const SAMPLE_RAYS: u32 = 2048;
 // Bits of a float left out in the number of its bin: 1/32 of an octave each.
 const BIN_SHIFT: u32 = 18;
 // Bins of all finite costs.
 const COST_BINS: u32 = 8192;
 // See tolerance_from.
-const TOLERANCE_SHARE: f32 = 0.1;
+const TOLERANCE_SHARE: f32 = 0.15;
 const TOLERANT_K: u32 = 12u;

@@ -4,8 +4,11 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`wanted`], [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
+//! Modules use only those above them: [`ids`], [`wanted`], `width`, [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
 //! [`mode`], [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
+
+#[macro_use]
+mod width;
 
 pub mod camera;
 pub mod clip;

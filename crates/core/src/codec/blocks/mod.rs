@@ -11,9 +11,6 @@
 //! products, quotients and square roots, or single and double precision operations in the order written. No
 //! function of a mathematics library takes part.
 
-#[macro_use]
-mod width;
-
 mod band;
 mod bands;
 mod chunk;

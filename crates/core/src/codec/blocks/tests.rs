@@ -1,7 +1,6 @@
 use glam::Vec3;
 
 use super::model::BLOCK;
-use super::width::tests::with_each;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::codec::tests::soft_scene as scene;
@@ -15,6 +14,7 @@ use crate::kernels::march::Scene;
 use crate::kernels::raycast::{CastOptions, Raycaster};
 use crate::space::Aabb;
 use crate::volume::procedural::Builtin;
+use crate::width::tests::with_each;
 
 /// Frame `frame` of `width`×`height` lists, `degrees` along an orbit.
 fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> LayeredFrame {

@@ -1,10 +1,10 @@
 use glam::Vec3;
 
-use super::super::width::tests::with_each;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::layer::{FrameHeader, LayeredFrame, Over, Segment};
 use crate::space::Aabb;
+use crate::width::tests::with_each;
 
 /// A frame of one block with these lists.
 fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {

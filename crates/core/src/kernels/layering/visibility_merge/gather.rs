@@ -3,7 +3,7 @@
 use super::pieces::{Pieces, Way};
 use super::{MOVED_WEIGHT, OpenSegment, VISIBILITY_FLOOR};
 use crate::kernels::layering::{SegmentList, append};
-use crate::kernels::march::{Pace, Sink, Step, has_avx2};
+use crate::kernels::march::{Pace, Sink, Step};
 use crate::kernels::raycast::greater;
 use crate::layer::MAX_K;
 
@@ -223,39 +223,55 @@ impl Gather {
         self.len = len;
     }
 
+    /// How many pieces were gathered.
+    pub(super) fn finish(&mut self) -> usize {
+        finish(self);
+        self.len
+    }
+
+    /// Joins what was gathered to one segment; `note` is told the number of segments and the greatest cost so far before
+    /// each join.
+    pub(super) fn join_all(&mut self, note: &mut dyn FnMut(usize, f32)) {
+        join_all(self, note);
+    }
+
     /// Makes of `list` that of at most `most` segments, and of no more than joins below `threshold` leave.
     pub fn reduce(&mut self, most: usize, threshold: f32, list: &mut SegmentList) {
         list.len = 0;
-        if self.len + self.num_waiting == 0 {
-            return;
+        if self.len + self.num_waiting > 0 {
+            reduce(self, most, threshold, list);
         }
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2() {
-            #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
-            unsafe {
-                self.reduce_avx2(most, threshold, list);
-            }
-            return;
-        }
-        self.finish();
-        self.pieces.reduce(&mut self.way, most, threshold, list);
     }
+}
 
-    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn reduce_avx2(&mut self, most: usize, threshold: f32, list: &mut SegmentList) {
-        self.finish();
-        self.pieces.reduce(&mut self.way, most, threshold, list);
-    }
+wide! {
+    fn take_waiting(gather: &mut Gather) = Gather::take_waiting;
+}
+wide! {
+    fn finish(gather: &mut Gather) = finish_any;
+}
+wide! {
+    fn join_all(gather: &mut Gather, note: &mut dyn FnMut(usize, f32)) = join_all_any;
+}
+wide! {
+    fn reduce(gather: &mut Gather, most: usize, threshold: f32, list: &mut SegmentList) = reduce_any;
+}
 
-    /// What was gathered.
-    #[inline(always)]
-    pub(super) fn finish(&mut self) {
-        self.take_waiting();
-        self.pieces.take(&self.rows, self.len, self.h);
-    }
+#[inline(always)]
+fn finish_any(gather: &mut Gather) {
+    gather.take_waiting();
+    gather.pieces.take(&gather.rows, gather.len, gather.h);
+}
+
+#[inline(always)]
+fn join_all_any(gather: &mut Gather, note: &mut dyn FnMut(usize, f32)) {
+    gather.pieces.join(&mut gather.way, 1, f32::INFINITY, note);
+}
+
+#[inline(always)]
+fn reduce_any(gather: &mut Gather, most: usize, threshold: f32, list: &mut SegmentList) {
+    finish_any(gather);
+    gather.pieces.reduce(&mut gather.way, most, threshold, list);
 }
 
 impl Default for Gather {
@@ -285,7 +301,7 @@ impl Sink for Gather {
         self.waiting.steps.set(self.num_waiting, &step, self.transmittance.max(VISIBILITY_FLOOR), 0.0);
         self.num_waiting += 1;
         if self.num_waiting == MAX_WAITING {
-            self.take_waiting();
+            take_waiting(self);
         }
         self.transmittance *= 1.0 - step.alpha;
         Pace::behind(self.transmittance)

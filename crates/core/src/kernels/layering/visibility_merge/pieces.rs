@@ -450,6 +450,7 @@ mod tests {
     use super::super::gather::tests::steps;
     use super::*;
     use crate::kernels::march::Sink;
+    use crate::width::tests::with_each;
 
     fn gathered(seed: u32, num: u32, tolerance: f32) -> Gather {
         let mut gather = Gather::default();
@@ -506,20 +507,21 @@ mod tests {
     #[test]
     fn wider_instructions_keep_all_bits() {
         for (seed, threshold) in [(1, 0.0), (2, 0.1), (3, 1.0), (4, 5.0)] {
-            let mut gather = gathered(seed, 300, 0.01 * threshold);
-            let reduced = |mut gather: Gather| {
+            let reduced = |num: u32| {
                 let mut list = SegmentList::default();
-                gather.reduce(12, threshold, &mut list);
-                list
+                gathered(seed, num, 0.01 * threshold).reduce(12, threshold, &mut list);
+                bits(&list)
             };
-            // What the processor has, against plain instructions.
-            let wide = bits(&reduced(gather.clone()));
-            gather.finish();
-            let mut portable = SegmentList::default();
-            gather.pieces.reduce(&mut gather.way, 12, threshold, &mut portable);
-            assert_eq!(wide, bits(&portable));
+            let joined = || {
+                let mut gather = gathered(seed, 300, 0.0);
+                let mut costs = vec![gather.finish() as u32];
+                gather.join_all(&mut |_, cost| costs.push(cost.to_bits()));
+                costs
+            };
+            let [portable, avx2, avx512] = with_each(|| (reduced(300), joined()));
+            assert!(portable == avx2 && portable == avx512);
             // Negative control: one step more shows.
-            assert_ne!(wide, bits(&reduced(gathered(seed, 301, 0.01 * threshold))));
+            assert_ne!(portable.0, reduced(301));
         }
     }
 

@@ -8,7 +8,7 @@ macro_rules! wide {
         $vis fn $name($($arg: $ty),*) $(-> $out)? {
             #[cfg(target_arch = "x86_64")]
             {
-                use $crate::codec::blocks::width::{Width, width};
+                use $crate::width::{Width, width};
 
                 #[target_feature(enable = "avx2")]
                 fn with_avx2($($arg: $ty),*) $(-> $out)? {
@@ -35,7 +35,7 @@ macro_rules! wide {
 /// How wide instructions are.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Width {
+pub(crate) enum Width {
     /// As on every machine.
     Any,
     /// 32 bytes.
@@ -47,7 +47,7 @@ pub(super) enum Width {
 /// The widest that functions of [`wide`] run with.
 #[cfg(target_arch = "x86_64")]
 #[inline]
-pub(super) fn width() -> Width {
+pub(crate) fn width() -> Width {
     #[cfg(test)]
     return of_machine().min(tests::most());
     #[cfg(not(test))]
@@ -70,7 +70,7 @@ fn of_machine() -> Width {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     #[cfg(target_arch = "x86_64")]
     use std::sync::{
         Mutex, PoisonError,
@@ -95,7 +95,7 @@ pub(super) mod tests {
 
     /// What a function gives with each width.
     #[cfg(target_arch = "x86_64")]
-    pub(in crate::codec::blocks) fn with_each<T>(mut run: impl FnMut() -> T) -> [T; 3] {
+    pub(crate) fn with_each<T>(mut run: impl FnMut() -> T) -> [T; 3] {
         let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let found = [Width::Any, Width::Avx2, Width::Avx512].map(|most| {
             MOST.store(most as u8, Ordering::Relaxed);
@@ -108,7 +108,7 @@ pub(super) mod tests {
     }
 
     #[cfg(not(target_arch = "x86_64"))]
-    pub(in crate::codec::blocks) fn with_each<T>(run: impl FnMut() -> T) -> [T; 3] {
+    pub(crate) fn with_each<T>(run: impl FnMut() -> T) -> [T; 3] {
         let mut run = run;
         std::array::from_fn(|_| run())
     }
