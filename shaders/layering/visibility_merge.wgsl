@@ -163,46 +163,52 @@ fn composite(begin: f32, end: f32) -> OpenSegment {
 // How far the colour and opacity that a ray collects on its way from one border to another are from what it collects in
 // the homogeneous composite of that way: the mean distance over the way, times the 11/8-th power of its length in steps.
 fn group_error(begin: f32, end: f32) -> f32 {
-    let all = composite(begin, end);
     let first = u32(begin);
     let last = last_piece(end);
-    let tau_per_length = all.tau / (all.s1 - all.s0);
-    let collected_per_opacity = 1.0 / max(all.alpha, ALPHA_LEAST);
-    var c = vec3f(0.0);
-    var transmittance = 1.0;
-    var s_before = all.s0;
-    var s_end = all.s0;
-    var distance_before = 0.0;
-    var error = 0.0;
-    // Ends of the parts and, where there is a gap, beginnings; both ways agree at the two ends of the group.
-    for (var i = first; i <= last; i++) {
-        let part = part_of(i, begin, end);
-        if (part.s0 > s_end) {
-            let share = (1.0 - exp(-tau_per_length * (part.s0 - all.s0))) * collected_per_opacity;
-            let distance = distance_collected(c - all.c * share, 1.0 - transmittance - all.alpha * share);
-            error += 0.5 * (distance_before + distance) * (part.s0 - s_before);
-            s_before = part.s0;
-            distance_before = distance;
-        }
-        if (i < last) {
-            c += part.c * transmittance;
-            transmittance *= 1.0 - part.alpha;
-            let share = (1.0 - exp(-tau_per_length * (part.s1 - all.s0))) * collected_per_opacity;
-            let distance = distance_collected(c - all.c * share, 1.0 - transmittance - all.alpha * share);
-            error += 0.5 * (distance_before + distance) * (part.s1 - s_before);
-            s_before = part.s1;
-            distance_before = distance;
-        }
-        s_end = part.s1;
+    if (first == last) {
+        return 0.0;
     }
-    error += 0.5 * distance_before * (all.s1 - s_before);
-    let fourth_root = sqrt(sqrt((all.s1 - all.s0) / sink.h));
-    return error / sink.h * (fourth_root * sqrt(fourth_root)) * sink.visibility[first];
+    return error_of(first, last, part_of(first, begin, end), part_of(last, begin, end));
 }
 
-fn distance_collected(color: vec3f, opacity: f32) -> f32 {
-    let difference = abs(color);
-    return max(abs(opacity), sink.color_weight * max(max(difference.x, difference.y), difference.z));
+// The same for the pieces `first` to `last`, with what of these two is in the group.
+fn error_of(first: u32, last: u32, front: OpenSegment, back: OpenSegment) -> f32 {
+    var all = front;
+    for (var i = first + 1u; i < last; i++) {
+        all = appended(all, list.segments[i]);
+    }
+    all = appended(all, back);
+    let tau_per_length = all.tau / (all.s1 - all.s0);
+    var collected = front;
+    var s_before = all.s0;
+    var distance_before = 0.0;
+    // Twice the error. Ends of the parts and, where there is a gap, beginnings; both ways agree at the two ends of the group.
+    var error = 0.0;
+    for (var i = first + 1u; i <= last; i++) {
+        var next = back;
+        if (i < last) {
+            next = list.segments[i];
+        }
+        let s_end = collected.s1;
+        let s_begin = max(next.s0, s_end);
+        let at_end = distance_at(collected, all, tau_per_length * (s_end - all.s0));
+        let at_begin = distance_at(collected, all, tau_per_length * (s_begin - all.s0));
+        error += (distance_before + at_end) * (s_end - s_before) + (at_end + at_begin) * (s_begin - s_end);
+        s_before = s_begin;
+        distance_before = at_begin;
+        collected = appended(collected, next);
+    }
+    error += distance_before * (all.s1 - s_before);
+    let fourth_root = sqrt(sqrt((all.s1 - all.s0) / sink.h));
+    return 0.5 * error / sink.h * (fourth_root * sqrt(fourth_root)) * sink.visibility[first];
+}
+
+// How far what is collected is from what the composite has collected behind an optical depth.
+fn distance_at(collected: OpenSegment, all: OpenSegment, tau: f32) -> f32 {
+    let share = (1.0 - exp(-tau)) / max(all.alpha, ALPHA_LEAST);
+    let color = abs(collected.c - all.c * share);
+    let opacity = abs(collected.alpha - all.alpha * share);
+    return max(opacity, sink.color_weight * max(max(color.x, color.y), color.z));
 }
 
 // What joining group g with the one behind it adds to the error.
@@ -219,7 +225,7 @@ fn join(most: u32, threshold: f32, is_sample: bool) {
         groups.error[g] = 0.0;
         groups.joined[g] = INFINITE_COST;
         if (g + 1u < list.len) {
-            groups.joined[g] = group_error(f32(g), f32(g + 2u));
+            groups.joined[g] = error_of(g, g + 1u, list.segments[g], list.segments[g + 1u]);
         }
     }
     groups.first[list.len] = f32(list.len);
@@ -258,7 +264,9 @@ fn joined_error(g: u32) -> f32 {
     if (g + 1u >= groups.len) {
         return INFINITE_COST;
     }
-    return group_error(groups.first[g], groups.first[g + 2u]);
+    let first = u32(groups.first[g]);
+    let last = u32(groups.first[g + 2u]) - 1u;
+    return error_of(first, last, list.segments[first], list.segments[last]);
 }
 
 // Moves each border by a piece, then half of one, then a quarter where that lessens the error of the two groups.
