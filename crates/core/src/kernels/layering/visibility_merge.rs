@@ -157,7 +157,8 @@ const COLOR_WEIGHT: f32 = 6.0;
 const COLOR_DARK: f32 = 0.02;
 /// A group without any opacity is divided by this.
 const ALPHA_LEAST: f32 = 1e-30;
-/// Rays that say enough of a frame: at 512×512 the mean length was within 2 % of K on nine scenes.
+/// Rays that say enough of a frame: at 512×512 the mean length was within 2 % of 4, 8 and 15 on nine scenes, but on cubus 6 %
+/// below 15.
 const SAMPLE_RAYS: u64 = 2048;
 /// Bits of a float left out in the number of its bin.
 const BIN_SHIFT: u32 = 18;
