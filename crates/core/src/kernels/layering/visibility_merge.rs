@@ -40,7 +40,7 @@ pub fn tolerance(threshold: f32, k: usize) -> f32 {
 }
 
 /// Every so many pixels along each axis one is marched beforehand for the threshold: as many that at least
-/// [`SAMPLE_RAYS`] are, but no fewer than 4.
+/// 2048 are, but no fewer than 4.
 pub const fn sample_stride(width: u32, height: u32) -> u32 {
     let num_rays = width as u64 * height as u64;
     let mut stride: u32 = 4;
