@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{self, Reference, References};
-use isinglass_core::codec::{CodecError, HEADER_BYTES, Settings, assemble, encode};
+use isinglass_core::codec::{CodecError, HEADER_BYTES, Settings, assemble, encode, peek};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
@@ -18,13 +18,15 @@ use isinglass_core::volume::Histogram;
 use isinglass_formats::{default_preset, iglf, load_transfer, open};
 
 /// Name, and checksum of the frame.
-const VECTORS: [(&str, u64); 6] = [
+const VECTORS: [(&str, u64); 7] = [
     ("exact-2-cloud-two-groups", 0x2824_1ec8_76dc_77fe),
     ("exact-2-cubus-one-group", 0xf948_5546_4c8b_e75b),
     ("exact-2-shells-8-bit", 0x62a9_29b0_ffc1_72d7),
     ("exact-2-shells-long-lists", 0x0aae_3cd5_7242_60d7),
     ("exact-2-empty", 0xed8c_5c23_6a1c_e039),
     ("exact-2-shells-mip-parallel", 0x4528_46d6_8725_7e5f),
+    // It says where bands end; those before have bands of equal height.
+    ("exact-2-own-bands", 0x1595_3633_3e5c_9d8d),
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
@@ -109,6 +111,12 @@ fn bands_of_both_kinds_are_stored() {
     assert_eq!(found("blocks-2-equal-bands"), (false, false, 4));
     assert_eq!(found("blocks-2-equal-bands-turned"), (false, false, 6));
     assert_eq!(found("blocks-2-own-bands"), (true, true, 4));
+    let exact = VECTORS.map(|(name, _)| {
+        let chunks = iglf::read_chunks(&path(name)).unwrap();
+        (name, chunks.iter().all(|chunk| peek(chunk).unwrap().has_borders), chunks.len())
+    });
+    assert!(exact.iter().all(|&(name, has_borders, _)| has_borders == (name == "exact-2-own-bands")), "{exact:?}");
+    assert!(exact.iter().any(|&(_, has_borders, num_chunks)| !has_borders && num_chunks > 2), "{exact:?}");
 }
 
 #[test]
@@ -166,6 +174,7 @@ fn make_missing_vectors() {
         ("exact-2-shells-long-lists", frame(shells, [24, 24], 16, Layering::EqualLength), settings(10, 2)),
         ("exact-2-empty", empty, settings(10, 2)),
         ("exact-2-shells-mip-parallel", frame_of(Mode::Mip, true, 1, 0.5, shells, [30, 24], 4, merge), exact),
+        ("exact-2-own-bands", frame(shells, [40, 260], 4, merge), settings(10, 2)),
     ] {
         let path = path(name);
         if !path.exists() {

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::bands::Borders;
 use super::header::ChunkHeader;
 use super::planes::DecodedChunk;
 use super::{CodecError, MAX_FRAME_SEGMENTS, at_most};
@@ -12,6 +13,8 @@ use crate::layer::{FrameHeader, LayeredFrame};
 #[derive(Clone, Debug)]
 pub(super) struct Assembly {
     first: ChunkHeader,
+    /// As the chunks that are there say.
+    borders: Option<Borders>,
     bands: Vec<Band>,
     seen: u32,
     num_segments: usize,
@@ -27,7 +30,7 @@ impl Assembly {
     /// An assembly without chunks for the frame that `header` belongs to.
     pub(super) fn new(header: &ChunkHeader) -> Self {
         let bands = vec![Band::default(); usize::from(header.num_base)];
-        Self { first: *header, bands, seen: 0, num_segments: 0 }
+        Self { first: *header, borders: None, bands, seen: 0, num_segments: 0 }
     }
 
     /// The frame.
@@ -71,6 +74,9 @@ impl Assembly {
         if self.contains(header.index) {
             return Err(CodecError::Duplicate(header.index));
         }
+        if self.seen != 0 && chunk.borders != self.borders {
+            return Err(contradiction("other borders of bands"));
+        }
         at_most("segments in a frame", self.num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
         let Band { base, refinement } = &mut self.bands[usize::from(header.band)];
         let (slot, other) = if header.is_base() { (base, refinement) } else { (refinement, base) };
@@ -87,6 +93,7 @@ impl Assembly {
             }
         }
         self.seen |= 1 << header.index.0;
+        self.borders = chunk.borders;
         self.num_segments += chunk.num_segments();
         *slot = Some(chunk);
         Ok(())
@@ -105,7 +112,7 @@ impl Assembly {
         let mut work = Vec::with_capacity(self.bands.len());
         let mut offset = 0;
         for (number, band) in self.bands.iter().enumerate() {
-            let rows = ChunkHeader { band: number as u8, ..self.first }.rows();
+            let rows = ChunkHeader { band: number as u8, ..self.first }.rows(self.borders);
             let count = band.num_segments();
             work.push((
                 band,

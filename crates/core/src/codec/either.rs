@@ -31,7 +31,7 @@ impl DecodedChunk {
     /// Rows of lists that the chunk covers.
     pub fn rows(&self) -> Range<u32> {
         match self {
-            Self::Exact(chunk) => chunk.header.rows(),
+            Self::Exact(chunk) => chunk.rows(),
             Self::Blocks(chunk) => chunk.rows(),
         }
     }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::{Quat, Vec3};
 
+use super::bands::Borders;
 use super::{CodecError, MAX_BANDS, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, TILE, at_most, scale};
 use crate::camera::{Camera, Intrinsics, Pose, Projection};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
@@ -25,6 +26,9 @@ pub struct ChunkHeader {
     pub num_base: u8,
     /// The band, counted from the top, below `num_base`.
     pub band: u8,
+    /// Whether the payload begins with where the bands end. Otherwise, and in the rate mode, which says it elsewhere, bands are
+    /// as high as each other.
+    pub has_borders: bool,
     /// Bytes after the header.
     pub payload_bytes: u32,
 }
@@ -42,7 +46,8 @@ impl ChunkHeader {
 
     /// What all chunks of a frame have in common and this one has otherwise than `first`.
     pub(super) fn difference(&self, first: &Self) -> Option<&'static str> {
-        let numbers = |header: &Self| (header.color_bits, header.num_chunks, header.num_base);
+        let numbers =
+            |header: &Self| (header.color_bits, header.num_chunks, header.num_base, header.has_borders);
         if self.frame != first.frame {
             Some("another frame header")
         } else if numbers(self) != numbers(first) {
@@ -52,9 +57,17 @@ impl ChunkHeader {
         }
     }
 
-    /// Rows of lists that the chunk covers.
-    pub fn rows(&self) -> Range<u32> {
-        band_rows(self.frame.camera.intrinsics.height, self.num_base, self.band)
+    /// Rows of lists that the chunk covers: as the borders say, or without any in bands as equal as tile rows allow.
+    pub(super) fn rows(&self, borders: Option<Borders>) -> Range<u32> {
+        let height = self.frame.camera.intrinsics.height;
+        let num_rows = num_tiles(height);
+        let equal = |band: u8| num_rows * usize::from(band) / usize::from(self.num_base);
+        let rows = match borders {
+            Some(borders) => borders.rows(self.band, num_rows),
+            None => equal(self.band)..equal(self.band + 1),
+        };
+        let edge = |row: usize| ((row * TILE) as u32).min(height);
+        edge(rows.start)..edge(rows.end)
     }
 
     /// Length of the whole chunk, header included.
@@ -62,16 +75,13 @@ impl ChunkHeader {
         HEADER_BYTES + self.payload_bytes as usize
     }
 
-    /// Columns times rows.
-    pub(super) fn num_lists(&self) -> usize {
-        self.rows().len() * self.frame.camera.intrinsics.width as usize
-    }
-
     pub(super) fn to_bytes(self) -> [u8; HEADER_BYTES] {
         let mut w = Writer { bytes: [0; HEADER_BYTES], at: 0 };
         let camera = &self.frame.camera;
         w.put(MAGIC);
-        w.put([VERSION, self.frame.k, self.color_bits, self.band | (self.frame.mode as u8) << MODE_SHIFT]);
+        let borders = if self.has_borders { HAS_BORDERS } else { 0 };
+        let band_and_mode = self.band | (self.frame.mode as u8) << MODE_SHIFT | borders;
+        w.put([VERSION, self.frame.k, self.color_bits, band_and_mode]);
         w.put(self.index.0.to_le_bytes());
         w.put([self.num_chunks, self.num_base]);
         w.put(self.frame.frame.0.to_le_bytes());
@@ -109,7 +119,8 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
         return Err(CodecError::Magic(magic));
     }
     let [version, k, color_bits, band_and_mode] = r.take();
-    let (band, mode) = (band_and_mode & BAND_MASK, band_and_mode >> MODE_SHIFT);
+    let has_borders = band_and_mode & HAS_BORDERS != 0;
+    let (band, mode) = (band_and_mode & BAND_MASK, (band_and_mode & !HAS_BORDERS) >> MODE_SHIFT);
     if version != VERSION {
         return Err(CodecError::Version(version));
     }
@@ -149,6 +160,13 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     in_range("payload length", payload_bytes as usize, 0, MAX_CHUNK_BYTES - HEADER_BYTES)?;
     in_range("mode", mode.into(), 0, Mode::ALL.len() - 1)?;
     let mode = Mode::ALL[usize::from(mode)];
+    if color_bits == 0 && has_borders {
+        return Err(CodecError::Header {
+            what: "borders in front of blocks",
+            found: "some".into(),
+            expected: "none".into(),
+        });
+    }
     if color_bits == 0 && mode.is_projection() {
         return Err(CodecError::Header {
             what: "mode of a frame in blocks",
@@ -164,7 +182,7 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
         });
     }
     let frame = FrameHeader { frame, pose, look, camera, k, mode };
-    Ok(ChunkHeader { frame, color_bits, index, num_chunks, num_base, band, payload_bytes })
+    Ok(ChunkHeader { frame, color_bits, index, num_chunks, num_base, band, has_borders, payload_bytes })
 }
 
 fn in_range(what: &'static str, found: usize, min: usize, max: usize) -> Result<(), CodecError> {
@@ -177,15 +195,6 @@ fn in_range(what: &'static str, found: usize, min: usize, max: usize) -> Result<
 /// Bands of a frame of so many rows: one for every four tile rows, 1 to [`MAX_BANDS`].
 pub(super) fn num_bands(height: u32) -> u8 {
     (num_tiles(height) / 4).clamp(1, MAX_BANDS) as u8
-}
-
-/// The rows of one band. Bands are whole tile rows, as equal as that allows.
-pub(super) fn band_rows(height: u32, num_bands: u8, band: u8) -> Range<u32> {
-    let edge = |band: u8| {
-        let tiles = num_tiles(height) * usize::from(band) / usize::from(num_bands);
-        ((tiles * TILE) as u32).min(height)
-    };
-    edge(band)..edge(band + 1)
 }
 
 /// Tiles along a side of so many lists.
@@ -223,6 +232,7 @@ pub const HEADER_BYTES: usize = 72;
 
 pub(super) const MAGIC: [u8; 4] = *b"IGLC";
 pub(super) const VERSION: u8 = 2;
-/// The mode stands above the band.
+/// The mode stands above the band, and above that whether there are borders.
 const MODE_SHIFT: u8 = 4;
 const BAND_MASK: u8 = 15;
+const HAS_BORDERS: u8 = 1 << 7;

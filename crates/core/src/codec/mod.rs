@@ -13,6 +13,7 @@
 //! Decoding is total: any bytes give a value or an error, in time and memory bounded by the constants here.
 
 mod assembly;
+mod bands;
 pub mod blocks;
 mod bounded;
 mod contexts;
@@ -29,6 +30,7 @@ mod spent;
 mod tests;
 
 use std::cmp::Reverse;
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -37,6 +39,7 @@ use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::{Compositing, Mode};
 use crate::wanted::{ALWAYS, Wanted};
+use bands::Borders;
 use blocks::{Reference, References};
 
 pub use bounded::{Bound, Misfit};
@@ -257,21 +260,30 @@ fn encode_while(
     // A mean has all of its lists at once: the picture of some would be too dark.
     let is_whole = settings.num_groups == 1 || frame.header.mode.compositing() == Compositing::Mean;
     let base_k = if is_whole { MAX_K } else { base_k(frame) };
-    let lists_of = |band| {
-        let rows = header::band_rows(intrinsics.height, num_bands, band);
-        rows.start as usize * width..rows.end as usize * width
+    // Bands take as long as they have segments.
+    let num_segments = |rows: Range<usize>| {
+        let end = |row: usize| frame.offsets[(row * TILE).min(intrinsics.height as usize) * width];
+        (end(rows.end) - end(rows.start)) as usize
     };
-    // Those with most segments begin, one at a time for each thread.
-    let mut most_first: Vec<_> = (0..num_bands).collect();
-    most_first.sort_by_key(|&band| {
-        let lists = lists_of(band);
-        Reverse(frame.offsets[lists.end] - frame.offsets[lists.start])
-    });
-    let mut bands: Vec<_> = most_first
-        .into_iter()
-        .par_bridge()
+    let work: Vec<_> =
+        (0..header::num_tiles(intrinsics.height)).map(|row| num_segments(row..row + 1)).collect();
+    let borders = Borders::sharing(&work, num_bands);
+    let first = ChunkHeader {
+        frame: frame.header,
+        color_bits: settings.color_bits,
+        index: ChunkIndex(0),
+        num_chunks: num_bands,
+        num_base: num_bands,
+        band: 0,
+        has_borders: borders.is_some(),
+        payload_bytes: 0,
+    };
+    let bands: Vec<_> = (0..num_bands)
+        .into_par_iter()
+        .with_max_len(1)
         .map(|band| {
-            let lists = lists_of(band);
+            let rows = ChunkHeader { band, ..first }.rows(borders);
+            let lists = rows.start as usize * width..rows.end as usize * width;
             if !wanted() {
                 return Err(CodecError::Abandoned);
             }
@@ -285,8 +297,6 @@ fn encode_while(
             Ok((band, groups))
         })
         .collect::<Result<_, _>>()?;
-    bands.sort_unstable_by_key(|(band, _)| *band);
-
     // (group, contribution, band, payload); a refinement without segments is not sent.
     let mut parts = Vec::with_capacity(MAX_CHUNKS);
     for (band, groups) in bands {
@@ -299,21 +309,19 @@ fn encode_while(
     }
     parts.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
     let num_chunks = parts.len() as u8;
+    let mut ends = vec![];
+    if let Some(borders) = borders {
+        borders.write(&mut ends);
+    }
     let chunks = parts
         .into_iter()
         .enumerate()
         .map(|(index, (group, _, band, payload))| {
             let index = ChunkIndex(index as u16);
-            let header = ChunkHeader {
-                frame: frame.header,
-                color_bits: settings.color_bits,
-                index,
-                num_chunks,
-                num_base: num_bands,
-                band,
-                payload_bytes: payload.len() as u32,
-            };
+            let payload_bytes = (ends.len() + payload.len()) as u32;
+            let header = ChunkHeader { index, num_chunks, band, payload_bytes, ..first };
             let mut bytes = header.to_bytes().to_vec();
+            bytes.extend_from_slice(&ends);
             bytes.extend_from_slice(&payload);
             at_most("bytes in a chunk", bytes.len(), MAX_CHUNK_BYTES)?;
             Ok(Chunk { index, is_base: group == 0, bytes })

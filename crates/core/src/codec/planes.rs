@@ -2,7 +2,9 @@
 //! segments as planes of numbers, each plane a stream of its own (`contexts`, `rans`).
 
 use std::cell::RefCell;
+use std::ops::Range;
 
+use super::bands::Borders;
 use super::contexts::{
     DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, Plane, PlaneReader, Recorder, parts,
     readers,
@@ -14,6 +16,7 @@ use super::rows::Rows;
 use super::scale::{self, Scale};
 use super::spent::{Spent, TileClass};
 use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
+use crate::camera::Intrinsics;
 
 /// The segments of one chunk, in the packed form of [`crate::layer::LayeredFrame`]. Every list is in order and within
 /// the limits of its group.
@@ -21,7 +24,9 @@ use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
 pub struct DecodedChunk {
     /// The header.
     pub header: ChunkHeader,
-    /// Length of each list of [`ChunkHeader::rows`].
+    /// Where the bands of the frame end, in rows of tiles; none if they are as high as each other.
+    pub(super) borders: Option<Borders>,
+    /// Length of each list of [`DecodedChunk::rows`].
     pub(super) counts: Vec<u8>,
     pub(super) depth: Vec<u32>,
     pub(super) c_rg: Vec<u32>,
@@ -29,13 +34,18 @@ pub struct DecodedChunk {
 }
 
 impl DecodedChunk {
+    /// Rows of lists that the chunk covers.
+    pub fn rows(&self) -> Range<u32> {
+        self.header.rows(self.borders)
+    }
+
     /// Number of segments.
     pub fn num_segments(&self) -> usize {
         self.depth.len()
     }
 }
 
-/// Encodes the lists of one chunk, which are `width` to a row.
+/// Encodes the lists of one chunk, which are `width` to a row. What the payload has in front of them is not its part.
 pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<Vec<u8>, CodecError> {
     let Lists { counts, codes } = lists;
     at_most("segments in a chunk", codes.len(), MAX_CHUNK_SEGMENTS)?;
@@ -64,10 +74,10 @@ pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<V
 pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     let header = peek(bytes)?;
     let intrinsics = header.frame.camera.intrinsics;
-    let (tiles, streams) = split(&header, bytes)?;
-    let mut counts = vec![0; header.num_lists()];
+    let (borders, tiles, streams) = split(&header, bytes)?;
+    let mut counts = vec![0; header.rows(borders).len() * intrinsics.width as usize];
     if streams.is_empty() && tiles.are_empty() {
-        return Ok(DecodedChunk { header, counts, depth: vec![], c_rg: vec![], c_b_tau: vec![] });
+        return Ok(DecodedChunk { header, borders, counts, depth: vec![], c_rg: vec![], c_b_tau: vec![] });
     }
     let scale = scale::of(header.color_bits)?;
     let parts = split_parts(streams)?;
@@ -99,15 +109,16 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     }
     match readers.iter().position(|plane| !PlaneReader::ended(plane)) {
         Some(plane) => Err(damaged(PLANE_NAMES[plane], "its stream does not end with its last number")),
-        None => Ok(DecodedChunk { header, counts, depth, c_rg, c_b_tau }),
+        None => Ok(DecodedChunk { header, borders, counts, depth, c_rg, c_b_tau }),
     }
 }
 
-/// What a chunk spends its bytes on: the header, the bitmap of tiles, the lengths of the parts, the tables, and every
+/// What a chunk spends its bytes on: the header, with the borders of bands behind it, the bitmap of tiles, the lengths of the parts, the tables, and every
 /// plane.
 pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecError> {
-    let (tiles, streams) = split(header, bytes)?;
-    let mut parts = vec![("header", HEADER_BYTES), ("tiles", tiles.bits.len())];
+    let (borders, tiles, streams) = split(header, bytes)?;
+    let borders = borders.map_or(0, |borders| borders.num_bytes());
+    let mut parts = vec![("header", HEADER_BYTES + borders), ("tiles", tiles.bits.len())];
     if !streams.is_empty() {
         let streams = split_parts(streams)?;
         parts.extend([("part lengths", DIRECTORY_BYTES), (TABLES, streams[0].len())]);
@@ -115,7 +126,7 @@ pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecEr
             (0..NUM_PLANES).map(|p| (PLANE_NAMES[p], streams[1 + 2 * p].len() + streams[2 + 2 * p].len())),
         );
     }
-    let num = tiles.across * num_tiles(header.rows().len() as u32);
+    let num = tiles.num;
     let num_filled = tiles.bits.iter().map(|bits| bits.count_ones() as usize).sum();
     let in_planes = parts.iter().skip(NUM_BEFORE_PLANES).map(|(_, bytes)| bytes).sum();
     let num_of_base = |num: usize| if header.is_base() { num } else { 0 };
@@ -129,21 +140,30 @@ pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecEr
 /// Of what a chunk has: header, bitmap, lengths and tables.
 const NUM_BEFORE_PLANES: usize = 4;
 
-/// The tiles of a chunk that hold anything, and the bytes behind their bitmap.
-fn split<'a>(header: &ChunkHeader, bytes: &'a [u8]) -> Result<(Tiles, &'a [u8]), CodecError> {
-    let across = num_tiles(header.frame.camera.intrinsics.width);
-    let num_tiles = across * num_tiles(header.rows().len() as u32);
-    let bitmap = num_tiles.div_ceil(8);
+/// Where the bands of a frame end, if the chunk says so, its tiles that hold anything, and the bytes behind their bitmap.
+fn split<'a>(
+    header: &ChunkHeader,
+    bytes: &'a [u8],
+) -> Result<(Option<Borders>, Tiles, &'a [u8]), CodecError> {
+    let Intrinsics { width, height, .. } = header.frame.camera.intrinsics;
+    let mut payload = bytes.get(HEADER_BYTES..).unwrap_or_default();
     let (found, expected) = (bytes.len(), header.chunk_bytes());
-    if found != expected || found < HEADER_BYTES + bitmap {
-        return Err(CodecError::Length { found, expected: expected.max(HEADER_BYTES + bitmap) });
+    if found != expected {
+        return Err(CodecError::Length { found, expected });
     }
-    let (bits, streams) = bytes[HEADER_BYTES..].split_at(bitmap);
+    let read = || Borders::read(&mut payload, header.num_base, num_tiles(height));
+    let borders = header.has_borders.then(read).transpose()?;
+    let across = num_tiles(width);
+    let num_tiles = across * num_tiles(header.rows(borders).len() as u32);
+    let bitmap = num_tiles.div_ceil(8);
+    let Some((bits, streams)) = payload.split_at_checked(bitmap) else {
+        return Err(CodecError::Length { found, expected: found - payload.len() + bitmap });
+    };
     let num_unused = 8 * bitmap - num_tiles;
     if bits.last().is_some_and(|last| last.leading_zeros() < num_unused as u32) {
         return Err(damaged("tiles", format!("more than the band's {num_tiles} are marked")));
     }
-    Ok((Tiles { across, bits: bits.to_vec() }, streams))
+    Ok((borders, Tiles { across, num: num_tiles, bits: bits.to_vec() }, streams))
 }
 
 fn split_parts(streams: &[u8]) -> Result<[&[u8]; NUM_PARTS], CodecError> {
@@ -158,6 +178,7 @@ fn split_parts(streams: &[u8]) -> Result<[&[u8]; NUM_PARTS], CodecError> {
 /// Which tiles of a band hold anything.
 struct Tiles {
     across: usize,
+    num: usize,
     /// One bit a tile, row by row, lowest bit first.
     bits: Vec<u8>,
 }
@@ -165,7 +186,8 @@ struct Tiles {
 impl Tiles {
     fn of_lists(counts: &[u8], width: usize) -> Self {
         let across = width.div_ceil(TILE);
-        let mut bits = vec![0; (across * (counts.len() / width).div_ceil(TILE)).div_ceil(8)];
+        let num = across * (counts.len() / width).div_ceil(TILE);
+        let mut bits = vec![0; num.div_ceil(8)];
         for (y, row) in counts.chunks_exact(width).enumerate() {
             for (x, lists) in row.chunks(TILE).enumerate() {
                 if lists.iter().any(|&count| count > 0) {
@@ -174,7 +196,7 @@ impl Tiles {
                 }
             }
         }
-        Self { across, bits }
+        Self { across, num, bits }
     }
 
     fn are_empty(&self) -> bool {

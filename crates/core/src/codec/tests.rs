@@ -86,6 +86,18 @@ fn full_frame(width: u32, height: u32, k: u8) -> LayeredFrame {
     frame
 }
 
+/// The frame without what it has in its first rows of lists.
+fn without_top(mut frame: LayeredFrame, num_rows: usize) -> LayeredFrame {
+    let above = frame.offsets[num_rows * frame.header.camera.intrinsics.width as usize];
+    for offset in &mut frame.offsets {
+        *offset = offset.saturating_sub(above);
+    }
+    for plane in [&mut frame.depth, &mut frame.c_rg, &mut frame.c_b_tau] {
+        plane.drain(..above as usize);
+    }
+    frame
+}
+
 /// A built-in volume of 48³ voxels through a smooth transfer function.
 pub(super) fn soft() -> TransferFunction {
     let p = |x, color, opacity| ControlPoint { x, color, opacity };
@@ -296,12 +308,62 @@ fn headers_say_what_they_were_given() {
         assert_eq!((header.index, header.is_base()), (ChunkIndex(i as u16), chunk.is_base));
         assert_eq!((chunk.index, header.chunk_bytes()), (header.index, chunk.bytes.len()));
         if chunk.is_base {
-            rows.extend(header.rows());
+            rows.extend(decode_chunk(&chunk.bytes).unwrap().rows());
         }
         assert_eq!(header.to_bytes(), chunk.bytes[..HEADER_BYTES]);
     }
     rows.sort_unstable();
     assert_eq!(rows, (0..200).collect::<Vec<_>>());
+}
+
+#[test]
+fn bands_share_the_segments_wherever_they_are() {
+    // Of 40 rows of tiles, 13 with matter.
+    let frame = without_top(random_frame(48, 640, 5, 21), 432);
+    for settings in ALL_BITS {
+        let bands = encode(&frame, &settings).unwrap().chunks;
+        let bands = bands.iter().filter(|c| c.is_base).map(|c| decode_chunk(&c.bytes).unwrap());
+        let rows: Vec<_> = bands.map(|band| (band.rows(), band.header.rows(None))).collect();
+        assert_eq!(rows.len(), MAX_BANDS);
+        let num_segments = |rows: &Range<u32>| {
+            let [start, end] = [rows.start, rows.end].map(|row| frame.offsets[row as usize * 48]);
+            (end - start) as usize
+        };
+        // An eighth and a row. Of those of equal height some have five rows.
+        let row = (0..40).map(|row| num_segments(&(row * 16..row * 16 + 16))).max().unwrap();
+        let most = frame.num_segments() / MAX_BANDS + row;
+        assert!(rows.iter().all(|(rows, _)| num_segments(rows) <= most), "{rows:?}");
+        assert!(rows.iter().any(|(_, equal)| num_segments(equal) > most), "{rows:?}");
+        assert_eq!(round_trip(&frame, &settings).depth, frame.depth);
+    }
+}
+
+#[test]
+fn bad_borders_are_named() {
+    let frame = random_frame(48, 200, 5, 22);
+    let good = encode(&frame, &Settings::default()).unwrap().chunks[0].bytes.clone();
+    let header = peek(&good).unwrap();
+    assert!(header.has_borders && header.num_base == 3);
+    let with = |ends: [u16; 2]| {
+        let mut bytes = good.clone();
+        bytes[HEADER_BYTES..HEADER_BYTES + 4].copy_from_slice(ends.map(u16::to_le_bytes).as_flattened());
+        decode_chunk(&bytes)
+    };
+    // There are 13 rows of tiles.
+    for ends in [[0, 5], [5, 5], [6, 5], [5, 13], [5, u16::MAX]] {
+        let error = with(ends).unwrap_err();
+        assert!(matches!(error, CodecError::Payload { plane: "borders", .. }), "{ends:?} {error}");
+    }
+    let short = ChunkHeader { payload_bytes: 3, ..header };
+    let cut = [&short.to_bytes()[..], &[1, 0, 2]].concat();
+    assert!(matches!(decode_chunk(&cut), Err(CodecError::Payload { plane: "borders", .. })));
+    // One band ends nowhere, and blocks say it elsewhere.
+    let one = ChunkHeader { num_base: 1, band: 0, num_chunks: 1, index: ChunkIndex(0), ..header };
+    let one = [&one.to_bytes()[..], &good[HEADER_BYTES..]].concat();
+    assert!(matches!(decode_chunk(&one), Err(CodecError::Payload { plane: "borders", .. })));
+    let blocks = ChunkHeader { color_bits: 0, ..header };
+    let error = peek(&blocks.to_bytes()).unwrap_err();
+    assert!(matches!(error, CodecError::Header { what: "borders in front of blocks", .. }), "{error}");
 }
 
 #[test]
@@ -372,7 +434,16 @@ fn contradicting_chunks_are_refused_and_change_nothing() {
     let band = ours[0].header.band;
     let other = chunks(&other, Settings::default());
     let foreign = other.into_iter().find(|c| !c.header.is_base() && c.header.band == band).unwrap();
-    assert!(matches!(assembly.insert(foreign), Err(CodecError::Contradiction { .. })));
+    let refused = |assembly: &mut Assembly, chunk| match assembly.insert(chunk) {
+        Err(CodecError::Contradiction { what, .. }) => what,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(refused(&mut assembly, foreign), "its segments overlap those of the other group");
+    // The other band of a frame under this frame's name that ends its bands elsewhere.
+    let lower = without_top(frame.clone(), 112);
+    let mut lower = chunks(&lower, Settings::default()).into_iter().find(|c| c.header.band != band).unwrap();
+    lower.header.index = ours[1].header.index;
+    assert_eq!(refused(&mut assembly, lower), "other borders of bands");
     assert_eq!((assembly.num_inserted(), assembly.to_frame()), (1, before));
     for chunk in ours.into_iter().skip(1) {
         assembly.insert(chunk).unwrap();
@@ -430,6 +501,7 @@ fn a_small_chunk_cannot_ask_for_much() {
         num_chunks: 1,
         num_base: 1,
         band: 0,
+        has_borders: false,
         payload_bytes: 0,
     };
     // Tables with one number each take no bits of the streams: every list has as many segments as its table says.

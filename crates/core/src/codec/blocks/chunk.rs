@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::super::bands::Borders;
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most};
 use super::band::{Band, Cell, blocks_along};
-use super::bands::Borders;
 use super::coding::{BandCoder, Nothing, Place};
 use super::entropy::{Decoder, Reader};
 use super::model::{BLOCK, MAX_LAYERS};
@@ -30,7 +30,7 @@ pub(super) struct Head {
     pub(super) is_split: bool,
     /// Whether planes are predicted from the edges of those beside, and not from their means.
     pub(super) has_edges: bool,
-    /// Where the bands end; none if they are as high as each other, like those of exact frames.
+    /// Where the bands end; none if they are as high as each other.
     pub(super) borders: Option<Borders>,
 }
 
@@ -131,7 +131,7 @@ pub(super) fn place(header: &ChunkHeader, borders: Option<Borders>) -> Place {
     let rows = match borders {
         Some(borders) => borders.rows(header.band, blocks_along(intrinsics.height)),
         None => {
-            let rows = header.rows();
+            let rows = header.rows(None);
             let first = rows.start as usize / BLOCK;
             first..first + blocks_along(rows.len() as u32)
         }

@@ -43,7 +43,6 @@ use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, a
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
 use crate::wanted::{ALWAYS, Wanted};
-use bands::Borders;
 use chunk::Head;
 use model::MAX_LAYERS;
 use motion::Motion;
@@ -102,7 +101,7 @@ pub(super) fn encode_while(
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
     let (rule, steps) = steps::from_settings(settings, reference.is_some(), &camera);
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
-    let borders = Borders::of(frame, num_bands);
+    let borders = bands::borders(frame, num_bands);
     let reference_frame = reference.map(Reference::frame);
     let head = Head {
         steps,
@@ -118,6 +117,7 @@ pub(super) fn encode_while(
         num_chunks: num_bands,
         num_base: num_bands,
         band: 0,
+        has_borders: false,
         payload_bytes: 0,
     };
     // From both ends, so that a thread with two neighbours in this order has one from the border and one from the middle:
