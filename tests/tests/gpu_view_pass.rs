@@ -162,14 +162,26 @@ fn the_view_pass_paints_what_the_twin_casts() {
             Difference::of_srgb8(&found, &twin).assert_tolerable(&format!("{name}, {format:?}"));
             Difference::of_srgb8(&found, &background).assert_noticed("nothing painted");
         }
-        // Half as many pixels each way, enlarged: the same as the twin's picture of that size, enlarged by hand.
+        // As many pixels as are shown, apart: to the bit what is painted straight, as often as it is wanted.
         let whole = camera(&scene, 33.0, (100, 76));
+        pass.prepare(gpu.queue(), &whole, BACKGROUND);
+        let [_, straight] = paint(gpu, &pass, format, (100, 76));
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        pass.prepare_apart(gpu.device(), gpu.queue(), &mut encoder, &whole, BACKGROUND, None);
+        gpu.queue().submit([encoder.finish()]);
+        let again = |pass: &ViewPass| paint_by(gpu, format, (100, 76), |render_pass| pass.paint_apart(render_pass));
+        let [beside, apart] = again(&pass);
+        assert!(apart == straight && beside.iter().all(|&x| x == 0), "{format:?}");
+        pass.prepare(gpu.queue(), &camera(&scene, 60.0, (100, 76)), BACKGROUND);
+        assert!(paint(gpu, &pass, format, (100, 76))[1] != straight, "another camera was not noticed");
+        assert!(again(&pass)[1] == straight, "it was cast again");
+        // Half as many pixels each way, enlarged: the same as the twin's picture of that size, enlarged by hand.
         let smaller =
             Camera { intrinsics: Intrinsics { width: 50, height: 38, ..whole.intrinsics }, ..whole };
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
-        pass.prepare_smaller(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND);
+        pass.prepare_apart(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND, None);
         gpu.queue().submit([encoder.finish()]);
-        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_enlarged(render_pass));
+        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_apart(render_pass));
         let twin = enlarged_srgb8(raycast::raycast(&frame, &bounds, &smaller), format);
         let difference = Difference::of_srgb8(&found, &twin);
         assert!(difference.is_tolerable_enlarged(), "enlarged, {format:?}: {difference:?}");
@@ -214,9 +226,9 @@ fn the_view_pass_paints_what_the_twin_casts() {
         let smaller =
             Camera { intrinsics: Intrinsics { width: 50, height: 38, ..whole.intrinsics }, ..whole };
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
-        pass.prepare_smaller(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND);
+        pass.prepare_apart(gpu.device(), gpu.queue(), &mut encoder, &smaller, BACKGROUND, None);
         gpu.queue().submit([encoder.finish()]);
-        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_enlarged(render_pass));
+        let [_, found] = paint_by(gpu, format, (100, 76), |render_pass| pass.paint_apart(render_pass));
         let twin = enlarged_srgb8(combine::combine(&[&newest, &larger], &bounds, &smaller), format);
         let difference = Difference::of_srgb8(&found, &twin);
         assert!(difference.is_tolerable_enlarged(), "several frames, enlarged: {difference:?}");

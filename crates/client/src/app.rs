@@ -448,7 +448,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    panels::banner(&ctx, &text, self.right_width(), self.parts_bar.height());
+                    let lift = self.parts_bar.height() + self.aids.scale_height();
+                    panels::banner(&ctx, &text, self.right_width(), lift);
                 }
             }
             None => {
@@ -504,7 +505,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
         let background = self.aids.linear_background();
         ui.painter()
-            .add(PicturePaint { frame, kept, camera, bounds, clip, stereo, quality, background }.shape(rect));
+            .add(PicturePaint { rect, frame, kept, camera, bounds, clip, stereo, quality, background }.shape());
     }
 
     /// Only the ray cast has two eyes.
@@ -535,7 +536,8 @@ impl<S: FrameSource> ViewerApp<S> {
 
     /// How long the window may sleep if nothing happens; none: until something does. Frames, pointer and keys wake it.
     fn rest(&self, refresh: Option<&Refresh>, state: &State) -> Option<Duration> {
-        let is_settled = refresh.is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled));
+        let is_settled = refresh
+            .is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled | Standing::Offline));
         let is_dead = matches!(state, State::Refused(_));
         if refresh.is_some_and(|r| r.is_ahead) && !is_dead {
             return Some(STILL);
@@ -543,7 +545,7 @@ impl<S: FrameSource> ViewerApp<S> {
         match (is_settled, self.shows_overlay) {
             // Numbers that change: age, rates, the badge.
             (false, _) if !is_dead => Some(OVERLAY_PERIOD),
-            // Only the rate of bytes still falls.
+            // Only the rate of bytes still falls, and without a connection the age grows.
             (true, true) => Some(SETTLED_PERIOD),
             _ => None,
         }
@@ -607,7 +609,7 @@ fn picture_intrinsics(rect: egui::Rect, pixels_per_point: f32, fov_y: f32) -> In
 
 /// Refreshes of the numbers while nothing moves.
 const OVERLAY_PERIOD: Duration = Duration::from_millis(100);
-/// The same when the picture is the server's own.
+/// The same when the picture is the server's own, or none can come.
 const SETTLED_PERIOD: Duration = Duration::from_millis(500);
 /// The server is told how the viewer fares.
 const REPORT_PERIOD: Duration = Duration::from_secs(1);

@@ -1,4 +1,4 @@
-//! How long the GPU works on one novel view, by timestamps inside egui's render pass.
+//! How long the GPU works on one novel view, by timestamps inside egui's render pass, or around a pass of its own.
 //!
 //! A measurement takes three refreshes: the pass writes two timestamps; the next refresh's encoder copies them out;
 //! the one after asks for the mapping, which some later refresh finds done. A new one starts only then, so nothing
@@ -100,6 +100,18 @@ impl GpuTimer {
             }
             _ => {}
         }
+    }
+
+    /// For a pass of its own: has its two timestamps written, if no measurement is under way.
+    pub(crate) fn of_pass(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        (self.stage.load(Ordering::Acquire) == IDLE).then(|| {
+            self.stage.store(WRITTEN, Ordering::Release);
+            wgpu::RenderPassTimestampWrites {
+                query_set: &self.queries,
+                beginning_of_pass_write_index: Some(0),
+                end_of_pass_write_index: Some(1),
+            }
+        })
     }
 
     /// Inside the pass: `draw` between two timestamps, if no measurement is under way.

@@ -44,6 +44,7 @@ mod start;
 mod state_files;
 mod state_part;
 mod stereo;
+mod stills;
 mod transfer_editor;
 mod view_aids;
 mod viewing;

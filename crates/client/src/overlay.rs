@@ -90,6 +90,7 @@ impl Standing {
             Self::Waiting => "waiting",
             Self::Moving => "moving",
             Self::Refining => "refining",
+            Self::Offline => "offline",
             Self::Settled => "settled",
             Self::Exact => "exact",
         }
@@ -101,6 +102,7 @@ impl Standing {
             Self::Waiting => "No frame has arrived yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
+            Self::Offline => "Drawn here from the last frame that came: there is no connection.",
             Self::Settled => {
                 "The server's whole frame for this view, at another size than the window's or for two eyes."
             }

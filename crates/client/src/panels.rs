@@ -65,8 +65,8 @@ fn badge(ui: &mut Ui, standing: Standing) {
         Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
         Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
         Standing::Moving => Color32::from_rgb(20, 85, 175),
-        Standing::Refining if is_dark => Color32::from_rgb(235, 190, 95),
-        Standing::Refining => Color32::from_rgb(150, 90, 0),
+        Standing::Refining | Standing::Offline if is_dark => Color32::from_rgb(235, 190, 95),
+        Standing::Refining | Standing::Offline => Color32::from_rgb(150, 90, 0),
         Standing::Waiting => quiet(ui.ctx()),
     };
     let line = ui.horizontal(|ui| {

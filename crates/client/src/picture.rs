@@ -1,8 +1,8 @@
-//! The picture inside egui's render pass: uploads each frame when it comes and ray-casts every time, the newest frame or
-//! that and older ones.
+//! The picture inside egui's render pass: uploads each frame when it comes and ray-casts whenever anything has changed, the
+//! newest frame or that and older ones.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use isinglass_core::camera::Camera;
 use isinglass_core::clip::Clip;
@@ -14,10 +14,13 @@ use isinglass_net::ReceivedFrame;
 use crate::gpu_timer::{GpuTime, GpuTimer};
 use crate::quality_control::Quality;
 use crate::slots::Slots;
+use crate::stills::{Stills, Way};
 use crate::stereo::{Stereo, StereoMode};
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {
+    /// Where, in points.
+    pub(crate) rect: egui::Rect,
     /// The frame to cast.
     pub(crate) frame: Arc<ReceivedFrame>,
     /// Older frames for what it does not see.
@@ -76,6 +79,8 @@ impl PictureStatus {
 struct PictureResources {
     pass: ViewPass,
     slots: Slots<ReceivedFrame, NUM_SLOTS>,
+    stills: Stills<Still>,
+    way: Way,
     timer: Option<GpuTimer>,
     status: Arc<PictureStatus>,
 }
@@ -99,7 +104,14 @@ pub(crate) fn install(
         problem: Mutex::default(),
         warm_up: Mutex::new(Some(draws)),
     });
-    let resources = PictureResources { pass, slots: Slots::default(), timer, status: status.clone() };
+    let resources = PictureResources {
+        pass,
+        slots: Slots::default(),
+        stills: Stills::default(),
+        way: Way::Straight,
+        timer,
+        status: status.clone(),
+    };
     state.renderer.write().callback_resources.insert(resources);
     Ok(status)
 }
@@ -157,9 +169,56 @@ impl PictureResources {
 }
 
 impl PicturePaint {
-    /// The picture in `rect`.
-    pub(crate) fn shape(self, rect: egui::Rect) -> egui::PaintCallback {
-        egui_wgpu::Callback::new_paint_callback(rect, self)
+    pub(crate) fn shape(self) -> egui::PaintCallback {
+        egui_wgpu::Callback::new_paint_callback(self.rect, self)
+    }
+
+    /// All that the picture is made of.
+    fn still(&self) -> Still {
+        Still {
+            frames: std::iter::once(&self.frame).chain(&self.kept).map(Arc::downgrade).collect(),
+            camera: self.camera,
+            bounds: self.bounds,
+            clip: self.clip,
+            stereo: self.stereo,
+            quality: self.quality,
+            background: self.background,
+        }
+    }
+
+    /// Whether a picture has as many pixels as the window has for it, so that a copy is exact.
+    fn fits(&self, screen: &egui_wgpu::ScreenDescriptor) -> bool {
+        let viewport = egui::PaintCallbackInfo {
+            viewport: self.rect,
+            clip_rect: self.rect,
+            pixels_per_point: screen.pixels_per_point,
+            screen_size_px: screen.size_in_pixels,
+        }
+        .viewport_in_pixels();
+        let size = [viewport.width_px, viewport.height_px];
+        let Camera { intrinsics, .. } = self.camera;
+        size.map(u32::try_from) == [Ok(intrinsics.width), Ok(intrinsics.height)]
+    }
+}
+
+/// What a picture is made of. Frames are the same if they are one.
+#[derive(Debug)]
+struct Still {
+    frames: Vec<Weak<ReceivedFrame>>,
+    camera: Camera,
+    bounds: Aabb,
+    clip: Clip,
+    stereo: Stereo,
+    quality: Quality,
+    background: [f32; 3],
+}
+
+impl PartialEq for Still {
+    fn eq(&self, other: &Self) -> bool {
+        let values = |s: &Self| (s.camera, s.bounds, s.clip, s.stereo, s.quality, s.background);
+        self.frames.len() == other.frames.len()
+            && self.frames.iter().zip(&other.frames).all(|(a, b)| Weak::ptr_eq(a, b))
+            && values(self) == values(other)
     }
 }
 
@@ -168,7 +227,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         &self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        _screen: &egui_wgpu::ScreenDescriptor,
+        screen: &egui_wgpu::ScreenDescriptor,
         encoder: &mut wgpu::CommandEncoder,
         resources: &mut egui_wgpu::CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
@@ -177,13 +236,22 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let num_samples = self.quality.num_samples;
         r.pass.set_options(queue, &CastOptions { num_samples, clip: self.clip, ..Default::default() });
-        if self.is_enlarged() {
-            let smaller = Camera { intrinsics: self.quality.size_of(self.camera.intrinsics), ..self.camera };
-            r.pass.prepare_smaller(device, queue, encoder, &smaller, self.background);
-        } else if self.stereo.is_mono() {
-            r.pass.prepare(queue, &self.camera, self.background);
-        } else {
-            r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), self.background);
+        let may_stand = self.stereo.is_mono() && self.fits(screen);
+        r.way = r.stills.next(self.still(), self.is_enlarged(), may_stand);
+        match r.way {
+            Way::Again => {}
+            Way::Apart => {
+                let size = self.quality.size_of(self.camera.intrinsics);
+                let camera = Camera { intrinsics: size, ..self.camera };
+                let timestamps = r.timer.as_ref().and_then(GpuTimer::of_pass);
+                r.pass.prepare_apart(device, queue, encoder, &camera, self.background, timestamps);
+            }
+            Way::Straight if self.stereo.is_mono() => {
+                r.pass.prepare(queue, &self.camera, self.background);
+            }
+            Way::Straight => {
+                r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), self.background);
+            }
         }
         if let Some(timer) = &r.timer {
             timer.step(device, encoder);
@@ -199,6 +267,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
     ) {
         let Some(r) = resources.get::<PictureResources>() else { return };
         match &r.timer {
+            _ if r.way.is_copied() => r.pass.paint_apart(pass),
             Some(timer) => timer.around(pass, |pass| self.paint_eyes(&r.pass, pass, &info)),
             None => self.paint_eyes(&r.pass, pass, &info),
         }
@@ -212,7 +281,6 @@ impl PicturePaint {
 
     fn paint_eyes(&self, view: &ViewPass, pass: &mut wgpu::RenderPass<'_>, info: &egui::PaintCallbackInfo) {
         match self.stereo.mode {
-            StereoMode::Off if self.is_enlarged() => view.paint_enlarged(pass),
             StereoMode::Off => view.paint(pass),
             StereoMode::SideBySide => {
                 let whole = info.viewport_in_pixels();

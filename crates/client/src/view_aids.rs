@@ -162,6 +162,11 @@ impl Pen<'_> {
         }
     }
 
+    /// How far up the scale reaches, which comes with the axes, points.
+    pub(crate) fn scale_height(&self) -> f32 {
+        if self.shows_axes { 46.0 } else { 0.0 }
+    }
+
     /// Beside the axes: a length that is right at the depth of the centre of rotation.
     fn draw_scale(&self, scene: &Scene<'_>) {
         let depth = (scene.center - scene.camera.pose.eye).dot(scene.camera.pose.forward());

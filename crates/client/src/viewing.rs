@@ -12,7 +12,7 @@ use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
 use isinglass_core::space::Aabb;
-use isinglass_net::ReceivedFrame;
+use isinglass_net::{ReceivedFrame, State};
 
 use crate::camera_controls::angle_between_degrees;
 use crate::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
@@ -29,6 +29,8 @@ pub enum Standing {
     Moving,
     /// The camera rests; its own frame is not complete yet.
     Refining,
+    /// The same, and there is no connection that it could come by.
+    Offline,
     /// The camera's own frame is complete, but in blocks or of another size than the picture, or the picture is for two
     /// eyes.
     Settled,
@@ -442,8 +444,10 @@ impl<S: FrameSource> Viewing<S> {
             if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
-        } else {
+        } else if self.source.state() == State::Connected {
             Standing::Refining
+        } else {
+            Standing::Offline
         }
     }
 

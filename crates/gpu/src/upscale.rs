@@ -1,5 +1,5 @@
-//! Novel views of fewer pixels than are shown: cast into a texture before the pass of the user interface and enlarged
-//! inside it. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
+//! Novel views cast into a texture before the pass of the user interface, and copied inside it, enlarged if they have fewer
+//! pixels than are shown. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
 
 use crate::device::{bind, layout, shader_module};
 use crate::shaders::Kernel;
@@ -81,13 +81,15 @@ impl Upscale {
         size: [u32; 2],
         pipeline: &wgpu::RenderPipeline,
         groups: [&wgpu::BindGroup; 2],
+        timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
         if self.target.as_ref().is_none_or(|t| t.size != size) {
             self.target = Some(self.target(device, size));
         }
         let Some(target) = &self.target else { return };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("smaller picture"),
+            label: Some("picture apart"),
+            timestamp_writes: timestamps,
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
                 view: &target.view,
                 depth_slice: None,
@@ -121,7 +123,7 @@ impl Upscale {
 
     fn target(&self, device: &wgpu::Device, size: [u32; 2]) -> Target {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("smaller picture"),
+            label: Some("picture apart"),
             size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,

@@ -34,8 +34,8 @@ pub struct ViewPass {
     /// Of the left and of the right eye; a picture of one eye is the left one's.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
     display: wgpu::Buffer,
-    /// View and group of the smaller picture that is enlarged.
-    smaller: (wgpu::Buffer, wgpu::BindGroup),
+    /// View and group of the picture that is cast apart.
+    apart: (wgpu::Buffer, wgpu::BindGroup),
     upscale: Upscale,
     encode_srgb: bool,
     target: wgpu::TextureFormat,
@@ -108,12 +108,12 @@ impl ViewPass {
                 let bind_group = bind(device, label, &view_layout, &resources);
                 (view, bind_group)
             });
-            let smaller = uniform("smaller view", size_of::<Basis>());
-            let resources = [smaller.as_entire_binding(), display.as_entire_binding()];
-            let smaller_group = bind(device, "smaller view", &view_layout, &resources);
-            let smaller = (smaller, smaller_group);
+            let apart = uniform("view apart", size_of::<Basis>());
+            let resources = [apart.as_entire_binding(), display.as_entire_binding()];
+            let apart_group = bind(device, "view apart", &view_layout, &resources);
+            let apart = (apart, apart_group);
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipelines, frames, eyes, display, smaller, upscale, encode_srgb, target })
+            Ok(Self { pipelines, frames, eyes, display, apart, upscale, encode_srgb, target })
         })
     }
 
@@ -185,28 +185,29 @@ impl ViewPass {
         self.prepare_views(queue, views, background);
     }
 
-    /// Casts a smaller picture of `camera`, whose own size it has, for [`ViewPass::paint_enlarged`]: by `encoder`, before
-    /// the pass. `background` is linear and opaque.
-    pub fn prepare_smaller(
+    /// Casts a picture of `camera`, whose own size it has, into a texture for [`ViewPass::paint_apart`]: by `encoder`, before
+    /// the pass, in one with these timestamps. `background` is linear and opaque.
+    pub fn prepare_apart(
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         encoder: &mut wgpu::CommandEncoder,
         camera: &Camera,
         background: [f32; 3],
+        timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
-        queue.write_buffer(&self.smaller.0, 0, bytemuck::bytes_of(&Basis::of(camera)));
+        queue.write_buffer(&self.apart.0, 0, bytemuck::bytes_of(&Basis::of(camera)));
         let display = Display { background, encode_srgb: self.encode_srgb.into() };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         self.frames.prepare(queue, &[camera.into()]);
         let (frames, group) = self.frames.cast();
         let pipeline = &self.pipelines[frames as usize][Channels::All as usize];
-        self.upscale.cast(device, encoder, size, pipeline, [group, &self.smaller.1]);
+        self.upscale.cast(device, encoder, size, pipeline, [group, &self.apart.1], timestamps);
     }
 
-    /// Fills the viewport with the smaller picture, enlarged.
-    pub fn paint_enlarged(&self, pass: &mut wgpu::RenderPass<'_>) {
+    /// Fills the viewport with that picture, however often: copied if it has as many pixels, enlarged if it is smaller.
+    pub fn paint_apart(&self, pass: &mut wgpu::RenderPass<'_>) {
         self.upscale.paint(pass);
     }
 

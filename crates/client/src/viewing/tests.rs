@@ -6,7 +6,7 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::session::client::FrameTimes;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::wire::{ClientStats, ServerStats, Token, VolumeDescription, Welcome};
-use isinglass_net::{LinkStats, State};
+use isinglass_net::{ConnectError, LinkStats};
 
 use super::*;
 
@@ -25,6 +25,8 @@ pub(crate) struct FakeSource {
     pub(crate) in_blocks: bool,
     /// Frames of older looks are of the volume before.
     pub(crate) volume_since: LookVersion,
+    /// Why there is no connection.
+    pub(crate) refused: Option<ConnectError>,
 }
 
 impl FrameSource for FakeSource {
@@ -37,7 +39,7 @@ impl FrameSource for FakeSource {
     }
 
     fn state(&self) -> State {
-        State::Connected
+        self.refused.clone().map_or(State::Connected, State::Refused)
     }
 
     fn stats(&self) -> LinkStats {
@@ -158,6 +160,13 @@ fn the_first_frame_asked_for_is_small() {
     let refresh = v.refresh(ms(20), at(0.0), picture, &BOUNDS);
     assert_eq!(v.source().asked.last().map(|(_, i)| *i), Some(picture));
     assert_eq!(refresh.standing, Standing::Refining);
+    // Without a connection it will not come.
+    v.source_mut().refused = Some(ConnectError::Lost("gone".into()));
+    assert_eq!(v.refresh(ms(30), at(0.0), picture, &BOUNDS).standing, Standing::Offline);
+    let moving = v.refresh(ms(40), at(5.0), picture, &BOUNDS);
+    assert_eq!(moving.standing, Standing::Moving);
+    v.source_mut().refused = None;
+    assert_eq!(v.refresh(ms(400), at(5.0), picture, &BOUNDS).standing, Standing::Refining);
 }
 
 #[test]

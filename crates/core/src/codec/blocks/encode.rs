@@ -254,5 +254,5 @@ const MERGE_SHARE: f32 = 0.3;
 const KEEP_SHARE: f32 = 0.1;
 /// They are taken without a search for fresh ones if their error is at most what was noted of them and so much; and not
 /// at all if it is so many times as much as that.
-const AT_ONCE_SHARE: f32 = 0.15;
+const AT_ONCE_SHARE: f32 = 0.1;
 const HOPELESS: f32 = 4.0;

@@ -51,8 +51,12 @@ impl Steps {
 
 /// The rule and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
 pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (Rule, Steps) {
-    let for_turn = if is_predicted { predicted_for_turn } else { alone_for_turn };
-    let [moves, corrections] = settings.turn_deg.map_or([1.0, 1.0], |t| for_turn(t.min(MAX_TURN_DEG)));
+    let [moves, corrections] = match (settings.turn_deg.map(|t| t.min(MAX_TURN_DEG)), is_predicted) {
+        (None, false) => [1.0, 1.0],
+        (None, true) => PREDICTED_FOR_ALL,
+        (Some(turn), false) => alone_for_turn(turn),
+        (Some(turn), true) => predicted_for_turn(turn),
+    };
     let at =
         f32::from(settings.quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
     let row = (at as usize).min(FAMILY.len() - 2);
@@ -91,6 +95,8 @@ fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
     [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
+/// The same in predicted frames that are fit for all turns: what is corrected stays so while planes are kept.
+const PREDICTED_FOR_ALL: [f32; 2] = [1.0, 0.9];
 /// A number for each turn.
 type ByTurn = [f32; MAX_TURN_DEG as usize + 1];
 /// Greatest turn that a frame is made for, degrees.
