@@ -78,6 +78,8 @@ fn choose_threshold() {
 
 // Costs below this are equal.
 const COST_LEAST: f32 = 1e-20;
+// Surfaces can lie at one place. Optical depths over this length are finite.
+const LENGTH_LEAST: f32 = 1e-30;
 // More than any cost: WGSL has no infinity.
 const INFINITE_COST: f32 = 3.4e38;
 // Rays that say enough of a frame.

@@ -43,13 +43,16 @@ fn pair_cost(i: u32, behind: OpenSegment, spent: f32) -> f32 {
 fn thin_out() {
     // The harmonic mean is that of the cheap ones; at least one is no dearer.
     var sum_of_inverses = 0.0;
+    var least = INFINITE_COST;
     for (var i = 0u; i < OPEN; i++) {
         let cost = pair_cost(i, list.segments[i + 1u], sink.spent[i + 1u]);
         sink.cost[i] = cost;
         sum_of_inverses += 1.0 / max(cost, COST_LEAST);
+        least = min(least, cost);
     }
     sink.cost[OPEN] = INFINITE_COST;
-    sink.tolerance = max(f32(OPEN) / sum_of_inverses, 2.0 * sink.tolerance);
+    // But for rounding.
+    sink.tolerance = max(max(f32(OPEN) / sum_of_inverses, 2.0 * sink.tolerance), least);
     var kept = 0u;
     var i = 0u;
     while (i <= OPEN) {
@@ -178,7 +181,8 @@ fn error_of(first: u32, last: u32, front: OpenSegment, back: OpenSegment) -> f32
         all = appended(all, list.segments[i]);
     }
     all = appended(all, back);
-    let tau_per_length = all.tau / (all.s1 - all.s0);
+    let length = max(all.s1 - all.s0, LENGTH_LEAST);
+    let tau_per_length = all.tau / length;
     var collected = front;
     var s_before = all.s0;
     var distance_before = 0.0;
@@ -199,7 +203,7 @@ fn error_of(first: u32, last: u32, front: OpenSegment, back: OpenSegment) -> f32
         collected = appended(collected, next);
     }
     error += distance_before * (all.s1 - s_before);
-    let fourth_root = sqrt(sqrt((all.s1 - all.s0) / sink.h));
+    let fourth_root = sqrt(sqrt(length / sink.h));
     return 0.5 * error / sink.h * (fourth_root * sqrt(fourth_root)) * sink.visibility[first];
 }
 
@@ -320,7 +324,7 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 
 // While gathering, the error of reading a, the gap and b as one homogeneous piece.
 fn merge_cost(a: OpenSegment, b: OpenSegment, h: f32) -> f32 {
-    let length = b.s1 - a.s0;
+    let length = max(b.s1 - a.s0, LENGTH_LEAST);
     let tau = a.tau + b.tau;
     let gap = max(b.s0 - a.s1, 0.0);
     // Times the length.

@@ -169,7 +169,8 @@ fn the_view_pass_paints_what_the_twin_casts() {
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
         pass.prepare_apart(gpu.device(), gpu.queue(), &mut encoder, &whole, BACKGROUND, None);
         gpu.queue().submit([encoder.finish()]);
-        let again = |pass: &ViewPass| paint_by(gpu, format, (100, 76), |render_pass| pass.paint_apart(render_pass));
+        let again =
+            |pass: &ViewPass| paint_by(gpu, format, (100, 76), |render_pass| pass.paint_apart(render_pass));
         let [beside, apart] = again(&pass);
         assert!(apart == straight && beside.iter().all(|&x| x == 0), "{format:?}");
         pass.prepare(gpu.queue(), &camera(&scene, 60.0, (100, 76)), BACKGROUND);

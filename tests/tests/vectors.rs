@@ -115,7 +115,10 @@ fn bands_of_both_kinds_are_stored() {
         let chunks = iglf::read_chunks(&path(name)).unwrap();
         (name, chunks.iter().all(|chunk| peek(chunk).unwrap().has_borders), chunks.len())
     });
-    assert!(exact.iter().all(|&(name, has_borders, _)| has_borders == (name == "exact-2-own-bands")), "{exact:?}");
+    assert!(
+        exact.iter().all(|&(name, has_borders, _)| has_borders == (name == "exact-2-own-bands")),
+        "{exact:?}"
+    );
     assert!(exact.iter().any(|&(_, has_borders, num_chunks)| !has_borders && num_chunks > 2), "{exact:?}");
 }
 

@@ -188,6 +188,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         (self.coming, self.wanted_state) = (state.map(ComingState::new), None);
         (self.notice, self.method_problem) = (None, None);
+        self.shots.forget();
         self.title.clear();
         std::mem::replace(&mut self.viewing, viewing).into_source()
     }
@@ -504,8 +505,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let quality = self.quality.quality(refresh.standing == Standing::Moving);
         let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
         let background = self.aids.linear_background();
-        ui.painter()
-            .add(PicturePaint { rect, frame, kept, camera, bounds, clip, stereo, quality, background }.shape());
+        ui.painter().add(
+            PicturePaint { rect, frame, kept, camera, bounds, clip, stereo, quality, background }.shape(),
+        );
     }
 
     /// Only the ray cast has two eyes.

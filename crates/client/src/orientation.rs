@@ -13,6 +13,8 @@ pub(crate) struct Orientation {
     world_from_upright: Quat,
     /// What is up in the view from the top, upright space.
     up_from_top: Vec3,
+    /// From where the view from the right is, upright space.
+    right: Vec3,
 }
 
 impl Orientation {
@@ -22,6 +24,7 @@ impl Orientation {
             letters: [('x', None), ('y', None), ('z', None)],
             world_from_upright: Quat::IDENTITY,
             up_from_top: Vec3::NEG_Z,
+            right: Vec3::X,
         })
     }
 
@@ -37,6 +40,8 @@ impl Orientation {
             world_from_upright: world_from_upright(Some(letters)),
             // As radiologists have it: anterior is up when one looks along the body.
             up_from_top: Vec3::Z,
+            // A patient who looks at us has the right side on our left.
+            right: Vec3::NEG_X,
         })
     }
 
@@ -54,7 +59,7 @@ impl Orientation {
     pub(crate) fn standard_view(&self, side: Side, opposite: Opposite) -> (Vec3, Vec3) {
         let (from, up) = match side {
             Side::Front => (Vec3::Z, Vec3::Y),
-            Side::Right => (Vec3::X, Vec3::Y),
+            Side::Right => (self.right, Vec3::Y),
             Side::Top => (Vec3::Y, self.up_from_top),
         };
         let in_world = |v: Vec3| (self.world_from_upright * v).round();
@@ -83,7 +88,7 @@ mod tests {
         let ras = Orientation::of(Some("RAS"));
         assert_eq!(ras.standard_view(Side::Front, false), (Vec3::Y, Vec3::Z));
         assert_eq!(ras.standard_view(Side::Front, true), (Vec3::NEG_Y, Vec3::Z));
-        assert_eq!(ras.standard_view(Side::Right, false), (Vec3::NEG_X, Vec3::Z), "from the patient's left");
+        assert_eq!(ras.standard_view(Side::Right, false), (Vec3::X, Vec3::Z), "from the patient's right");
         assert_eq!(ras.standard_view(Side::Top, true), (Vec3::NEG_Z, Vec3::Y), "from the feet, anterior up");
         assert_eq!(ras.letters, [('R', Some('L')), ('A', Some('P')), ('S', Some('I'))]);
         // The same patient in other axes is seen the same way.

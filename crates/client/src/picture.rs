@@ -14,8 +14,8 @@ use isinglass_net::ReceivedFrame;
 use crate::gpu_timer::{GpuTime, GpuTimer};
 use crate::quality_control::Quality;
 use crate::slots::Slots;
-use crate::stills::{Stills, Way};
 use crate::stereo::{Stereo, StereoMode};
+use crate::stills::{Stills, Way};
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {

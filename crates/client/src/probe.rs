@@ -1,10 +1,11 @@
 //! What is under the pointer: the point, from the depths of the frame that is shown, and its value, from the server.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use egui::{Align2, Context, Pos2, RichText, vec2};
 use glam::Vec3;
-use isinglass_core::wire::{Probed, VolumeDescription};
+use isinglass_core::wire::{Probed, VolumeDescription, Welcome};
 
 use crate::pace::Pace;
 use crate::panels::pane;
@@ -16,11 +17,13 @@ pub(crate) struct ValueProbe {
     pace: Pace<Vec3>,
     /// The point that was asked for last.
     asked: Option<Vec3>,
+    /// The volume that it was asked of.
+    volume: Option<Arc<Welcome>>,
 }
 
 impl Default for ValueProbe {
     fn default() -> Self {
-        Self { is_on: false, pace: Pace::new(PERIOD), asked: None }
+        Self { is_on: false, pace: Pace::new(PERIOD), asked: None, volume: None }
     }
 }
 
@@ -33,6 +36,17 @@ impl ValueProbe {
     /// Whether points are wanted.
     pub(crate) fn is_on(&self) -> bool {
         self.is_on
+    }
+
+    /// What is asked is asked of this volume: again, if it is another than before.
+    pub(crate) fn ask_of(&mut self, volume: Option<&Arc<Welcome>>) {
+        let is_same = match (volume, &self.volume) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a.volume == b.volume,
+            (a, b) => a.is_none() == b.is_none(),
+        };
+        if !is_same {
+            (self.asked, self.volume) = (None, volume.cloned());
+        }
     }
 
     /// The pointer is at a point of the volume, or at none; the point to ask for now.
@@ -150,6 +164,12 @@ mod tests {
         }
     }
 
+    fn welcome() -> Welcome {
+        let source = crate::viewing::tests::FakeSource { max_side: Some(1), ..Default::default() };
+        let described = crate::frame_source::FrameSource::description(&source);
+        Arc::unwrap_or_clone(described.unwrap())
+    }
+
     fn probed(point: Vec3) -> Probed {
         let voxel = Some(ProbedVoxel { index: [7, 9, 3], value: -42.5 });
         Probed { id: ProbeId(1), point: point.to_array(), voxel }
@@ -171,6 +191,24 @@ mod tests {
         assert_eq!(lines(point + 0.1, Some(&probed(point)), &volume())[0], "-42.5 HU");
         assert_eq!(lines(point, Some(&Probed { voxel: None, ..probed(point) }), &volume())[0], "…");
         assert_eq!(lines(point, None, &volume())[2], "voxel 7, 9, 3");
+    }
+
+    #[test]
+    fn a_point_that_rests_is_asked_for_again_of_another_volume() {
+        let volume = |name: &str| {
+            let volume = VolumeDescription { name: name.into(), ..volume() };
+            Arc::new(Welcome { volume, ..welcome() })
+        };
+        let (head, heart) = (volume("head"), volume("heart"));
+        let mut probe = ValueProbe::default();
+        let mut asks = |volume, seconds| {
+            probe.ask_of(Some(volume));
+            probe.point_at(Duration::from_secs(seconds), Some(Vec3::ONE)).is_some()
+        };
+        assert_eq!(
+            [asks(&head, 1), asks(&head, 2), asks(&heart, 3), asks(&heart, 4)],
+            [true, false, true, false]
+        );
     }
 
     #[test]

@@ -159,8 +159,13 @@ impl Shots {
         self.series.is_some()
     }
 
+    /// The source is another: what was asked of the one before will not come, and is of another volume.
+    pub(crate) fn forget(&mut self) {
+        self.series = None;
+    }
+
     /// Gives up what is being made; what there is to tell the person.
-    fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
+    pub(crate) fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
         let series = self.series.take()?;
         source.cancel_shot();
         Some(match series.done {

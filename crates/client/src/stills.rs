@@ -74,10 +74,9 @@ mod tests {
     fn what_a_texture_cannot_hold_is_cast_each_time() {
         let mut stills = Stills::default();
         assert!((0..3).all(|_| stills.next(1, false, false) == Way::Straight));
-        assert_eq!([true, true, false].map(|may| stills.next(1, false, may)), [
-            Way::Apart,
-            Way::Again,
-            Way::Straight
-        ]);
+        assert_eq!(
+            [true, true, false].map(|may| stills.next(1, false, may)),
+            [Way::Apart, Way::Again, Way::Straight]
+        );
     }
 }

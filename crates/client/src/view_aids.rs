@@ -44,6 +44,11 @@ pub(crate) struct Scene<'a> {
 }
 
 impl ViewAids {
+    /// How far up the scale reaches, which comes with the axes, points.
+    pub(crate) fn scale_height(&self) -> f32 {
+        if self.shows_axes { 46.0 } else { 0.0 }
+    }
+
     /// The background as the ray cast takes it.
     pub(crate) fn linear_background(&self) -> [f32; 3] {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
@@ -160,11 +165,6 @@ impl Pen<'_> {
                 self.text(tip + out, Align2::CENTER_CENTER, &letter.to_string(), 13.0, color);
             }
         }
-    }
-
-    /// How far up the scale reaches, which comes with the axes, points.
-    pub(crate) fn scale_height(&self) -> f32 {
-        if self.shows_axes { 46.0 } else { 0.0 }
     }
 
     /// Beside the axes: a length that is right at the depth of the centre of rotation.

@@ -49,8 +49,8 @@ pub(crate) struct Plan {
 }
 
 impl LensArgs {
-    /// `bounds` is a box around the volume with its centre and its bounding sphere.
-    pub(crate) fn plan(&self, camera: &Camera, bounds: &Aabb) -> Result<Plan> {
+    /// `bounds` is a box around the volume with its centre and its bounding sphere, whose axes point to `letters`.
+    pub(crate) fn plan(&self, camera: &Camera, bounds: &Aabb, letters: Option<&str>) -> Result<Plan> {
         let (center, radius) = (bounds.center(), bounds.radius());
         let of_center = (center - camera.pose.eye).dot(camera.pose.forward());
         let needs_focus = self.stereo.is_some() || self.aperture.is_some();
@@ -65,7 +65,7 @@ impl LensArgs {
         let shutter = self.shutter.map(|close| {
             let distance = camera.pose.eye.distance(center) / radius;
             let distance_in_radii = close.distance_in_radii.or(Some(distance));
-            Orbit { distance_in_radii, ..close }.pose(&camera.intrinsics, bounds)
+            Orbit { distance_in_radii, ..close }.upright(letters).pose(&camera.intrinsics, bounds)
         });
         let exposure = Exposure {
             aperture_radius: self.aperture.unwrap_or(0.0) * radius,

@@ -104,7 +104,7 @@ impl Seen {
         layering: &LayeringArgs,
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
-        self.note_difference(&opened.scene.volume);
+        self.note_oddities(&opened.scene.volume);
         let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
         if self.state.look.is_some() {
             opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
@@ -123,12 +123,14 @@ impl Seen {
         memory: &MemoryArgs,
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
-        self.note_difference(&opened.volume);
+        self.note_oddities(&opened.volume);
         let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
         Ok((opened, wanted))
     }
 
-    fn note_difference(&self, volume: &Volume) {
+    /// Says what a person should know who sees the volume.
+    fn note_oddities(&self, volume: &Volume) {
+        volume.info.warnings.iter().for_each(|warning| note(&format!("note: {warning}")));
         if let Some(difference) = self.state.volume.as_ref().and_then(|v| v.difference_from(volume)) {
             note(&difference);
         }

@@ -66,6 +66,14 @@ fn a_body_is_seen_upright_by_each_command() {
     bench.ok(&format!("render body.nrrd --orbit 200,10 -o behind.png {tf} {RENDER}"));
     assert_eq!(error("turn/0001.png", "behind.png"), 0);
     assert_eq!(error("turn/0000.png", "body.png"), 0);
+    // A shutter that closes where it opens sees no movement.
+    bench.ok(&format!(
+        "render body.nrrd --orbit 20,10 --shutter 20,10 --samples 2 -o still.png {tf} {RENDER}"
+    ));
+    assert!(error("still.png", "body.png") <= 1);
+    bench
+        .ok(&format!("render body.nrrd --orbit 20,10 --shutter 40,10 --samples 2 -o blur.png {tf} {RENDER}"));
+    assert!(error("blur.png", "body.png") > 8, "negative control");
 }
 
 #[test]

@@ -71,6 +71,13 @@ pub(crate) enum GenerateError {
     OtherVolume,
 }
 
+impl GenerateError {
+    /// Whether the renderer is of no use any more; another has taken its place.
+    pub(crate) fn is_lost(&self) -> bool {
+        matches!(self, Self::Panicked | Self::Gpu(GpuError::Lost { .. }))
+    }
+}
+
 enum Job {
     Frame(Box<Order>),
     Rows(Box<RowsOrder>),
@@ -223,7 +230,7 @@ impl Studio {
     ) -> Result<T, GenerateError> {
         let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
         let result = attempt.unwrap_or(Err(GenerateError::Panicked));
-        if matches!(result, Err(GenerateError::Panicked | GenerateError::Gpu(GpuError::Lost { .. }))) {
+        if result.as_ref().is_err_and(GenerateError::is_lost) {
             tracing::error!("rendering on the CPU from now on: the renderer is lost");
             self.renderer = Renderer::Cpu(Box::new(self.renderer.scene().clone()));
         }

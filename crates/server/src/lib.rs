@@ -81,7 +81,17 @@ pub enum ServeError {
 pub struct RunningServer {
     address: SocketAddr,
     commands: mpsc::Sender<Command>,
+    attendance: watch::Receiver<Attendance>,
     serving: JoinHandle<()>,
+}
+
+/// Who is at a server.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Attendance {
+    /// Viewers that are here now.
+    pub connected: usize,
+    /// Links that have let anyone in, so far.
+    pub used_links: usize,
 }
 
 /// What the owner of a server asks of its task.
@@ -118,8 +128,9 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         load: load_in,
     };
     let house = serving::House { generator, present, load, orders, plan };
-    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver));
-    Ok(RunningServer { address, commands, serving })
+    let (attendance_in, attendance) = watch::channel(Attendance::default());
+    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver, attendance_in));
+    Ok(RunningServer { address, commands, attendance, serving })
 }
 
 /// Orders of parts that wait: the newest counts, and each is taken at once.
@@ -129,6 +140,11 @@ impl RunningServer {
     /// The address that is listened on, with its real port.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Who is here, and what changes of it.
+    pub fn attendance(&self) -> watch::Receiver<Attendance> {
+        self.attendance.clone()
     }
 
     /// A new link that lets in one viewer, who reaches this server as `host`, or at its own address.

@@ -48,13 +48,14 @@ impl Lights {
 
     /// The scene of a look, worked out if it is not there yet. `None` if that failed.
     pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
-        let _turn = self.turns.acquire().await.ok()?;
+        let turn = self.turns.clone().acquire_owned().await.ok()?;
         if let Some(scene) = self.known(look) {
             return Some(scene);
         }
         let (look, base, known) = (look.clone(), self.base.clone(), self.known.clone());
-        // Whoever asked may have gone meanwhile; what is found serves the next.
+        // Whoever asked may have gone meanwhile; what is found serves the next, whose turn comes when this one has ended.
         let work = tokio::task::spawn_blocking(move || {
+            let _turn = turn;
             let scene = base.with_look(&look.transfer, look.march_settings());
             let mut known = lock(&known);
             if known.len() == MAX_KNOWN {

@@ -185,8 +185,8 @@ impl Librarian {
         };
         let held = self.present.borrow().bytes;
         let look = self.present.borrow().greeting.look.clone();
-        let cancel = Arc::new(AtomicBool::new(false));
-        let (backend, load, cancelled) = (self.backend.clone(), self.load.clone(), cancel.clone());
+        let cancel = CancelOnDrop::default();
+        let (backend, load, cancelled) = (self.backend.clone(), self.load.clone(), cancel.0.clone());
         let mut reading = tokio::task::spawn_blocking(move || {
             let survey = loader.survey(&part, held)?;
             let tell = |change: &dyn Fn(&mut Load)| {
@@ -207,6 +207,9 @@ impl Librarian {
                 tell(&|load| load.state = LoadState::Reading { permille });
             };
             let loaded = loader.load(&part, &progress, &cancelled)?;
+            if cancelled.load(Ordering::Relaxed) {
+                return Err("cancelled".into());
+            }
             let look = Look { transfer: loaded.transfer, ..look };
             let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
             let renderer = backend.renderer(scene.clone()).map_err(|e| e.to_string())?;
@@ -215,10 +218,15 @@ impl Librarian {
         let read = tokio::select! {
             read = &mut reading => read,
             order = self.orders.recv() => {
-                cancel.store(true, Ordering::Relaxed);
-                // Two at a time would need memory for both.
-                let _ = reading.await;
-                return Ended::Interrupted(order);
+                drop(cancel);
+                // Two at a time would need memory for both. Of the orders that come meanwhile the newest counts.
+                let mut newest = order;
+                loop {
+                    tokio::select! {
+                        _ = &mut reading => return Ended::Interrupted(newest),
+                        order = self.orders.recv(), if newest.is_some() => newest = order,
+                    }
+                }
             }
         };
         let (scene, renderer, look, parts) = match read {
@@ -237,6 +245,16 @@ impl Librarian {
         }
         self.present.send_replace(Arc::new(present));
         Ended::Done
+    }
+}
+
+/// Tells whoever reads that nobody waits any more.
+#[derive(Default)]
+struct CancelOnDrop(Arc<AtomicBool>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 }
 

@@ -1,5 +1,6 @@
 //! The task of the server, and one task for each viewer.
 
+use std::collections::HashSet;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,11 +21,11 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
 
-use crate::Command;
 use crate::generator::{GenerateError, Generated, Generator, Wish};
 use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD, load_due};
 use crate::sending::{Sending, Sent, Ticket, finished, send};
 use crate::shots::Shots;
+use crate::{Attendance, Command};
 
 /// What all viewers share.
 #[derive(Clone)]
@@ -42,8 +43,10 @@ pub(crate) async fn serve(
     librarian: Librarian,
     house: House,
     mut commands: mpsc::Receiver<Command>,
+    attendance: watch::Sender<Attendance>,
 ) {
     let mut viewers = JoinSet::new();
+    let mut admitted = HashSet::new();
     let mut present = house.present.clone();
     let librarian = tokio::spawn(librarian.run());
     loop {
@@ -51,6 +54,7 @@ pub(crate) async fn serve(
             session = server.accept() => {
                 let Some(session) = session else { break };
                 let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
+                admitted.insert(session.viewer);
                 let viewer = Viewer::new(session, house.clone());
                 viewers.spawn(viewer.run().instrument(span));
             }
@@ -65,6 +69,8 @@ pub(crate) async fn serve(
                 Some(Command::Close) | None => break,
             },
         }
+        let now = Attendance { connected: viewers.len(), used_links: admitted.len() };
+        attendance.send_if_modified(|before| std::mem::replace(before, now) != now);
     }
     librarian.abort();
     server.close().await;
@@ -91,6 +97,8 @@ struct Viewer {
     resting: Option<Sent>,
     /// Whether the frame before was given up, so that this one is not.
     has_given_up: bool,
+    /// Whether the renderer was lost on the frame before.
+    has_failed: bool,
     /// When a load may be told of again.
     tell_at: Instant,
     /// Whether frames of this version show a draft of the shade.
@@ -107,6 +115,7 @@ struct Viewer {
 impl Drop for Viewer {
     fn drop(&mut self) {
         self.probing.abort();
+        self.stop_refining();
     }
 }
 
@@ -136,6 +145,7 @@ impl Viewer {
             sent: References::default(),
             resting: None,
             has_given_up: false,
+            has_failed: false,
             tell_at: Instant::now(),
             is_draft: false,
             refine_at: None,
@@ -149,7 +159,7 @@ impl Viewer {
         tracing::info!("viewer connected");
         // Another volume may have come since it was let in.
         let is_welcome = if Arc::ptr_eq(&self.session.greeting, &self.present.greeting) {
-            self.tell_parts().await
+            self.tell_parts().await && self.tell_oddities().await
         } else {
             let greeted = self.session.greeting.look.clone();
             self.turn_to_present(&greeted).await
@@ -216,10 +226,13 @@ impl Viewer {
             look_version: self.version,
             look: (*self.look).clone(),
         };
-        if self.session.control.volume_changed(change).await.is_err() || !self.tell_parts().await {
+        if self.session.control.volume_changed(change).await.is_err()
+            || !self.tell_parts().await
+            || !self.tell_oddities().await
+        {
             return false;
         }
-        self.refining = None;
+        self.stop_refining();
         // What was told is no draft.
         match self.present.lights.is_fine(&self.look) {
             true => {
@@ -228,6 +241,12 @@ impl Viewer {
             }
             false => self.tell_version(true).await,
         }
+    }
+
+    /// What a person should know who sees the volume.
+    async fn tell_oddities(&self) -> bool {
+        let warnings = &self.present.lights.volume().info.warnings;
+        warnings.is_empty() || self.session.control.notice(&warnings.join("; ")).await.is_ok()
     }
 
     async fn tell_parts(&self) -> bool {
@@ -300,7 +319,7 @@ impl Viewer {
         tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
         let is_draft = !self.present.lights.is_fine(&look);
         self.look = Arc::new(look);
-        self.refining = None;
+        self.stop_refining();
         self.begin_version(is_draft).await
     }
 
@@ -322,6 +341,13 @@ impl Viewer {
         self.refine_at = None;
         let (lights, look) = (self.present.lights.clone(), self.look.clone());
         self.refining = Some(tokio::spawn(async move { lights.scene(&look).await.is_some() }));
+    }
+
+    /// The look is another: nobody waits for this shade.
+    fn stop_refining(&mut self) {
+        if let Some(refining) = self.refining.take() {
+            refining.abort();
+        }
     }
 
     /// Frames can be made with all of their shade; false when the viewer has left.
@@ -365,10 +391,15 @@ impl Viewer {
             }
             Some(Err(e)) => {
                 tracing::warn!("frame {}: {e}", self.frame);
+                // Another renderer has taken the place of a lost one: once more.
+                if e.is_lost() && !std::mem::replace(&mut self.has_failed, true) {
+                    self.answered = None;
+                    self.session.poses.mark_changed();
+                }
                 return self.session.control.notice(&format!("the server cannot render: {e}")).await.is_ok();
             }
         };
-        self.has_given_up = false;
+        (self.has_given_up, self.has_failed) = (false, false);
         if generated.is_draft && !self.is_draft {
             // Other viewers' looks have taken the place of its shade.
             self.answered = None;
@@ -376,7 +407,7 @@ impl Viewer {
         }
         if self.is_draft && !generated.is_draft {
             // Nothing of the shade had changed.
-            self.refining = None;
+            self.stop_refining();
             if !self.tell_version(false).await {
                 return false;
             }

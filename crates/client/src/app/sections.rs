@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
+use isinglass_net::State;
 
 use super::{ViewerApp, is_free};
 use crate::frame_source::FrameSource;
@@ -42,7 +43,11 @@ impl<S: FrameSource> ViewerApp<S> {
         // A look that waits goes first: the picture is to be made with it.
         let is_ready = self.viewing.look_due().is_none();
         let source = self.viewing.source_mut();
-        let done = self.shots.poll(source, is_ready, ctx);
+        let done = match source.state() {
+            // None will come any more.
+            State::Refused(_) => self.shots.cancel(source),
+            _ => self.shots.poll(source, is_ready, ctx),
+        };
         if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {
             self.notice = Some((notice, now));
             ctx.request_repaint();
@@ -66,6 +71,7 @@ impl<S: FrameSource> ViewerApp<S> {
             let region = refresh.clip.region(&refresh.bounds);
             visible_point(&frame.frame, &region, &refresh.camera, pixel)
         });
+        self.probe.ask_of(self.viewing.source().description().as_ref());
         if let Some(due) = self.probe.point_at(now, point) {
             self.viewing.source_mut().probe(due);
         }

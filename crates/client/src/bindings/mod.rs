@@ -78,7 +78,7 @@ impl Action {
 pub enum Side {
     /// A patient's anterior side, or +z.
     Front,
-    /// What is on the right hand in the view from the front: a patient's left side, or +x.
+    /// A patient's right side, or +x.
     Right,
     /// A patient's head, or +y.
     Top,

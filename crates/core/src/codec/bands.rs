@@ -88,7 +88,9 @@ mod tests {
 
     #[test]
     fn bands_share_the_work_and_have_every_row_once() {
-        for work in [&[0, 0, 1, 9, 9, 8, 9, 7, 2, 0, 0, 0][..], &[8; 4], &[0, 0, 0, 0, 0, 9], &[9, 0, 0, 0, 0]] {
+        for work in
+            [&[0, 0, 1, 9, 9, 8, 9, 7, 2, 0, 0, 0][..], &[8; 4], &[0, 0, 0, 0, 0, 9], &[9, 0, 0, 0, 0]]
+        {
             let borders = Borders::sharing(work, 4).unwrap();
             let rows = [0, 1, 2, 3].map(|band| borders.rows(band, work.len()));
             assert!(rows.iter().all(|rows| !rows.is_empty()), "{rows:?}");

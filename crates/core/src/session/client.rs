@@ -1,6 +1,6 @@
 //! The client's side of a connection: from chunks to the next thing worth decoding, and the ledger of a frame's life.
 //!
-//! At most [`MAX_ASSEMBLING`] frames are in reassembly; a newer one pushes the oldest out. A frame whose base is
+//! At most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] are in reassembly; a newer one pushes the oldest out. A frame whose base is
 //! complete ends the older ones. What is handed out for decoding never goes back to an older frame. A frame that is
 //! predicted from another waits for it.
 
@@ -106,6 +106,8 @@ pub struct Session {
     newest_base: Option<FrameId>,
     /// The last frames of this connection that others can be predicted from.
     references: VecDeque<FrameId>,
+    /// One that is being decoded, and will be another.
+    coming: Option<FrameId>,
     /// Whether the newest base is of such a frame.
     is_predicting: bool,
     newest_decoded: Option<FrameTimes>,
@@ -148,6 +150,7 @@ impl Session {
         self.connection += 1;
         self.assembling.clear();
         self.references.clear();
+        self.coming = None;
         self.newest_base = None;
         self.is_predicting = false;
     }
@@ -235,11 +238,17 @@ impl Session {
         if has_base {
             self.choose();
         }
+        while self.assembling.values().map(|a| a.num_bytes).sum::<usize>() > MAX_ASSEMBLING_BYTES {
+            self.assembling.pop_first();
+        }
         Ok(())
     }
 
     /// Whether a frame that others can be predicted from, older than `frame`, can still be decoded when all of it is there.
     fn is_reference_coming(&self, frame: FrameId) -> bool {
+        if self.coming.is_some_and(|coming| coming < frame) {
+            return true;
+        }
         let mut coming = Vec::with_capacity(MAX_ASSEMBLING);
         for (&id, a) in self.assembling.range(..frame) {
             let Some(Prediction { reference }) = a.place.prediction else { continue };
@@ -286,7 +295,9 @@ impl Session {
         let is_first = !std::mem::replace(&mut a.is_decoding, true);
         let chunks = std::mem::take(&mut a.waiting);
         if is_last {
-            self.assembling.remove(&frame);
+            if let Some(whole) = self.assembling.remove(&frame) {
+                self.coming = whole.place.prediction.map(|_| frame);
+            }
             self.refinements_keep_up = true;
         }
         Some(DecodeJob { connection: self.connection, frame, is_first, is_last, chunks })
@@ -313,7 +324,7 @@ impl Session {
         if connection != self.connection {
             return None;
         }
-        if is_complete && self.is_predicting && self.newest_base == Some(frame) {
+        if is_complete && self.coming.take_if(|coming| *coming == frame).is_some() {
             if self.references.len() == MAX_REFERENCES {
                 self.references.pop_front();
             }
@@ -341,6 +352,7 @@ impl Session {
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
         if connection == self.connection {
             self.assembling.remove(&frame);
+            self.coming.take_if(|coming| *coming == frame);
             if self.newest_base == Some(frame) {
                 self.newest_base =
                     self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
@@ -394,8 +406,11 @@ impl Session {
     }
 }
 
-/// Frames in reassembly at the same time.
-pub const MAX_ASSEMBLING: usize = 4;
+/// Frames in reassembly at the same time: as many as a server may send of which each is predicted from the one before,
+/// while a lost packet of the first is sent again.
+pub const MAX_ASSEMBLING: usize = MAX_REFERENCES;
+/// Bytes of their chunks.
+pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
 /// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
 pub const MAX_FRAME_BYTES: usize = 192 << 20;
 /// Longest time that a base is held back for its refinements: about what the congestion window needs to pace out the

@@ -95,8 +95,6 @@ struct Scan {
     is_plain: bool,
     endian: Endian,
     num_other: usize,
-    /// Why not all pages could be read.
-    problem: Option<String>,
 }
 
 impl TiffFile {
@@ -158,7 +156,7 @@ impl TiffFile {
                 shape.samples
             )));
         }
-        for text in warnings.into_iter().chain(first.problem) {
+        for text in warnings {
             plan.warn(WarningKind::Data, text);
         }
         if first.num_other > 0 {
@@ -337,14 +335,15 @@ fn scan(path: &Path, options: &OpenOptions) -> Result<Scan, FormatError> {
         ::tiff::tags::ByteOrder::LittleEndian => Endian::Little,
         ::tiff::tags::ByteOrder::BigEndian => Endian::Big,
     };
-    let (mut pages, mut num_other, mut problem) = (vec![0], 0, None);
+    let (mut pages, mut num_other) = (vec![0], 0);
     let mut page = 0;
     while decoder.more_images() && page < MAX_PAGES {
         page += 1;
         options.check_cancelled(path)?;
         if let Err(e) = decoder.next_image() {
-            problem = Some(format!("page {page} and what follows it cannot be read: {}", one_line(&e)));
-            break;
+            // A file that ends too early has lost most of what it says it has.
+            let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
+            return Err(FormatError::Data { path: shown(path), problem });
         }
         let is_reduced = decoder.get_tag_u32(Tag::NewSubfileType).unwrap_or(0) & 1 == 1;
         match page_shape(&mut decoder) {
@@ -352,18 +351,7 @@ fn scan(path: &Path, options: &OpenOptions) -> Result<Scan, FormatError> {
             _ => num_other += 1,
         }
     }
-    Ok(Scan {
-        shape,
-        pages,
-        description,
-        resolution,
-        unit_mm,
-        first_offset,
-        is_plain,
-        endian,
-        num_other,
-        problem,
-    })
+    Ok(Scan { shape, pages, description, resolution, unit_mm, first_offset, is_plain, endian, num_other })
 }
 
 /// The description of the page that the decoder is at, in whatever encoding.

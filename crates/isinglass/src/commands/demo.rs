@@ -210,6 +210,8 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         },
     });
     runtime.block_on(server.close());
+    // What is still being read or worked out is for nobody.
+    runtime.shutdown_background();
     Ok(shown?)
 }
 

@@ -65,7 +65,8 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
-    let orbit = args.orbit.upright(opened.scene.volume.info.orientation.as_deref());
+    let letters = opened.scene.volume.info.orientation.clone();
+    let orbit = args.orbit.upright(letters.as_deref());
     let num_pictures = args.turntable.unwrap_or(1);
     let names = Names::of(args);
     if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
@@ -78,7 +79,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     for number in 0..num_pictures {
         let degrees = 360.0 * number as f32 / num_pictures as f32;
         let camera = seen.camera(&orbit, degrees, &args.view, &bounds);
-        let plan = args.lens.plan(&camera, &bounds)?;
+        let plan = args.lens.plan(&camera, &bounds, letters.as_deref())?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let picture = plan.compose(&pictures, seen.background(args.background));

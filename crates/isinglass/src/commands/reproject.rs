@@ -75,7 +75,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     };
     let camera =
         if args.orthographic { orthographic(&camera, &sphere_box_from_header(&header)) } else { camera };
-    let plan = args.lens.plan(&camera, &sphere_box_from_header(&header))?;
+    let plan = args.lens.plan(&camera, &sphere_box_from_header(&header), orientation.as_deref())?;
     let method = args.method.method;
     if method != Method::Layers && !plan.is_plain() {
         bail!(

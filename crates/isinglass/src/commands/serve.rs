@@ -1,12 +1,13 @@
 //! `serve`: a volume for viewers.
 
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::{Ipv6Addr, SocketAddr, ToSocketAddrs};
+use std::pin::pin;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_net::Link;
-use isinglass_server::ServeOptions;
+use isinglass_server::{Attendance, ServeOptions};
 use serde_json::json;
 
 use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
@@ -26,9 +27,9 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
     listen: SocketAddr,
     /// Name or address that viewers reach this machine by, for the link [default: the one listened on]
-    #[arg(long, value_name = "HOST")]
+    #[arg(long, value_name = "HOST", value_parser = parse_host)]
     host: Option<String>,
-    /// Viewers at the same time; one link is printed for each
+    /// Viewers at the same time; one link is printed for each, and another when one has left
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     viewers: u32,
     #[command(flatten)]
@@ -74,28 +75,75 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         library: (!args.fixed).then_some(opened.library),
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
-    runtime.block_on(async {
+    let served = runtime.block_on(async {
         let server = isinglass_server::start(options)?;
-        let mut links = Vec::new();
-        for _ in 0..args.viewers {
-            let link = server.mint_link(args.host.as_deref()).await?;
-            links.push(Link { state: state.clone(), ..link }.to_string());
+        let address = server.address();
+        note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; Ctrl-C ends it"));
+        if args.host.is_none() && address.ip().is_unspecified() {
+            note("the links are for viewers on this computer; others need --host, the name or address they reach it by");
         }
-        note(&format!(
-            "serving {} at {} on {description}; each link lets in one viewer; Ctrl-C ends it",
-            source,
-            server.address()
-        ));
-        if args.json {
-            print_json(&json!({ "address": server.address().to_string(), "links": links }))?;
-        } else {
-            print(&(links.join("\n") + "\n"))?;
+        let most = args.viewers as usize;
+        let mut num_links = 0;
+        let mut attendance = server.attendance();
+        let mut end = pin!(told_to_end());
+        loop {
+            // As many as may come beside those who are here. Who has lost the network comes back without one.
+            let Attendance { connected, used_links } = *attendance.borrow_and_update();
+            let unused = num_links - used_links.min(num_links);
+            let mut links = Vec::new();
+            for _ in 0..most.saturating_sub(connected + unused) {
+                let link = server.mint_link(args.host.as_deref()).await?;
+                links.push(Link { state: state.clone(), ..link }.to_string());
+            }
+            if num_links > 0 && !links.is_empty() {
+                note("a viewer has left; for the next one:");
+            }
+            num_links += links.len();
+            match (links.is_empty(), args.json) {
+                (true, _) => {}
+                (_, true) => print_json(&json!({ "address": address.to_string(), "links": links }))?,
+                (_, false) => print(&(links.join("\n") + "\n"))?,
+            }
+            tokio::select! {
+                told = &mut end => break told?,
+                Ok(()) = attendance.changed() => {}
+            }
         }
-        tokio::signal::ctrl_c().await.context("cannot wait for Ctrl-C")?;
         note("closing");
         server.close().await;
         Ok(())
-    })
+    });
+    // What is still being read or worked out is for nobody.
+    runtime.shutdown_background();
+    served
+}
+
+/// Ends when the process is told to: by Ctrl-C or, as service managers do it, SIGTERM.
+async fn told_to_end() -> Result<()> {
+    let ctrl_c = async { tokio::signal::ctrl_c().await.context("cannot wait for Ctrl-C") };
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
+        tokio::select! {
+            told = ctrl_c => told,
+            _ = terminate.recv() => Ok(()),
+        }
+    }
+    #[cfg(not(unix))]
+    ctrl_c.await
+}
+
+fn parse_host(text: &str) -> Result<String, String> {
+    let bracketed = if text.contains(':') { format!("[{text}]") } else { text.to_owned() };
+    let nobody =
+        format!("isinglass://{bracketed}:1/#token={}&cert=sha256:{}", "0".repeat(32), "0".repeat(64));
+    let is_address =
+        !text.contains(':') || text.split('%').next().is_some_and(|t| t.parse::<Ipv6Addr>().is_ok());
+    match nobody.parse::<Link>() {
+        Ok(link) if link.host == text && is_address => Ok(link.host),
+        _ => Err("expected a name or an address without a port, such as render-01.example.org".into()),
+    }
 }
 
 fn parse_address(text: &str) -> Result<SocketAddr, String> {

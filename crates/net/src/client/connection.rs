@@ -250,7 +250,17 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                 lost_at = Some(shared.clock.now_micros());
                 match ended {
                     Ended::Connection => {
-                        let reason = dialed.connection.closed().await;
+                        let closed = timeout(REASON_WAIT, dialed.connection.closed()).await;
+                        let reason = match closed {
+                            Ok(reason) => reason,
+                            Err(_) => {
+                                // The stream alone has ended.
+                                dialed
+                                    .connection
+                                    .close(transport::CLOSE_PROTOCOL, b"the control stream ended");
+                                dialed.connection.closed().await
+                            }
+                        };
                         match dialer.explain(&reason) {
                             ConnectError::NoAnswer { .. } => {
                                 ConnectError::Lost("no packet has come for long".into())
@@ -542,6 +552,8 @@ const PROBE_INTERVAL: Duration = Duration::from_micros(33_334);
 const SHOT_INTERVAL: Duration = PROBE_INTERVAL;
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
+/// Why a connection is closed comes with the end of its streams, or soon after.
+const REASON_WAIT: Duration = Duration::from_secs(1);
 const FIRST_BACKOFF: Duration = Duration::from_millis(250);
 const LONGEST_BACKOFF: Duration = Duration::from_secs(5);
 /// Between the addresses of a host.

@@ -2,11 +2,12 @@
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use isinglass_core::ids::{LookVersion, ShotId};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
-use isinglass_core::session::server::{self, Request, violation};
+use isinglass_core::session::server::{self, MESSAGE_WAIT_MICROS, Request, violation};
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{
     LoadState, LoadStatus, Parts, PoseRequest, ProbeRequest, Probed, Refusal, ServerMessage, ServerStats,
@@ -254,7 +255,10 @@ async fn read_requests(
                 return None;
             }
         };
-        let handled = link.state().handle_message(clock.now_micros(), &body);
+        while !link.state().takes_message(clock.now_micros()) {
+            tokio::time::sleep(Duration::from_micros(MESSAGE_WAIT_MICROS)).await;
+        }
+        let handled = link.state().handle_message(&body);
         match handled {
             Ok(Request::Bye) => {
                 link.connection.close(transport::CLOSE_BYE, b"");

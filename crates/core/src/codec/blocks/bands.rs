@@ -68,8 +68,7 @@ mod tests {
     #[test]
     fn a_band_has_no_more_blocks_than_its_chunk_may_correct() {
         // Empty rows of 2048 blocks above four with matter: the first band has them and one of those. 64 are 2^17 blocks.
-        let of =
-            |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
+        let of = |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
         assert_eq!(of(63).unwrap().rows(0, 67), 0..64);
         assert_eq!(of(64), None);
     }

@@ -213,6 +213,16 @@ fn an_exact_frame_comes_after_the_references_before_it() {
     assert_eq!(decode(&mut s), None);
     whole(&mut s, 8, None);
     assert_eq!((decode(&mut s), s.assembling.len()), (Some(8), 0));
+    // Nor does it overtake one that is being decoded.
+    let mut s = begun();
+    whole(&mut s, 2, Some(Some(1)));
+    let job = s.poll_decode(0).unwrap();
+    whole(&mut s, 3, None);
+    assert!(s.poll_decode(0).is_none());
+    s.handle_decoded(0, job.connection, job.frame, job.is_last);
+    assert_eq!((decode(&mut s), decode(&mut s)), (Some(3), None));
+    whole(&mut s, 4, Some(Some(2)));
+    assert_eq!(decode(&mut s), Some(4));
     // A broken one is not waited for either.
     let mut s = begun();
     whole(&mut s, 2, Some(Some(1)));
@@ -221,6 +231,31 @@ fn an_exact_frame_comes_after_the_references_before_it() {
     whole(&mut s, 4, None);
     s.handle_broken(job.connection, job.frame);
     assert_eq!(decode(&mut s), Some(4));
+}
+
+/// While a lost packet is sent again, as many frames come as may be predicted from each other. None of them is lost.
+#[test]
+fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let arrive = |s: &mut Session, frame: u32, num_bytes: usize| {
+        let prediction = Some(Prediction { reference: (frame > 1).then(|| FrameId(frame - 1)) });
+        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        s.handle_chunk(0, 0, place, vec![0; num_bytes]).unwrap();
+    };
+    let last = MAX_ASSEMBLING as u32;
+    (2..=last).for_each(|frame| arrive(&mut s, frame, 1));
+    assert!(s.poll_decode(0).is_none() && s.wants(FrameId(1)));
+    arrive(&mut s, 1, 1);
+    for frame in 1..=last {
+        let job = s.poll_decode(0).unwrap();
+        assert_eq!(job.frame, FrameId(frame));
+        s.handle_decoded(0, job.connection, job.frame, true);
+    }
+    // Bytes are bounded whatever their number.
+    (last + 2..last + 6).for_each(|frame| arrive(&mut s, frame, MAX_ASSEMBLING_BYTES / 3));
+    assert_eq!(s.assembling.len(), 3);
+    assert!(!s.assembling.contains_key(&FrameId(last + 2)));
 }
 
 #[test]

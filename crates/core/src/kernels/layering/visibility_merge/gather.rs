@@ -4,7 +4,7 @@ use super::pieces::{Pieces, Way};
 use super::{MOVED_WEIGHT, OpenSegment, VISIBILITY_FLOOR};
 use crate::kernels::layering::{SegmentList, append};
 use crate::kernels::march::{Pace, Sink, Step};
-use crate::kernels::raycast::greater;
+use crate::kernels::raycast::{greater, lesser};
 use crate::layer::MAX_K;
 
 /// The pieces of one ray while they are gathered. Filling its memory takes as long as a short ray, so one is used for many.
@@ -327,7 +327,9 @@ fn thin_out(rows: &mut Rows, tolerance: f32, steps_per_length: f32) -> (usize, f
         }
     }
     let sum_of_inverses: f32 = sums.iter().sum();
-    let tolerance = greater(MAX_K as f32 / sum_of_inverses, 2.0 * tolerance);
+    // But for rounding.
+    let least = cost[..MAX_K].iter().fold(f32::INFINITY, |least, &cost| lesser(least, cost));
+    let tolerance = greater(greater(MAX_K as f32 / sum_of_inverses, 2.0 * tolerance), least);
     let (mut kept, mut i) = (0, 0);
     while i <= MAX_K {
         let (mut piece, visibility, mut spent) = (rows.piece(i), rows.visibility[i], rows.spent[i]);
@@ -351,7 +353,7 @@ fn thin_out(rows: &mut Rows, tolerance: f32, steps_per_length: f32) -> (usize, f
 /// told apart. Seen at an angle, both errors are displaced by at most the length of the piece, so they grow with it.
 #[inline(always)]
 fn merge_cost(a: &OpenSegment, b: &OpenSegment, steps_per_length: f32) -> f32 {
-    let length = b.s1 - a.s0;
+    let length = greater(b.s1 - a.s0, LENGTH_LEAST);
     let tau = a.tau + b.tau;
     let gap = greater(b.s0 - a.s1, 0.0);
     // Times the length.
@@ -373,6 +375,8 @@ const WAITING_ROW: usize = MAX_WAITING + 8;
 const ROW: usize = MAX_K + 8;
 /// Costs below this are equal.
 const COST_LEAST: f32 = 1e-20;
+/// Surfaces can lie at one place. Optical depths over this length are finite.
+pub(super) const LENGTH_LEAST: f32 = 1e-30;
 
 #[cfg(test)]
 pub(super) mod tests {
@@ -398,6 +402,29 @@ pub(super) mod tests {
             }
         }
         steps
+    }
+
+    /// Surfaces of equal values lie at one place, and as many as you like on a ray through noise.
+    #[test]
+    fn matter_without_length_is_gathered_like_any_other() {
+        for (k, tolerance) in [(1, 0.0), (4, 0.0), (MAX_K, 1e-3)] {
+            for threshold in [0.0, 1e-3] {
+                let mut gather = Gather::default();
+                gather.begin(1.0, tolerance);
+                for i in 0..200u16 {
+                    let s = f32::from(i / 3);
+                    let c = glam::Vec3::splat(f32::from(i % 7) / 10.0);
+                    let _ = gather.step(Step { s0: s, s1: s, tau: 0.01, alpha: opacity(0.01), c: c * 0.01 });
+                }
+                let mut list = SegmentList::default();
+                gather.reduce(k, threshold, &mut list);
+                let segments = &list.segments[..list.len];
+                assert!((1..=k).contains(&list.len), "{k}");
+                let tau: f32 = segments.iter().map(|s| s.tau).sum();
+                assert!((tau - 2.0).abs() < 1e-3, "{k}: {tau}");
+                assert!(segments.iter().all(|s| s.c.is_finite() && s.s0 <= s.s1));
+            }
+        }
     }
 
     /// What the shader does: step after step.

@@ -2,7 +2,7 @@
 
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
-use super::gather::Rows;
+use super::gather::{LENGTH_LEAST, Rows};
 use super::{ALPHA_LEAST, COLOR_DARK, COLOR_WEIGHT, OpenSegment, SETTLED_SHARE, SegmentList};
 use crate::kernels::layering::append;
 use crate::kernels::raycast::{greater, lesser, opacity};
@@ -149,7 +149,7 @@ impl Pieces {
             tau += next.tau;
             part = next;
         }
-        let length = back.s1 - front.s0;
+        let length = greater(back.s1 - front.s0, LENGTH_LEAST);
         let tau_per_length = tau / length;
         let per_opacity = composite / composite.w.max(ALPHA_LEAST);
         let weights = Vec3::splat(self.color_weight).extend(1.0);
@@ -345,7 +345,7 @@ fn pair_errors<const N: usize>(
         let (a, b) = (rows.piece(i), rows.piece(i + 1));
         let alpha = a.alpha + b.alpha * (1.0 - a.alpha);
         let c = a.c + b.c * (1.0 - a.alpha);
-        let length = b.s1 - a.s0;
+        let length = greater(b.s1 - a.s0, LENGTH_LEAST);
         let tau_per_length = (a.tau + b.tau) / length;
         let per_opacity = 1.0 / greater(alpha, ALPHA_LEAST);
         let distance = |s: f32| {
@@ -378,7 +378,7 @@ fn triple_errors<const N: usize>(
         append(&mut two, &b);
         let mut all = two;
         append(&mut all, &c);
-        let length = c.s1 - a.s0;
+        let length = greater(c.s1 - a.s0, LENGTH_LEAST);
         let tau_per_length = all.tau / length;
         let opacity_least = greater(all.alpha, ALPHA_LEAST);
         let color_per_opacity = all.c / opacity_least;
