@@ -322,10 +322,13 @@ impl<S: FrameSource> ViewerApp<S> {
         let source = self.viewing.source();
         let stats = source.stats();
         let interval = self.refreshes.interval().filter(|_| is_active);
+        let state = source.state();
+        // Nothing is known of a way that is cut.
+        let round_trip = (state == State::Connected).then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
-            state: source.state(),
+            state,
             standing: refresh.standing,
-            round_trip: micros(stats.rtt_micros),
+            round_trip,
             frame_age: refresh.frame_age,
             turned_degrees: refresh.turned_degrees,
             view_time: if self.picture_status.has_timer {

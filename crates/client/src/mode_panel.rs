@@ -85,7 +85,8 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     look.isos = Isos::new(&isos).unwrap_or(look.isos);
 }
 
-fn text(mode: Mode) -> &'static str {
+/// The mode for a person.
+pub(crate) fn text(mode: Mode) -> &'static str {
     match mode {
         Mode::Composite => "composite",
         Mode::Mip => "MIP: greatest value",

@@ -88,6 +88,11 @@ impl Shots {
         self.is_dialog_open = !self.is_dialog_open;
     }
 
+    /// Closes it.
+    pub(crate) fn close_dialog(&mut self) {
+        self.is_dialog_open = false;
+    }
+
     /// Asks for one picture, as large as the window's. While others are made it does nothing.
     pub(crate) fn take(&mut self, subject: Subject) {
         if self.series.is_none() {

@@ -14,7 +14,7 @@ use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use isinglass_core::volume::{Volume, VolumeInfo, Voxels};
+use isinglass_core::volume::{Volume, VolumeError, VolumeInfo, Voxels};
 
 fn scene(voxels: [f32; 8], domain: Domain, spacing: f32) -> Scene {
     let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.2], opacity: x };
@@ -75,5 +75,23 @@ fn eyes_from_any_distance_see_pictures() {
         for sign in [1.0, -1.0] {
             through_everything(&scene, Pose::orbit(Vec3::ZERO, 0.4, 0.3, sign * distance));
         }
+    }
+}
+
+#[test]
+fn voxels_and_values_that_are_no_numbers_make_no_volume() {
+    let volume = |stored: f32, map| {
+        let voxels = Voxels::F32(vec![0.0, stored]);
+        Volume::new([2, 1, 1], Vec3::ONE, voxels, map, VolumeInfo::default()).map(|v| v.value_range())
+    };
+    assert_eq!(volume(2.0, (10.0, 1.0)), Ok((1.0, 21.0)));
+    for stored in [f32::NAN, f32::INFINITY, 2e37] {
+        assert!(
+            matches!(volume(stored, (1.0, 0.0)), Err(VolumeError::NotFinite { count: 1, .. })),
+            "{stored}"
+        );
+    }
+    for map in [(f32::NAN, 0.0), (1.0, f32::INFINITY), (1e37, 0.0), (1.0, 2e37)] {
+        assert!(matches!(volume(2.0, map), Err(VolumeError::Values { .. })), "{map:?}");
     }
 }

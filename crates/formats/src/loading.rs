@@ -1,5 +1,6 @@
 //! Opens a volume on a thread of its own, so that a window never waits.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::thread;
@@ -61,8 +62,14 @@ impl Loading {
             let cancel = Some(&theirs.cancel);
             let options =
                 OpenOptions { raw, selection, spacing, max_bytes, progress: Some(&progress), cancel };
+            // A defect of ours must not leave anyone waiting.
+            let opened = catch_unwind(AssertUnwindSafe(|| open(&source, &options)));
+            let opened = opened.unwrap_or_else(|_| {
+                let problem = "reading it has failed by a defect of isinglass".to_owned();
+                Err(FormatError::Data { path: source.clone(), problem })
+            });
             // Nobody listens once it was dropped.
-            let _ = sender.send(open(&source, &options));
+            let _ = sender.send(opened);
             wake();
         });
         Self { shared, result }

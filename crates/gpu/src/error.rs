@@ -51,6 +51,21 @@ pub enum GpuError {
     Frame(String),
 }
 
+impl GpuError {
+    /// Whether what is on the device may be of no use any more, so that the same is to be tried elsewhere. After the others the device
+    /// goes on as before.
+    pub fn is_lost(&self) -> bool {
+        match self {
+            Self::OutOfMemory(_) | Self::Lost { .. } | Self::Failed { .. } => true,
+            Self::NoAdapter(_)
+            | Self::Open { .. }
+            | Self::TooLarge { .. }
+            | Self::Camera
+            | Self::Frame(_) => false,
+        }
+    }
+}
+
 /// Runs `body` and turns what wgpu reports on this thread meanwhile into an error. The first cause comes first: without
 /// memory, everything after it is invalid too.
 pub(crate) fn scoped<T>(

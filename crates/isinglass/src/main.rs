@@ -76,3 +76,27 @@ fn command() -> clap::Command {
         })
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flags_are_listed_under_their_own_headings_only() {
+        let mut num_flags = 0;
+        let mut commands = vec![command()];
+        while let Some(command) = commands.pop() {
+            commands.extend(command.get_subcommands().cloned());
+            for of_all in
+                ["volume", "scenes", "state", "output", "size", "json", "backend", "tf", "layering", "k"]
+            {
+                let Some(arg) = command.get_arguments().find(|a| a.get_id() == of_all) else { continue };
+                assert_eq!(arg.get_help_heading(), None, "{} {of_all}", command.get_name());
+                num_flags += 1;
+            }
+            let bandwidth = command.get_arguments().find(|a| a.get_id() == "bandwidth");
+            assert!(bandwidth.is_none_or(|a| a.get_help_heading() == Some("Link")));
+        }
+        assert!(num_flags > 40, "{num_flags}");
+    }
+}

@@ -74,7 +74,11 @@ pub(crate) enum GenerateError {
 impl GenerateError {
     /// Whether the renderer is of no use any more; another has taken its place.
     pub(crate) fn is_lost(&self) -> bool {
-        matches!(self, Self::Panicked | Self::Gpu(GpuError::Lost { .. }))
+        match self {
+            Self::Gpu(e) => e.is_lost(),
+            Self::Panicked => true,
+            Self::GivenUp | Self::OtherVolume => false,
+        }
     }
 }
 

@@ -212,7 +212,14 @@ impl Librarian {
             }
             let look = Look { transfer: loaded.transfer, ..look };
             let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
-            let renderer = backend.renderer(scene.clone()).map_err(|e| e.to_string())?;
+            let renderer = match backend.renderer(scene.clone()) {
+                Err(e) if e.is_lost() => {
+                    tracing::error!("rendering this part on the CPU: {e}");
+                    Backend::Cpu.renderer(scene.clone())
+                }
+                made => made,
+            };
+            let renderer = renderer.map_err(|e| e.to_string())?;
             Ok::<_, String>((scene, renderer, look, survey.parts))
         });
         let read = tokio::select! {

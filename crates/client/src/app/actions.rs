@@ -64,7 +64,13 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::OpenFile => self.open_dialog.open(ctx),
                 Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
                 Action::Help => self.shows_help = !self.shows_help,
-                Action::CloseHelp => self.shows_help = false,
+                Action::CloseHelp => {
+                    self.shows_help = false;
+                    // A list that is open closes first.
+                    if !egui::Popup::is_any_open(ctx) {
+                        self.shots.close_dialog();
+                    }
+                }
                 Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
             }
         }

@@ -143,6 +143,7 @@ impl<S: FrameSource> ViewerApp<S> {
         for _ in 0..std::mem::take(&mut self.next_modes) {
             let next = wanted.mode.next();
             mode_panel::set_mode(&mut wanted, next, &scale);
+            self.notice = Some((mode_panel::text(next).into(), now));
         }
         if wanted != *look {
             self.viewing.set_look(now, wanted);

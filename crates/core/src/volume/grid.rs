@@ -124,6 +124,16 @@ pub enum VolumeError {
         "spacing is {0}, expected three positive numbers from 1e-12 to 1e12, at most a factor of 1e4 apart"
     )]
     Spacing(Vec3),
+    /// What stored numbers mean is not a finite number.
+    #[error("stored numbers from {range:?} mean {scale} times that plus {offset}, expected finite values within ±{max:e}", max = Volume::MAX_MAGNITUDE)]
+    Values {
+        /// Least and greatest stored number.
+        range: (f32, f32),
+        /// What they are multiplied by.
+        scale: f32,
+        /// What is added then.
+        offset: f32,
+    },
     /// A voxel is NaN, infinite or so large that differences would be.
     #[error(
         "{count} voxels are NaN or infinite or too large, the first at {first:?}; expected finite values within ±{max:e}",
@@ -180,6 +190,15 @@ impl Volume {
             Voxels::U16(v) => min_max(v.iter().map(|&x| f32::from(x))),
             Voxels::F32(v) => min_max(v.iter().copied()),
         };
+        let value = |stored: f32| stored * value_scale + value_offset;
+        let is_fit = |value: f32| value.abs() <= Self::MAX_MAGNITUDE;
+        if !is_fit(value(stored_range.0)) || !is_fit(value(stored_range.1)) {
+            return Err(VolumeError::Values {
+                range: stored_range,
+                scale: value_scale,
+                offset: value_offset,
+            });
+        }
         Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, info })
     }
 

@@ -15,7 +15,7 @@ pub(crate) use look::{LayeringArgs, LookArgs, Switch};
 pub(crate) use method::{BackendArgs, MethodArgs};
 pub(crate) use motion::{ForesightArgs, PathArgs};
 pub(crate) use parse::{
-    parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output, parse_size,
+    parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output, parse_picture, parse_size,
 };
 pub(crate) use view::{ViewArgs, orthographic};
 pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, open_to_serve, open_volume};

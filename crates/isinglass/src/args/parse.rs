@@ -18,6 +18,17 @@ pub(crate) fn parse_output(text: &str) -> Result<PathBuf, String> {
     }
 }
 
+/// The same of a picture, or of pictures; a name that says another format than PNG is refused.
+pub(crate) fn parse_picture(text: &str) -> Result<PathBuf, String> {
+    let others = ["avif", "bmp", "exr", "gif", "jpeg", "jpg", "jxl", "tif", "tiff", "webp"];
+    let path = parse_output(text)?;
+    let says = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+    match others.into_iter().find(|other| says(other)) {
+        Some(other) => Err(format!("pictures are PNG files, expected a name ending in .png, found .{other}")),
+        None => Ok(path),
+    }
+}
+
 /// `#rrggbb`.
 pub(crate) fn parse_background(text: &str) -> Result<[u8; 3], String> {
     let hex = text.strip_prefix('#').unwrap_or(text);

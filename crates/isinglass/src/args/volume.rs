@@ -21,7 +21,7 @@ use crate::memory::MemoryArgs;
 pub(crate) struct VolumeArgs {
     /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
     /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
-    #[arg(value_name = "VOLUME", required = true)]
+    #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>)]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
     pub(crate) raw: RawArgs,

@@ -55,7 +55,7 @@ enum Table {
 struct CommonArgs {
     /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a volume or a built-in volume
     /// [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
-    #[arg(value_name = "SCENE")]
+    #[arg(value_name = "SCENE", help_heading = None::<&'static str>)]
     scenes: Vec<String>,
     /// Columns and rows of pictures, and of frames if nothing else is said
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "256x256")]
@@ -66,14 +66,15 @@ struct CommonArgs {
     /// Generating camera: azimuth and elevation in degrees, distance in radii
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    #[command(flatten)]
-    look: LookArgs,
     /// As JSON
     #[arg(long)]
     json: bool,
     /// Also write the JSON to a file, whole or not at all
     #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
     output: Option<PathBuf>,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
 }
 
 impl CommonArgs {
@@ -134,8 +135,6 @@ struct CastArgs {
 
 #[derive(Args)]
 struct QualityArgs {
-    #[command(flatten)]
-    common: CommonArgs,
     /// Rules, between commas: those of `layers`, and all-samples, the floor with every sample kept
     #[arg(long, value_name = "RULE", value_delimiter = ',', default_value = DEFAULT_RULES)]
     layering: Vec<Rule>,
@@ -152,12 +151,13 @@ struct QualityArgs {
     wire: Switch,
     #[command(flatten)]
     backend: BackendArgs,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    common: CommonArgs,
 }
 
 #[derive(Args)]
 struct SpeedArgs {
-    #[command(flatten)]
-    common: CommonArgs,
     /// Rules, between commas
     #[arg(long, value_name = "RULE", value_delimiter = ',', default_values_t = [Layering::default()])]
     layering: Vec<Layering>,
@@ -178,12 +178,13 @@ struct SpeedArgs {
     /// Backends, between commas [default: cpu, and gpu if there is one]
     #[arg(long, value_name = "BACKEND", value_delimiter = ',')]
     backend: Vec<BackendChoice>,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    common: CommonArgs,
 }
 
 #[derive(Args)]
 struct LatencyArgs {
-    #[command(flatten)]
-    common: CommonArgs,
     #[command(flatten)]
     layering: LayeringArgs,
     /// How frames become pictures, between commas: as in `bench quality`, and with :no-prediction at the end without
@@ -193,31 +194,32 @@ struct LatencyArgs {
     /// Round-trip times, between commas
     #[arg(long, alias = "rtts", value_name = "TIME", value_parser = parse_duration, value_delimiter = ',', default_value = "0ms,100ms,300ms")]
     rtt: Vec<Duration>,
-    #[command(flatten)]
-    link: LinkArgs,
     /// Speeds of the camera, degrees a second, between commas
     #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
     speed: Vec<f32>,
-    #[command(flatten)]
-    plan: PlanArgs,
-    #[command(flatten)]
-    path: PathArgs,
     /// Pictures of each run that are compared with the truth, at most
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     compared: u32,
-    #[command(flatten)]
-    foresight: ForesightArgs,
     /// Keep the pictures and reports of each run in a folder of its own in DIR
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    path: PathArgs,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
 }
 
 #[derive(Args)]
 struct CodecArgs {
-    #[command(flatten)]
-    common: CommonArgs,
     /// Codecs, between commas: blocks, exact, raw-zstd, png-published, blocks-planes, and in a build with --features
     /// rivals raw-lz4, jpeg2000-published, jpeg2000-planes, htj2k-published, htj2k-planes, avif-planes,
     /// webp-published; there also jpegxl-planes, jpegxl-modular-planes and avif-aom-planes, where cjxl and djxl, or avifenc
@@ -263,6 +265,9 @@ struct CodecArgs {
     repeats: u32,
     #[command(flatten)]
     backend: BackendArgs,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    common: CommonArgs,
 }
 
 pub(crate) fn run(args: BenchArgs) -> Result<()> {

@@ -31,16 +31,10 @@ pub(crate) struct DemoArgs {
     #[arg(value_name = "VOLUME")]
     volume: Option<String>,
     #[command(flatten)]
-    raw: RawArgs,
-    #[command(flatten)]
-    part: PartArgs,
-    #[command(flatten)]
     state: StateArgs,
     /// Round-trip time between server and viewer
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "200ms")]
     rtt: Duration,
-    #[command(flatten)]
-    link: LinkArgs,
     /// Play a camera path without a window, compare what was shown with the truth, and write a report [default: only if
     /// there is no display]
     #[arg(long)]
@@ -70,21 +64,9 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = parse_rate)]
     rate: f32,
     #[command(flatten)]
-    path: PathArgs,
-    #[command(flatten)]
-    window: WindowArgs,
-    #[command(flatten)]
-    foresight: ForesightArgs,
-    #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    light: LightArgs,
-    #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
     method: MethodArgs,
-    #[command(flatten)]
-    plan: PlanArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -92,6 +74,25 @@ pub(crate) struct DemoArgs {
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    path: PathArgs,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
+    #[command(flatten)]
+    raw: RawArgs,
+    #[command(flatten)]
+    part: PartArgs,
 }
 
 pub(crate) fn run(args: DemoArgs, given: Given) -> Result<()> {

@@ -19,11 +19,12 @@ use crate::report::{print, print_json};
 
 #[derive(Args)]
 pub(crate) struct InfoArgs {
-    #[command(flatten)]
-    volume: VolumeArgs,
     /// As JSON
     #[arg(long)]
     json: bool,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    volume: VolumeArgs,
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {

@@ -22,8 +22,6 @@ use crate::state_args::StateArgs;
 #[derive(Args)]
 pub(crate) struct LayersArgs {
     #[command(flatten)]
-    volume: VolumeArgs,
-    #[command(flatten)]
     state: StateArgs,
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the front, which is
     /// a body's anterior side where the file knows it and +z otherwise
@@ -35,10 +33,6 @@ pub(crate) struct LayersArgs {
     #[command(flatten)]
     view: ViewArgs,
     #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    light: LightArgs,
-    #[command(flatten)]
     layering: LayeringArgs,
     #[command(flatten)]
     codec: CodecArgs,
@@ -47,6 +41,13 @@ pub(crate) struct LayersArgs {
     /// Tell what was done as JSON
     #[arg(long)]
     json: bool,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
+    volume: VolumeArgs,
 }
 
 pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {

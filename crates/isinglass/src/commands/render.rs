@@ -11,7 +11,7 @@ use isinglass_bench::view::Orbit;
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_background, parse_output,
+    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_background, parse_picture,
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;
@@ -21,8 +21,6 @@ use crate::state_args::StateArgs;
 
 #[derive(Args)]
 pub(crate) struct RenderArgs {
-    #[command(flatten)]
-    volume: VolumeArgs,
     #[command(flatten)]
     state: StateArgs,
     /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the front, which is
@@ -37,10 +35,6 @@ pub(crate) struct RenderArgs {
     turntable: Option<u32>,
     #[command(flatten)]
     view: ViewArgs,
-    #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    light: LightArgs,
     /// Colour behind the volume
     #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
     background: [u8; 3],
@@ -49,9 +43,15 @@ pub(crate) struct RenderArgs {
     /// Tell what was done as JSON
     #[arg(long)]
     json: bool,
-    // Last: what follows would be listed under its heading.
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
     #[command(flatten)]
     lens: LensArgs,
+    #[command(flatten)]
+    volume: VolumeArgs,
 }
 
 pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
@@ -143,7 +143,7 @@ impl Names {
 /// A file to write, or a folder that is there.
 fn parse_pictures(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    if path.is_dir() { Ok(path) } else { parse_output(text) }
+    if path.is_dir() { Ok(path) } else { parse_picture(text) }
 }
 
 /// A minute at 60 pictures a second.

@@ -15,7 +15,7 @@ use isinglass_formats::iglf::{self, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, MethodArgs, orthographic, parse_background, parse_fov, parse_output, parse_size,
+    BackendArgs, MethodArgs, orthographic, parse_background, parse_fov, parse_picture, parse_size,
 };
 use crate::clip_args::ClipArgs;
 use crate::lens_args::LensArgs;
@@ -31,7 +31,7 @@ pub(crate) struct ReprojectArgs {
     #[arg(long, value_name = "AZ,EL[,DIST]", allow_hyphen_values = true)]
     orbit: Option<Orbit>,
     /// PNG file to write
-    #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
+    #[arg(short, long, value_name = "FILE", value_parser = parse_picture)]
     output: PathBuf,
     /// Columns and rows of the picture [default: the frame's]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
@@ -52,7 +52,7 @@ pub(crate) struct ReprojectArgs {
     /// Tell what was done as JSON
     #[arg(long)]
     json: bool,
-    // Last: what follows would be listed under its heading.
+    // Last: what follows would be listed under their headings.
     #[command(flatten)]
     lens: LensArgs,
     #[command(flatten)]

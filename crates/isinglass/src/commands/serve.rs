@@ -20,8 +20,6 @@ use crate::state_args::StateArgs;
 #[derive(Args)]
 pub(crate) struct ServeArgs {
     #[command(flatten)]
-    volume: VolumeArgs,
-    #[command(flatten)]
     state: StateArgs,
     /// Address and UDP port to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
@@ -33,13 +31,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     viewers: u32,
     #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    light: LightArgs,
-    #[command(flatten)]
     layering: LayeringArgs,
-    #[command(flatten)]
-    plan: PlanArgs,
     /// Send each viewer no more than so many megabits a second, in frames as good as that allows [default: what its link
     /// carries]
     #[arg(long, value_name = "MBIT", value_parser = parse_mbit)]
@@ -54,6 +46,15 @@ pub(crate) struct ServeArgs {
     /// Print the links as JSON
     #[arg(long)]
     json: bool,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    volume: VolumeArgs,
 }
 
 pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {

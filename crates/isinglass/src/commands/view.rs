@@ -32,10 +32,6 @@ pub(crate) struct ViewerArgs {
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]
-    raw: RawArgs,
-    #[command(flatten)]
-    part: PartArgs,
-    #[command(flatten)]
     state: StateArgs,
     /// Columns and rows of the window
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1100x760")]
@@ -52,16 +48,21 @@ pub(crate) struct ViewerArgs {
     #[command(flatten)]
     method: MethodArgs,
     #[command(flatten)]
-    window: WindowArgs,
-    #[command(flatten)]
-    foresight: ForesightArgs,
-    #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
     memory: MemoryArgs,
     /// Write the camera's path to FILE when the window is closed, for `demo --headless --path`
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     record: Option<PathBuf>,
+    // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    foresight: ForesightArgs,
+    #[command(flatten)]
+    raw: RawArgs,
+    #[command(flatten)]
+    part: PartArgs,
 }
 
 /// What is shown at first.
@@ -168,9 +169,16 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
 }
 
 /// Whatever is no volume is read as a link, and told so.
-fn parse_target(text: &str) -> Result<Target, LinkError> {
-    let is_volume = text.starts_with("builtin:") || !text.contains("://") && Path::new(text).exists();
-    if is_volume { Ok(Target::Volume(text.to_owned())) } else { text.parse().map(Target::Server) }
+fn parse_target(text: &str) -> Result<Target, String> {
+    if text.contains("://") {
+        return text.parse().map(Target::Server).map_err(|e: LinkError| e.to_string());
+    }
+    if text.starts_with("builtin:") || Path::new(text).exists() {
+        return Ok(Target::Volume(text.to_owned()));
+    }
+    Err(format!(
+        "there is no file '{text}'; expected a volume, or a link as `serve` prints it: isinglass://…"
+    ))
 }
 
 /// Longer than QUIC tries by itself on a slow link.
