@@ -108,8 +108,9 @@ impl VoxelSink {
         true
     }
 
-    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number become the least of the
-    /// others: masks and maps of statistics have them outside of what was measured.
+    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number, or a float that is a usual
+    /// mark for nothing and far from all others, become the least of the others: masks, maps of statistics and simulations have
+    /// them outside of what was measured.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
         let mut warnings = Vec::new();
         if let Voxels::F32(v) = &mut self.voxels
@@ -123,6 +124,9 @@ impl VoxelSink {
                 let text =
                     format!("{num_nan} voxels are not a number and are shown as the least value, {least}");
                 warnings.push(Warning::new(WarningKind::Values, text));
+            }
+            if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double) {
+                warnings.extend(fill_gaps(v));
             }
         }
         if self.num_rounded > 0 {
@@ -138,6 +142,44 @@ impl VoxelSink {
         Decoded { voxels: self.voxels, value_map: (1.0, offset), warnings }
     }
 }
+
+/// Voxels that are a mark for nothing become the least of the others; what there is to say of it.
+fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
+    // The least and the greatest number, and those next to them.
+    let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
+    let [least, second, last, greatest] = v.iter().fold(none, |[a, b, c, d], &x| {
+        let (b, c) = (if x > a { b.min(x) } else { b }, if x < d { c.max(x) } else { c });
+        [a.min(x), if x < a { a.min(b) } else { b }, if x > d { c.max(d) } else { c }, d.max(x)]
+    });
+    let is_far = |mark: f32, lo: f32, hi: f32| {
+        let [mark, lo, hi] = [mark, lo, hi].map(f64::from);
+        hi > lo && (lo - mark).max(mark - hi) > FAR * (hi - lo)
+    };
+    let is_mark = |x: f32| x.is_finite() && (x.abs() >= MARK_LEAST || MARKS.contains(&x));
+    let (mark, least) = if is_mark(least) && is_far(least, second, greatest) {
+        (least, second)
+    } else if is_mark(greatest) && is_far(greatest, least, last) {
+        (greatest, least)
+    } else {
+        return None;
+    };
+    let mut num = 0u64;
+    for x in v.iter_mut().filter(|x| **x == mark) {
+        *x = least;
+        num += 1;
+    }
+    let text = format!(
+        "{num} voxels are {mark:?}, as if nothing was known there, and are shown as the least value, {least}"
+    );
+    Some(Warning::new(WarningKind::Values, text))
+}
+
+/// A float of at least this magnitude may be a mark: netCDF has 9.97e36, climate models 1e20, others the greatest float.
+const MARK_LEAST: f32 = 1e18;
+/// Other usual marks.
+const MARKS: [f32; 6] = [-999.0, -999.25, -9999.0, -99_999.0, -32_767.0, -32_768.0];
+/// A mark is so many times the range of all others away from them.
+const FAR: f64 = 10.0;
 
 /// The next number written as text, between spaces, line breaks or commas; `None` at the end. Never reads further
 /// than the longest number can be.
@@ -257,6 +299,33 @@ mod tests {
         let mut s = sink(Dtype::Float, Endian::Little);
         s.push_bytes(&f32::NAN.to_le_bytes());
         assert!(s.finish(true).voxels.get(0).is_nan(), "without any number there is no volume");
+    }
+
+    #[test]
+    fn marks_for_nothing_become_the_least_value_of_the_others() {
+        let finished = |dtype, numbers: &[f32]| {
+            let mut s = sink(dtype, Endian::Little);
+            numbers.iter().for_each(|&x| assert!(s.push_number(x.into())));
+            let Decoded { voxels, warnings, .. } = s.finish(true);
+            (voxels, warnings.len())
+        };
+        for mark in [9.969_21e36, 1e20, -1e30, f32::MAX, f32::MIN, -9999.0, -999.25] {
+            for numbers in [[mark, 5.0, 6.0, mark, 5.5], [6.0, 5.5, mark, 5.0, mark]] {
+                let filled = numbers.map(|x| if x == mark { 5.0 } else { x });
+                assert_eq!(finished(Dtype::Double, &numbers), (Voxels::F32(filled.into()), 1), "{mark}");
+            }
+        }
+        // What is near, alone, no usual mark, or whole.
+        for numbers in [
+            [-9999.0, -4000.0, 3000.0],
+            [1e20, 2e20, 3e20],
+            [1e20, 0.0, 0.0],
+            [-9999.0, -9999.0, -9999.0],
+            [0.0, 1.0, 255.0],
+        ] {
+            assert_eq!(finished(Dtype::Float, &numbers), (Voxels::F32(numbers.into()), 0));
+        }
+        assert_eq!(finished(Dtype::Int32, &[-9999.0, 1.0, 2.0]).1, 0);
     }
 
     #[test]

@@ -284,6 +284,27 @@ fn dicom_by_pydicom() {
     }
 }
 
+/// Numbers that mean others, by the words of their files.
+#[test]
+fn calibrated_by_pydicom_and_tifffile() {
+    let folder = unpack("calibrated");
+    let values = |volume: &Volume| -> Vec<f32> {
+        (0..volume.voxels().len()).map(|i| volume.value_from_stored(volume.voxels().get(i))).collect()
+    };
+    let plain = |i: usize| ((i % 5) + (i / 5 % 4) * 10 + i / 20 * 100) as f32;
+    let dose = open_path(&folder.path().join("dose"));
+    assert_eq!(values(&dose), (0..60).map(|i| 0.25 * plain(i)).collect::<Vec<_>>());
+    check_place(&dose, "dose");
+    check_body(&dose, "RAS", "dose");
+    assert_eq!((dose.info.modality.as_deref(), dose.info.warnings.len()), (Some("RTDOSE"), 0));
+    for (name, slope, intercept) in [("signed", 1.0, -3000.0), ("line", 0.5, -1000.0)] {
+        let volume = open_path(&folder.path().join(format!("{name}.tif")));
+        let expected: Vec<_> = (0..60).map(|i| slope * plain(i) + intercept).collect();
+        assert_eq!(values(&volume), expected, "{name}");
+        check_spacing(&volume, "µm", name);
+    }
+}
+
 #[test]
 fn images_by_vtk() {
     let folder = unpack("vti");

@@ -245,7 +245,7 @@ macro_rules! targets {
     )*};
 }
 
-targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd vti zarr }
+targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd calibrated vti zarr }
 
 /// Most that the voxels may take.
 const MEMORY_LIMIT: u64 = 1 << 20;

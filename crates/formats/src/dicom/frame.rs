@@ -139,10 +139,13 @@ impl Slices {
         let get = |i: usize, f: fn(&Own) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
         let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
             .map(|tag| fields.decimal(tag).unwrap_or(0.0));
+        let offsets = fields.decimals(tags::GRID_FRAME_OFFSETS).filter(|o| o.len() == num_frames);
+        let positions = shared.position.zip(shared.normal()).zip(offsets);
         let frames = parts.into_iter().enumerate().map(|(i, parts)| {
             let own_position = own.get(i).and_then(|o| o.position);
-            // A plain file of many frames has one position, that of the first.
-            let position = own_position.or(shared.position.filter(|_| num_frames == 1));
+            // A plain file of many frames has one position, that of the first; some say how far the others are.
+            let along = positions.as_ref().map(|((first, normal), o)| *first + *normal * (o[i] - o[0]));
+            let position = own_position.or(along).or(shared.position.filter(|_| num_frames == 1));
             let order = [base[0], base[1], base[2] + i as f64 / num_frames as f64];
             let slope = get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0);
             Frame {
@@ -194,9 +197,18 @@ impl Own {
             orientation: fields.decimal_array(tags::IMAGE_ORIENTATION),
             pixel_spacing: spacing(tags::PIXEL_SPACING).or_else(|| spacing(tags::IMAGER_PIXEL_SPACING)),
             slice_spacing: slice(tags::SPACING_BETWEEN_SLICES).or_else(|| slice(tags::SLICE_THICKNESS)),
-            slope: fields.decimal(tags::RESCALE_SLOPE),
+            // A distribution of doses has its own name for it, and is in gray then.
+            slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
             intercept: fields.decimal(tags::RESCALE_INTERCEPT),
         }
+    }
+}
+
+impl Own {
+    /// Across rows and columns, of length 1.
+    fn normal(&self) -> Option<DVec3> {
+        let [a, b, c, d, e, f] = self.orientation?;
+        DVec3::new(a, b, c).cross(DVec3::new(d, e, f)).try_normalize()
     }
 }
 

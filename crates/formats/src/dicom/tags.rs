@@ -41,6 +41,8 @@ tags! {
     PIXEL_REPRESENTATION 0x0028 0x0103,
     RESCALE_INTERCEPT 0x0028 0x1052,
     RESCALE_SLOPE 0x0028 0x1053,
+    GRID_FRAME_OFFSETS 0x3004 0x000c,
+    DOSE_GRID_SCALING 0x3004 0x000e,
 }
 
 /// Whether an element is a sequence that values are looked for in.

@@ -13,6 +13,7 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
     let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
     let [images, channels, slices, frames] = ["images", "channels", "slices", "frames"].map(count);
+    let number = |name: &str| get(name).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
     // A stack without hyperstack fields is one of slices.
     let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
     let unit = match get("unit").unwrap_or_default() {
@@ -34,6 +35,15 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         planes: None,
         other_files: Vec::new(),
         series: Vec::new(),
+        value_map: value_map(get("cf"), number("c1"), number("c0")),
         name: "ImageJ TIFF",
+    }
+}
+
+/// Of a calibration by a straight line; others are left out. Signed integers are stored as unsigned ones with one.
+fn value_map(function: Option<&str>, slope: Option<f64>, intercept: Option<f64>) -> (f64, f64) {
+    match (function, slope, intercept) {
+        (Some("0"), Some(slope), Some(intercept)) if slope != 0.0 => (slope, intercept),
+        _ => (1.0, 0.0),
     }
 }

@@ -71,6 +71,8 @@ pub(super) struct Stack {
     /// Files that planes are in beside the first.
     pub(super) other_files: Vec<String>,
     pub(super) series: Vec<String>,
+    /// What numbers mean: times the first, plus the second.
+    pub(super) value_map: (f64, f64),
     pub(super) name: &'static str,
 }
 
@@ -272,6 +274,7 @@ fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) 
             ["red", "green", "blue", "alpha"][..samples.size as usize].iter().map(|&s| s.into()).collect();
     }
     plan.series = std::mem::take(&mut stack.series);
+    plan.value_map = stack.value_map;
     let depth = stack.axes.iter().find(|a| a.0 == PlaneAxis::Z).map_or(1, |a| a.1);
     plan.spacing_guess = match (in_plane, spacing[2]) {
         (None, _) => Some("the file has no spacing; it was taken as 1".into()),
@@ -294,6 +297,7 @@ fn plain_stack(scan: &Scan) -> Stack {
         planes: None,
         other_files: Vec::new(),
         series: Vec::new(),
+        value_map: (1.0, 0.0),
         name: "TIFF",
     }
 }

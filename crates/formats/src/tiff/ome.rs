@@ -86,6 +86,7 @@ pub(super) fn stack(text: &str, own_name: &str, samples: u64, series: Option<u32
         planes,
         other_files,
         series: if images.len() > 1 { names.collect() } else { Vec::new() },
+        value_map: (1.0, 0.0),
         name: "OME-TIFF",
     })
 }
