@@ -11,6 +11,7 @@ use isinglass_bench::view::Orbit;
 use isinglass_client::Bindings;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::look::Look;
+use isinglass_core::mode::{Iso, Mode};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Lighting, Volume};
@@ -104,8 +105,8 @@ impl Seen {
         layering: &LayeringArgs,
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
-        self.note_oddities(&opened.scene.volume);
         let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
+        self.note_oddities(&opened.scene.volume, &wanted);
         if self.state.look.is_some() {
             opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
             opened.transfer = wanted.transfer.clone();
@@ -123,16 +124,22 @@ impl Seen {
         memory: &MemoryArgs,
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
-        self.note_oddities(&opened.volume);
         let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
+        self.note_oddities(&opened.volume, &wanted);
         Ok((opened, wanted))
     }
 
-    /// Says what a person should know who sees the volume.
-    fn note_oddities(&self, volume: &Volume) {
+    /// Says what a person should know who sees the volume in this look.
+    fn note_oddities(&self, volume: &Volume, look: &Look) {
         volume.info.warnings.iter().for_each(|warning| note(&format!("note: {warning}")));
         if let Some(difference) = self.state.volume.as_ref().and_then(|v| v.difference_from(volume)) {
             note(&difference);
+        }
+        let (least, greatest) = volume.value_range();
+        let isos = look.isos.as_slice();
+        let is_outside = |iso: &Iso| iso.value < least || iso.value > greatest;
+        if look.mode == Mode::Iso && !isos.is_empty() && isos.iter().all(is_outside) {
+            note(&format!("note: no surface is there: the values lie between {least} and {greatest}"));
         }
     }
 

@@ -481,3 +481,31 @@ fn the_headless_demo_reports_what_was_shown() {
     let written = std::fs::read(bench.path("out/report.json")).unwrap();
     assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
 }
+
+/// Who sees nothing is told why.
+#[test]
+fn what_is_odd_is_said_beside_the_result() {
+    let bench = Bench::new();
+    let told = |line: &str| {
+        let output = bench.run(&format!("render {line} -o a.png {RENDER}"));
+        assert!(output.status.success() && bench.path("a.png").exists(), "{line}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(
+        told("builtin:cubus@16 --iso 300").contains("no surface is there: the values lie between 0 and 255")
+    );
+    assert_eq!(told("builtin:cubus@16 --iso 300,200"), "");
+    bench.write(
+        "a.raw",
+        7.5f32.to_le_bytes().repeat(63).into_iter().chain((-9999f32).to_le_bytes()).collect::<Vec<_>>(),
+    );
+    let header = "NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nspacings: 1 1 1\nencoding: raw\nendian: little\ndata file: a.raw\n";
+    bench.write("a.nhdr", header);
+    assert_eq!(told("a.nhdr"), "", "one value beside a mark says nothing of how far that is");
+    bench.write(
+        "b.raw",
+        (0..64u8).flat_map(|i| if i < 9 { -9999f32 } else { f32::from(i) }.to_le_bytes()).collect::<Vec<_>>(),
+    );
+    bench.write("b.nhdr", header.replace("a.raw", "b.raw"));
+    assert!(told("b.nhdr").contains("note: 9 voxels are -9999.0"), "{}", told("b.nhdr"));
+}

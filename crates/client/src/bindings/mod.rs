@@ -446,6 +446,6 @@ const TABLE: &[Line] = &[
     fixed("Tab, Shift+Tab", "the next control, the one before"),
     fixed("Ctrl++, Ctrl+-, Ctrl+0", "larger texts, smaller ones, as at first"),
     keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),
-    keys("close help", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
+    keys("close help or the picture dialog", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
     keys("close the window", &[("quit", Deed::Act(Action::Quit), &["ctrl+q"])]),
 ];
