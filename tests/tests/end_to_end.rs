@@ -19,7 +19,7 @@ use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
-use isinglass_server::{RunningServer, ServeOptions, start};
+use isinglass_server::{Attendance, RunningServer, ServeOptions, start};
 
 const SIZE: Intrinsics = Intrinsics::perspective(96, 80, 0.6);
 
@@ -103,6 +103,28 @@ fn what_the_viewer_sees_is_what_the_volume_looks_like() {
         }
         runtime.block_on(server.close());
     }
+}
+
+#[test]
+fn a_server_says_who_is_there() {
+    let runtime = runtime();
+    let server = runtime.block_on(serve(Builtin::Cubus));
+    let link = runtime.block_on(server.mint_link(None)).unwrap();
+    let mut attendance = server.attendance();
+    let mut until = |connected, used_links| {
+        let expected = Attendance { connected, used_links };
+        let waited = attendance.wait_for(|found| *found == expected);
+        runtime
+            .block_on(async { tokio::time::timeout(Duration::from_secs(60), waited).await })
+            .unwrap()
+            .unwrap();
+    };
+    until(0, 0);
+    let client = Client::connect(&link, ClientOptions::default()).unwrap();
+    until(1, 1);
+    drop(client);
+    until(0, 1);
+    runtime.block_on(server.close());
 }
 
 #[test]

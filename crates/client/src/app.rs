@@ -187,8 +187,8 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         (self.coming, self.wanted_state) = (state.map(ComingState::new), None);
-        (self.notice, self.method_problem) = (None, None);
-        self.shots.forget();
+        let now = Duration::from_micros(self.clock.now_micros());
+        (self.notice, self.method_problem) = (self.shots.forget().map(|told| (told, now)), None);
         self.title.clear();
         std::mem::replace(&mut self.viewing, viewing).into_source()
     }

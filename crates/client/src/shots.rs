@@ -164,21 +164,26 @@ impl Shots {
         self.series.is_some()
     }
 
-    /// The source is another: what was asked of the one before will not come, and is of another volume.
-    pub(crate) fn forget(&mut self) {
-        self.series = None;
+    /// The source is another: what was asked of the one before will not come, and is of another volume. What there is to tell
+    /// the person.
+    pub(crate) fn forget(&mut self) -> Option<String> {
+        Some(self.series.take()?.stopped())
+    }
+
+    /// The server will answer no more: what has come is still written. What there is to tell the person.
+    pub(crate) fn end(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
+        let told = self.poll(source, false, ctx);
+        match self.series.as_ref().map(|series| &series.step) {
+            Some(Step::Due | Step::Asked(_)) => self.cancel(source),
+            Some(Step::Writing(_)) | None => told,
+        }
     }
 
     /// Gives up what is being made; what there is to tell the person.
-    pub(crate) fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
+    fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
         let series = self.series.take()?;
         source.cancel_shot();
-        Some(match series.done {
-            0 => "No picture was made".to_owned(),
-            done => {
-                format!("Stopped after {done} of {} pictures, in {}", series.total, series.path.display())
-            }
-        })
+        Some(series.stopped())
     }
 
     /// Shows the dialog if it is open, and the progress if there is any; what there is to tell the person.
@@ -249,6 +254,17 @@ impl Shots {
 }
 
 impl Series {
+    /// What there is to tell if no more are made.
+    fn stopped(&self) -> String {
+        // One that is being written will be there.
+        let done = self.done + u32::from(matches!(self.step, Step::Writing(_)));
+        match (done, self.total) {
+            (0, _) => "No picture was made".to_owned(),
+            (_, 1) => format!("Saved {}", self.path.display()),
+            (_, total) => format!("Stopped after {done} of {total} pictures, in {}", self.path.display()),
+        }
+    }
+
     /// The camera of the next picture: the window's own first.
     fn pose(&self) -> Pose {
         let Subject { pose, center, up, .. } = self.subject;

@@ -63,7 +63,7 @@ impl VoxelSink {
             }
             (Voxels::F32(v), Dtype::Float) => v.extend(words(bytes, endian).map(f32::from_le_bytes)),
             (Voxels::F32(v), Dtype::Double) => {
-                v.extend(words(bytes, endian).map(|w| f64::from_le_bytes(w) as f32));
+                v.extend(words(bytes, endian).map(|w| single(f64::from_le_bytes(w))));
             }
             (Voxels::F32(v), dtype) => {
                 let mut rounded = |exact: i128| {
@@ -100,7 +100,7 @@ impl VoxelSink {
             Voxels::U16(v) if self.dtype == Dtype::Int16 => v.push((number + 32_768.0) as u16),
             Voxels::U16(v) => v.push(number as u16),
             Voxels::F32(v) => {
-                let x = number as f32;
+                let x = single(number);
                 self.num_rounded += u64::from(self.dtype.integer_range().is_some() && f64::from(x) != number);
                 v.push(x);
             }
@@ -141,6 +141,12 @@ impl VoxelSink {
         };
         Decoded { voxels: self.voxels, value_map: (1.0, offset), warnings }
     }
+}
+
+/// Of a number beyond the greatest of single precision, that one: it may be a mark.
+fn single(number: f64) -> f32 {
+    let single = number as f32;
+    if single.is_infinite() && number.is_finite() { f32::MAX.copysign(single) } else { single }
 }
 
 /// Voxels that are a mark for nothing become the least of the others; what there is to say of it.
@@ -315,6 +321,9 @@ mod tests {
                 assert_eq!(finished(Dtype::Double, &numbers), (Voxels::F32(filled.into()), 1), "{mark}");
             }
         }
+        let mut s = sink(Dtype::Double, Endian::Little);
+        [-f64::MAX, 5.0, 6.0].iter().for_each(|x| s.push_bytes(&x.to_le_bytes()));
+        assert_eq!(s.finish(true).voxels, Voxels::F32(vec![5.0, 5.0, 6.0]));
         // What is near, alone, no usual mark, or whole.
         for numbers in [
             [-9999.0, -4000.0, 3000.0],

@@ -303,6 +303,11 @@ fn calibrated_by_pydicom_and_tifffile() {
         assert_eq!(values(&volume), expected, "{name}");
         check_spacing(&volume, "µm", name);
     }
+    let volume = open_path(&folder.path().join("page.tif"));
+    assert_eq!(check_values(&volume, "page.tif"), 0.0);
+    let expected =
+        ["the file has no spacing; it was taken as 1", "1 pages of another size or type were left out"];
+    assert_eq!(volume.info.warnings, expected);
 }
 
 #[test]

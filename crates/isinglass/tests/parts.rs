@@ -72,6 +72,32 @@ fn serve(bench: &Bench, flags: &str) -> Served {
     panic!("no links: {text}");
 }
 
+/// A server goes on when viewers leave, and the next one needs another link.
+#[cfg(unix)]
+#[test]
+fn who_leaves_makes_room_for_another_link_and_a_polite_signal_ends_it() {
+    let bench = Bench::new();
+    let line = "serve builtin:shells@16 --listen 127.0.0.1:0 --backend cpu --json";
+    let child = bench.command(line).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut served = Served(child, Vec::new());
+    let mut lines = BufReader::new(served.0.stdout.take().unwrap()).lines();
+    let mut next = || {
+        let told: serde_json::Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+        let links = told["links"].as_array().unwrap();
+        assert_eq!(links.len(), 1, "{told}");
+        links[0].as_str().unwrap().to_owned()
+    };
+    let first = next();
+    drop(viewer(&first));
+    let second = next();
+    assert_ne!(first, second);
+    let here = viewer(&second);
+    let pid = served.0.id().to_string();
+    assert!(std::process::Command::new("kill").arg(&pid).status().unwrap().success());
+    assert!(served.0.wait().unwrap().success());
+    drop(here);
+}
+
 fn viewer(link: &str) -> Client {
     let client = Client::connect(&link.parse().unwrap(), ClientOptions::default()).unwrap();
     client.wait_connected(Duration::from_secs(30)).unwrap();

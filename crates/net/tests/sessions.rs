@@ -268,6 +268,10 @@ async fn a_full_server_says_so_and_lets_in_the_next_when_one_leaves() {
     serve(server);
     let first = connect(&links[0]);
     first.wait_connected(Duration::from_secs(20)).unwrap();
+    // Who is sent away has not spent the link.
+    let gone = connect(&links[1]);
+    assert!(gone.wait_connected(Duration::from_secs(20)).is_err());
+    drop(gone);
     let second = connect(&links[1]);
     let full = second.wait_connected(Duration::from_secs(20)).unwrap_err();
     assert_eq!(full, ConnectError::Refused(Refusal::Full(1)));

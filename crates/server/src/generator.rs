@@ -128,7 +128,7 @@ impl Generator {
         look: Look,
         lights: Lights,
     ) -> Result<Self, ServeError> {
-        let renderer = backend.renderer(scene)?;
+        let renderer = renderer_of(backend, scene)?;
         let mut studio = Studio { renderer, look, scene: SceneNumber::default(), lights };
         // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
@@ -187,7 +187,7 @@ impl Generator {
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
         let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
-        let (mut srgb, mut first) = (Vec::new(), 0);
+        let (mut srgb, mut first, mut has_failed) = (Vec::new(), 0, false);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
             let (look, lit) = (look.clone(), lit.clone());
@@ -198,10 +198,23 @@ impl Generator {
                     first += rows.height;
                     srgb.extend(rows.to_srgb8(background));
                 }
+                // Another renderer has taken the place of a lost one: once more.
+                Err(e) if e.is_lost() && !std::mem::replace(&mut has_failed, true) => {}
                 Err(e) => return Some(Err(e)),
             }
         }
         Some(Ok(srgb))
+    }
+}
+
+/// On the backend, or on the CPU if that fails by itself.
+pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, GpuError> {
+    match backend.renderer(scene.clone()) {
+        Err(e) if e.is_lost() => {
+            tracing::error!("rendering on the CPU: {e}");
+            Backend::Cpu.renderer(scene)
+        }
+        made => made,
     }
 }
 

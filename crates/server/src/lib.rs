@@ -90,7 +90,7 @@ pub struct RunningServer {
 pub struct Attendance {
     /// Viewers that are here now.
     pub connected: usize,
-    /// Links that have let anyone in, so far.
+    /// Links that a viewer has used.
     pub used_links: usize,
 }
 

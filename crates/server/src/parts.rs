@@ -13,12 +13,12 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
-use isinglass_gpu::Backend;
+use isinglass_gpu::{Backend, Renderer};
 use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
-use crate::generator::Generator;
+use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
 
 /// Opens parts of the volume's file. This crate opens none itself: whoever starts the server brings one.
@@ -212,14 +212,7 @@ impl Librarian {
             }
             let look = Look { transfer: loaded.transfer, ..look };
             let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
-            let renderer = match backend.renderer(scene.clone()) {
-                Err(e) if e.is_lost() => {
-                    tracing::error!("rendering this part on the CPU: {e}");
-                    Backend::Cpu.renderer(scene.clone())
-                }
-                made => made,
-            };
-            let renderer = renderer.map_err(|e| e.to_string())?;
+            let renderer = renderer_of(&backend, scene.clone()).map_err(|e| e.to_string())?;
             Ok::<_, String>((scene, renderer, look, survey.parts))
         });
         let read = tokio::select! {
@@ -246,11 +239,21 @@ impl Librarian {
         };
         let number = SceneNumber(self.present.borrow().scene.0.wrapping_add(1));
         let present = Present::new(&scene, number, look.clone(), Some(parts));
-        drop(scene);
-        if !self.generator.replace(renderer, look, number, present.lights.clone()).await {
+        let lights = present.lights.clone();
+        let has_failed = matches!((&self.backend, &renderer), (Backend::Gpu(_), Renderer::Cpu(_)));
+        if !self.generator.replace(renderer, look.clone(), number, lights.clone()).await {
             return Ended::Failed("the renderer has ended".into());
         }
         self.present.send_replace(Arc::new(present));
+        if has_failed {
+            // The memory of the part before is free now.
+            let backend = self.backend.clone();
+            let again = tokio::task::spawn_blocking(move || backend.renderer(scene)).await;
+            if let Ok(Ok(renderer)) = again {
+                tracing::info!("the GPU has room for this part now");
+                self.generator.replace(renderer, look, number, lights).await;
+            }
+        }
         Ended::Done
     }
 }

@@ -46,7 +46,7 @@ pub(crate) async fn serve(
     attendance: watch::Sender<Attendance>,
 ) {
     let mut viewers = JoinSet::new();
-    let mut admitted = HashSet::new();
+    let mut known = HashSet::new();
     let mut present = house.present.clone();
     let librarian = tokio::spawn(librarian.run());
     loop {
@@ -54,8 +54,8 @@ pub(crate) async fn serve(
             session = server.accept() => {
                 let Some(session) = session else { break };
                 let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
-                admitted.insert(session.viewer);
-                let viewer = Viewer::new(session, house.clone());
+                let is_new = known.insert(session.viewer);
+                let viewer = Viewer::new(session, house.clone(), is_new);
                 viewers.spawn(viewer.run().instrument(span));
             }
             Some(_) = viewers.join_next() => {}
@@ -69,7 +69,7 @@ pub(crate) async fn serve(
                 Some(Command::Close) | None => break,
             },
         }
-        let now = Attendance { connected: viewers.len(), used_links: admitted.len() };
+        let now = Attendance { connected: viewers.len(), used_links: server.num_used_links() };
         attendance.send_if_modified(|before| std::mem::replace(before, now) != now);
     }
     librarian.abort();
@@ -95,6 +95,8 @@ struct Viewer {
     sent: References,
     /// The newest frame, once the network has it: at rest it is sent again, finer.
     resting: Option<Sent>,
+    /// Whether it is here for the first time.
+    is_new: bool,
     /// Whether the frame before was given up, so that this one is not.
     has_given_up: bool,
     /// Whether the renderer was lost on the frame before.
@@ -120,7 +122,7 @@ impl Drop for Viewer {
 }
 
 impl Viewer {
-    fn new(session: Session, mut house: House) -> Self {
+    fn new(session: Session, mut house: House, is_new: bool) -> Self {
         let plan = house.plan;
         session.frames.set_rate(plan.bytes_per_second);
         let present = house.present.borrow_and_update().clone();
@@ -146,6 +148,7 @@ impl Viewer {
             resting: None,
             has_given_up: false,
             has_failed: false,
+            is_new,
             tell_at: Instant::now(),
             is_draft: false,
             refine_at: None,
@@ -159,7 +162,7 @@ impl Viewer {
         tracing::info!("viewer connected");
         // Another volume may have come since it was let in.
         let is_welcome = if Arc::ptr_eq(&self.session.greeting, &self.present.greeting) {
-            self.tell_parts().await && self.tell_oddities().await
+            self.tell_parts().await && (!self.is_new || self.tell_oddities().await)
         } else {
             let greeted = self.session.greeting.look.clone();
             self.turn_to_present(&greeted).await

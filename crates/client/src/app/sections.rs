@@ -45,7 +45,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let source = self.viewing.source_mut();
         let done = match source.state() {
             // None will come any more.
-            State::Refused(_) => self.shots.cancel(source),
+            State::Refused(_) => self.shots.end(source, ctx),
             _ => self.shots.poll(source, is_ready, ctx),
         };
         if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {

@@ -41,7 +41,8 @@ impl Admission {
         Some(ViewerId(self.places.len() as u32 - 1))
     }
 
-    /// Decides on a hello. `ticket` must be fresh random bytes; on success it has become the viewer's token.
+    /// Decides on a hello. `ticket` must be fresh random bytes; on success it has become the viewer's token. Whom `is_full` says
+    /// there is no room for beside others keeps the token as it is.
     ///
     /// # Errors
     /// What the client shall be told.
@@ -51,6 +52,7 @@ impl Admission {
         token: &Token,
         instance: &Token,
         ticket: &Token,
+        is_full: impl FnOnce(ViewerId) -> Option<Refusal>,
     ) -> Result<ViewerId, Refusal> {
         if protocol != PROTOCOL_VERSION {
             return Err(Refusal::Version { server: PROTOCOL_VERSION, client: protocol });
@@ -72,9 +74,18 @@ impl Admission {
         let Some(i) = found else {
             return Err(if used { Refusal::TokenUsed } else { Refusal::UnknownToken });
         };
+        let viewer = ViewerId(i as u32);
+        if let Some(refusal) = is_full(viewer) {
+            return Err(refusal);
+        }
         self.places[i].bound = Some(Bound { instance: instance.clone(), previous: token.clone() });
         self.places[i].current = ticket.clone();
-        Ok(ViewerId(i as u32))
+        Ok(viewer)
+    }
+
+    /// Places whose token is used.
+    pub fn num_used(&self) -> usize {
+        self.places.iter().filter(|place| place.bound.is_some()).count()
     }
 }
 
@@ -89,26 +100,53 @@ mod tests {
         Token::new([n; 16])
     }
 
+    fn admit(
+        a: &mut Admission,
+        protocol: u32,
+        token: &Token,
+        instance: &Token,
+        ticket: &Token,
+    ) -> Result<ViewerId, Refusal> {
+        a.admit(protocol, token, instance, ticket, |_| None)
+    }
+
+    #[test]
+    fn who_finds_no_room_has_not_spent_the_token() {
+        let mut a = Admission::default();
+        let viewer = a.add(t(1)).unwrap();
+        let v = PROTOCOL_VERSION;
+        let full = a.admit(v, &t(1), &t(100), &t(10), |asked| {
+            assert_eq!(asked, viewer);
+            Some(Refusal::Full(1))
+        });
+        assert_eq!((full, a.num_used()), (Err(Refusal::Full(1)), 0));
+        assert_eq!(admit(&mut a, v, &t(1), &t(101), &t(11)), Ok(viewer), "another one comes with it");
+        assert_eq!(a.num_used(), 1);
+        // Who is known and finds no room may come back with the same ticket.
+        assert!(a.admit(v, &t(11), &t(101), &t(12), |_| Some(Refusal::Full(1))).is_err());
+        assert_eq!(admit(&mut a, v, &t(11), &t(101), &t(13)), Ok(viewer));
+    }
+
     #[test]
     fn a_token_lets_in_one_viewer_who_may_come_back() {
         let mut a = Admission::default();
         let first = a.add(t(1)).unwrap();
         let second = a.add(t(2)).unwrap();
         let v = PROTOCOL_VERSION;
-        assert_eq!(a.admit(v, &t(9), &t(100), &t(10)), Err(Refusal::UnknownToken));
-        assert_eq!(a.admit(v, &t(1), &t(100), &t(10)), Ok(first));
+        assert_eq!(admit(&mut a, v, &t(9), &t(100), &t(10)), Err(Refusal::UnknownToken));
+        assert_eq!(admit(&mut a, v, &t(1), &t(100), &t(10)), Ok(first));
         // Another viewer with the same link, or with a stolen ticket.
-        assert_eq!(a.admit(v, &t(1), &t(101), &t(11)), Err(Refusal::TokenUsed));
-        assert_eq!(a.admit(v, &t(10), &t(101), &t(11)), Err(Refusal::TokenUsed));
+        assert_eq!(admit(&mut a, v, &t(1), &t(101), &t(11)), Err(Refusal::TokenUsed));
+        assert_eq!(admit(&mut a, v, &t(10), &t(101), &t(11)), Err(Refusal::TokenUsed));
         // Its welcome was lost: the token still counts for the same instance.
-        assert_eq!(a.admit(v, &t(1), &t(100), &t(12)), Ok(first));
+        assert_eq!(admit(&mut a, v, &t(1), &t(100), &t(12)), Ok(first));
         // Its ticket; the one that was lost is dead.
-        assert_eq!(a.admit(v, &t(12), &t(100), &t(13)), Ok(first));
-        assert_eq!(a.admit(v, &t(10), &t(100), &t(14)), Err(Refusal::UnknownToken));
+        assert_eq!(admit(&mut a, v, &t(12), &t(100), &t(13)), Ok(first));
+        assert_eq!(admit(&mut a, v, &t(10), &t(100), &t(14)), Err(Refusal::UnknownToken));
         // The link's token is two rotations old.
-        assert_eq!(a.admit(v, &t(13), &t(100), &t(14)), Ok(first));
-        assert_eq!(a.admit(v, &t(1), &t(100), &t(15)), Err(Refusal::TokenUsed));
-        assert_eq!(a.admit(v, &t(2), &t(101), &t(16)), Ok(second));
+        assert_eq!(admit(&mut a, v, &t(13), &t(100), &t(14)), Ok(first));
+        assert_eq!(admit(&mut a, v, &t(1), &t(100), &t(15)), Err(Refusal::TokenUsed));
+        assert_eq!(admit(&mut a, v, &t(2), &t(101), &t(16)), Ok(second));
     }
 
     #[test]
@@ -117,8 +155,8 @@ mod tests {
         a.add(t(1)).unwrap();
         let other = PROTOCOL_VERSION + 1;
         assert!(
-            matches!(a.admit(other, &t(1), &t(2), &t(3)), Err(Refusal::Version { client, .. }) if client == other)
+            matches!(admit(&mut a, other, &t(1), &t(2), &t(3)), Err(Refusal::Version { client, .. }) if client == other)
         );
-        assert!(a.admit(PROTOCOL_VERSION, &t(1), &t(2), &t(3)).is_ok());
+        assert!(admit(&mut a, PROTOCOL_VERSION, &t(1), &t(2), &t(3)).is_ok());
     }
 }

@@ -61,6 +61,11 @@ impl Fields {
     }
 }
 
+/// Bytes of the longest value that is kept.
+fn longest(tag: Tag) -> u32 {
+    if tag == tags::GRID_FRAME_OFFSETS { MAX_OFFSETS_BYTES } else { MAX_VALUE_BYTES }
+}
+
 impl DataSet {
     /// Reads the elements of a file. An error of kind `InvalidData` says what is wrong.
     pub(super) fn read(reader: &mut BufReader<File>) -> io::Result<Self> {
@@ -233,7 +238,7 @@ impl Parser<'_> {
                     }
                     let length = head.length.unwrap_or(0);
                     let fields =
-                        place(set, &levels).filter(|_| tags::is_wanted(tag) && length <= MAX_VALUE_BYTES);
+                        place(set, &levels).filter(|_| tags::is_wanted(tag) && length <= longest(tag));
                     match fields {
                         Some(fields) => {
                             let value = self.value(length)?;
@@ -293,6 +298,8 @@ const LONG_VRS: [&[u8; 2]; 13] =
     [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"];
 /// Longer values are none of those that matter.
 const MAX_VALUE_BYTES: u32 = 4096;
+/// A number for each frame, of 16 bytes and one between.
+const MAX_OFFSETS_BYTES: u32 = 17 << 16;
 /// Elements of one file: enough for some ten thousand frames.
 const MAX_ELEMENTS: u32 = 4 << 20;
 const MAX_DEPTH: usize = 32;

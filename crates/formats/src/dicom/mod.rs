@@ -15,7 +15,7 @@ use self::frame::{Frame, Shape, Slices};
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
-use crate::source::{OpenOptions, open_file};
+use crate::source::{OpenOptions, file_name, open_file};
 use crate::taker::Taker;
 use crate::warning::WarningKind;
 
@@ -50,6 +50,7 @@ impl DicomFiles {
             |problem: String| FormatError::Malformed { path: shown(path), format: "DICOM".into(), problem };
         let is_folder = path.is_dir();
         let (mut found, mut num_other, mut first_problem) = (Vec::new(), 0, None);
+        let mut first_other = None;
         for (i, file) in files.iter().enumerate() {
             options.check_cancelled(path)?;
             match Slices::read(open_file(file)?, i) {
@@ -61,6 +62,7 @@ impl DicomFiles {
                         io::ErrorKind::UnexpectedEof => "it ends within an element".to_owned(),
                         _ => return Err(io_error(file)(e)),
                     };
+                    first_other.get_or_insert_with(|| (file_name(file), problem.clone()));
                     first_problem.get_or_insert(FormatError::Malformed {
                         path: shown(file),
                         format: "DICOM".into(),
@@ -139,7 +141,9 @@ impl DicomFiles {
             plan.usual_series = largest as u32;
         }
         if num_other > 0 && is_folder {
-            let first = first_problem.map_or(String::new(), |e| format!(", the first: {e}"));
+            // Its name alone: viewers elsewhere are told, too.
+            let first = first_other
+                .map_or(String::new(), |(name, problem)| format!(", the first: {name}: {problem}"));
             plan.warn(WarningKind::Data, format!("{num_other} files are no slices and were left out{first}"));
         }
         if !is_folder && stacked.frames.len() == 1 {

@@ -344,10 +344,18 @@ fn scan(path: &Path, options: &OpenOptions) -> Result<Scan, FormatError> {
     while decoder.more_images() && page < MAX_PAGES {
         page += 1;
         options.check_cancelled(path)?;
-        if let Err(e) = decoder.next_image() {
-            // A file that ends too early has lost most of what it says it has.
-            let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
-            return Err(FormatError::Data { path: shown(path), problem });
+        match decoder.next_image() {
+            Ok(()) => {}
+            // The decoder is at the page behind it all the same.
+            Err(TiffError::UnsupportedError(_)) => {
+                num_other += 1;
+                continue;
+            }
+            Err(e) => {
+                // A file that ends too early has lost most of what it says it has.
+                let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
+                return Err(FormatError::Data { path: shown(path), problem });
+            }
         }
         let is_reduced = decoder.get_tag_u32(Tag::NewSubfileType).unwrap_or(0) & 1 == 1;
         match page_shape(&mut decoder) {

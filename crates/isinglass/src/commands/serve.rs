@@ -14,7 +14,7 @@ use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, par
 use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
-use crate::report::{print, print_json};
+use crate::report::print;
 use crate::state_args::StateArgs;
 
 #[derive(Args)]
@@ -43,7 +43,7 @@ pub(crate) struct ServeArgs {
     /// Show what is named here only: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
-    /// Print the links as JSON
+    /// Print the links as JSON, an object a line
     #[arg(long)]
     json: bool,
     // Last: what follows would be listed under their headings.
@@ -92,19 +92,28 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
             let Attendance { connected, used_links } = *attendance.borrow_and_update();
             let unused = num_links - used_links.min(num_links);
             let mut links = Vec::new();
+            let mut minted = Ok(());
             for _ in 0..most.saturating_sub(connected + unused) {
-                let link = server.mint_link(args.host.as_deref()).await?;
-                links.push(Link { state: state.clone(), ..link }.to_string());
+                match server.mint_link(args.host.as_deref()).await {
+                    Ok(link) => links.push(Link { state: state.clone(), ..link }.to_string()),
+                    Err(e) => minted = Err(e.into()),
+                }
             }
             if num_links > 0 && !links.is_empty() {
                 note("a viewer has left; for the next one:");
             }
-            num_links += links.len();
-            match (links.is_empty(), args.json) {
-                (true, _) => {}
-                (_, true) => print_json(&json!({ "address": address.to_string(), "links": links }))?,
-                (_, false) => print(&(links.join("\n") + "\n"))?,
+            let told = match (links.is_empty(), args.json) {
+                (true, _) => Ok(()),
+                // Each on a line of its own, as there may be more.
+                (_, true) => print(&format!("{}\n", json!({ "address": address.to_string(), "links": links }))),
+                (_, false) => print(&(links.join("\n") + "\n")),
+            };
+            match minted.and(told) {
+                // Those who are here stay.
+                Err(e) if num_links > 0 => note(&format!("no other viewer can come: {e:#}")),
+                all => all?,
             }
+            num_links += links.len();
             tokio::select! {
                 told = &mut end => break told?,
                 Ok(()) = attendance.changed() => {}
@@ -151,4 +160,21 @@ fn parse_address(text: &str) -> Result<SocketAddr, String> {
     let mut found =
         text.to_socket_addrs().map_err(|e| format!("{e}; expected an address such as 127.0.0.1:4433"))?;
     found.next().ok_or_else(|| "no such address".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_host_is_a_name_or_an_address_without_a_port() {
+        for host in ["render-01.example.org", "10.0.0.7", "::1", "fe80::1%eth0", "localhost"] {
+            assert_eq!(parse_host(host).as_deref(), Ok(host));
+        }
+        for host in
+            ["", "a:1", "10.0.0.7:4433", "[::1]", "[::1]:9", "a b", "a/b", "a#b", "isinglass://a", "a@b"]
+        {
+            assert!(parse_host(host).is_err(), "{host}");
+        }
+    }
 }

@@ -165,6 +165,11 @@ impl Server {
         Ok(Link { host: host.to_owned(), port, token, fingerprint: self.fingerprint, state: None })
     }
 
+    /// Links that a viewer has used.
+    pub fn num_used_links(&self) -> usize {
+        self.shared.doors().admission.num_used()
+    }
+
     /// What viewers are told from now on when they are let in.
     pub fn set_greeting(&self, greeting: Arc<Greeting>) {
         *self.shared.greeting.lock().unwrap_or_else(PoisonError::into_inner) = greeting;
@@ -313,11 +318,13 @@ fn welcome(
 ) -> Result<(ViewerId, u64, Box<Welcome>, Arc<Greeting>), Refusal> {
     let ticket = random_token().map_err(|e| Refusal::Protocol(e.to_string()))?;
     let mut doors = shared.doors();
-    let viewer = doors.admission.admit(protocol, token, instance, &ticket)?;
-    let others = doors.live.keys().filter(|v| **v != viewer).count();
-    if others >= shared.options.max_viewers as usize {
-        return Err(Refusal::Full(shared.options.max_viewers));
-    }
+    let Doors { admission, live, .. } = &mut *doors;
+    let is_full = |viewer| {
+        let others = live.keys().filter(|v| **v != viewer).count();
+        let max_viewers = shared.options.max_viewers;
+        (others >= max_viewers as usize).then_some(Refusal::Full(max_viewers))
+    };
+    let viewer = admission.admit(protocol, token, instance, &ticket, is_full)?;
     doors.next_session += 1;
     let session = doors.next_session;
     if let Some((_, old)) = doors.live.insert(viewer, (session, connection.clone())) {
