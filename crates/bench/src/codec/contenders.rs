@@ -116,12 +116,16 @@ pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<C
 }
 
 /// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Levels of
-/// depths of different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
+/// different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
 /// some out.
 pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32, usize)> {
     let top = num_levels - 1;
-    if layout == Layout::Published || part != Part::Depth || top == 0 {
-        return (0..num_levels).map(|level| (1, level)).collect();
+    let whole = (0..num_levels).map(|level| (1, level));
+    if layout == Layout::Published || top == 0 {
+        return whole.collect();
+    }
+    if part != Part::Depth {
+        return (0..num_levels.saturating_sub(2)).map(|level| (2, level)).chain(whole).collect();
     }
     let below = |n: usize| top.saturating_sub(n);
     let quarter = [6, 5, 4, 3, 2].map(|n| (4, below(n)));

@@ -45,7 +45,8 @@ impl Layout {
     /// The rule of the frames.
     pub(crate) const LAYERING: Layering = Layering::EqualTransmittance;
 
-    /// The planes of a part with at most `max_bits` a sample. Depths are `divisor` times smaller on either side.
+    /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times smaller on either
+    /// side.
     pub(crate) fn split(self, frame: &LayeredFrame, part: Part, max_bits: u8, divisor: u32) -> Vec<Raster> {
         let intrinsics = frame.header.camera.intrinsics;
         let size = [intrinsics.width, intrinsics.height];
@@ -71,7 +72,8 @@ impl Layout {
                         kappa *= (-segment.tau).exp();
                     }
                 }
-                planes.iter().map(|w| Raster::from_units(size, 3, bits(WEIGHTED_BITS), w)).collect()
+                let smaller = planes.iter().map(|w| halved(w, 3, size, divisor));
+                smaller.map(|(size, w)| Raster::from_units(size, 3, bits(WEIGHTED_BITS), &w)).collect()
             }
             (Part::Opacity, Self::Published) => (0..k)
                 .map(|j| {
@@ -83,6 +85,7 @@ impl Layout {
             (Part::Opacity, Self::Weighted) => {
                 let root = |l: &Vec<Segment>| (l.iter().map(|s| s.tau).sum::<f32>() / TAU_FULL).sqrt();
                 let values: Vec<f32> = lists.iter().map(root).collect();
+                let (size, values) = halved(&values, 1, size, divisor);
                 vec![Raster::from_units(size, 1, bits(WEIGHTED_BITS), &values)]
             }
             (Part::Depth, _) => (0..=k)
@@ -111,22 +114,23 @@ impl Layout {
     ) -> LayeredFrame {
         let intrinsics = header.camera.intrinsics;
         let size = [intrinsics.width, intrinsics.height];
-        let depth: Vec<Vec<f32>> = depth.iter().map(|raster| enlarge(raster, size)).collect();
+        let [color, opacity, depth] = [color, opacity, depth]
+            .map(|planes| planes.iter().map(|raster| enlarge(raster, size)).collect::<Vec<_>>());
         let k = color.len();
         let mut frame = LayeredFrame::empty(header);
         for i in 0..intrinsics.num_pixels() {
             let mut last = 0;
             // α of the list, or of its layer.
             let whole = if self == Self::Weighted {
-                let root = opacity[0].unit(i);
+                let root = opacity[0][i];
                 1.0 - (-TAU_FULL * root * root).exp()
             } else {
                 0.0
             };
             for j in 0..k {
-                let root = Vec3::from_array([0, 1, 2].map(|c| color[j].unit(3 * i + c)));
+                let root = Vec3::from_slice(&color[j][3 * i..3 * i + 3]);
                 let (alpha, c) = match self {
-                    Self::Published => (opacity[j].unit(i), root * root),
+                    Self::Published => (opacity[j][i], root * root),
                     Self::Weighted => {
                         let kappa = 1.0 - whole * j as f32 / k as f32;
                         (whole / k as f32 / kappa, root * root * (W_MAX / (k as f32 * kappa)))
@@ -204,7 +208,23 @@ fn shrink(filled: &[f32], values: &[Option<f32>], size: [u32; 2], divisor: u32) 
     (small, shrunk)
 }
 
-/// The reverse of [`shrink`], smoothly.
+/// Smaller by `divisor`, all channels of a sample together: means.
+fn halved(values: &[f32], channels: usize, size: [u32; 2], divisor: u32) -> ([u32; 2], Vec<f32>) {
+    if divisor <= 1 {
+        return (size, values.to_vec());
+    }
+    let small = size.map(|s| s.div_ceil(divisor));
+    let mut out = vec![0.0; small[0] as usize * small[1] as usize * channels];
+    for c in 0..channels {
+        let of_channel: Vec<f32> = values.iter().skip(c).step_by(channels).copied().collect();
+        let there: Vec<Option<f32>> = of_channel.iter().map(|x| Some(*x)).collect();
+        let (_, shrunk) = shrink(&of_channel, &there, size, divisor);
+        out.iter_mut().skip(c).step_by(channels).zip(shrunk).for_each(|(out, x)| *out = x);
+    }
+    (small, out)
+}
+
+/// The reverse of [`shrink`] and [`halved`], smoothly.
 fn enlarge(raster: &Raster, size: [u32; 2]) -> Vec<f32> {
     let values: Vec<f32> = (0..raster.samples.len()).map(|i| raster.unit(i)).collect();
     let divisor = size[0].div_ceil(raster.width.max(1)).max(1);
@@ -212,10 +232,15 @@ fn enlarge(raster: &Raster, size: [u32; 2]) -> Vec<f32> {
         return values;
     }
     let small = [raster.width as usize, raster.height as usize];
-    let width = size[0] as usize;
-    (0..width * size[1] as usize)
-        .map(|i| bilinear(&values, small, [i % width, i / width], divisor as usize))
-        .collect()
+    let (width, channels) = (size[0] as usize, usize::from(raster.channels));
+    let mut out = vec![0.0; width * size[1] as usize * channels];
+    for c in 0..channels {
+        let of_channel: Vec<f32> = values.iter().skip(c).step_by(channels).copied().collect();
+        for (i, out) in out.iter_mut().skip(c).step_by(channels).enumerate() {
+            *out = bilinear(&of_channel, small, [i % width, i / width], divisor as usize);
+        }
+    }
+    out
 }
 
 /// The value of a plane at a pixel of one that is `divisor` times larger.
@@ -249,8 +274,10 @@ mod tests {
     use super::super::tests::frame;
     use super::*;
 
-    fn rejoined(layout: Layout, frame: &LayeredFrame, bits: u8, divisor: u32) -> LayeredFrame {
-        let [color, opacity, depth] = Part::ALL.map(|part| layout.split(frame, part, bits, divisor));
+    fn rejoined(layout: Layout, frame: &LayeredFrame, bits: u8, divisors: [u32; 3]) -> LayeredFrame {
+        let mut divisors = divisors.into_iter();
+        let [color, opacity, depth] =
+            Part::ALL.map(|part| layout.split(frame, part, bits, divisors.next().unwrap()));
         let joined = layout.join(frame.header, &color, &opacity, &depth);
         joined.validate().unwrap();
         joined
@@ -267,11 +294,11 @@ mod tests {
     fn planes_give_back_the_frame_up_to_their_bits() {
         let frame = frame(Layout::LAYERING, 4);
         for layout in [Layout::Published, Layout::Weighted] {
-            let same = rejoined(layout, &frame, 16, 1);
+            let same = rejoined(layout, &frame, 16, [1; 3]);
             // Half a step of 8 bits on the root of C is up to 1/255 on C and half that on α, and four layers are over one
             // another. Weighted: half a step of 10 bits, and what is below LEAST_ALPHA.
             assert!(error(&frame, &same) < 0.02, "{layout:?}: {}", error(&frame, &same));
-            let coarse = rejoined(layout, &frame, 3, 1);
+            let coarse = rejoined(layout, &frame, 3, [1; 3]);
             assert!(error(&frame, &coarse) > 0.04, "{layout:?}: {}", error(&frame, &coarse));
             // Depths are all there: what is not lost has the end points it had.
             let ends = |f: &LayeredFrame| f.depth.iter().map(|d| u64::from(d >> 16)).sum::<u64>();
@@ -282,16 +309,26 @@ mod tests {
     }
 
     #[test]
-    fn smaller_depths_are_smaller_and_near() {
+    fn smaller_planes_are_smaller_and_near() {
         let frame = frame(Layout::LAYERING, 4);
-        let sizes = |divisor| {
-            let planes = Layout::Weighted.split(&frame, Part::Depth, 16, divisor);
-            assert_eq!(planes.len(), 5);
-            [planes[0].width, planes[0].height]
+        for (part, num) in Part::ALL.into_iter().zip([4, 1, 5]) {
+            let sizes = |divisor| {
+                let planes = Layout::Weighted.split(&frame, part, 16, divisor);
+                assert_eq!(planes.len(), num);
+                [planes[0].width, planes[0].height]
+            };
+            assert_eq!([sizes(1), sizes(2), sizes(5)], [[48, 40], [24, 20], [10, 8]]);
+        }
+        let mean_error = |divisors| {
+            let (a, b) = (rejoined(Layout::Weighted, &frame, 16, divisors).flatten(), frame.flatten());
+            let all = a.pixels.iter().flatten().zip(b.pixels.iter().flatten());
+            all.map(|(x, y)| (x - y).abs()).sum::<f32>() / (4 * a.pixels.len()) as f32
         };
-        assert_eq!([sizes(1), sizes(2), sizes(5)], [[48, 40], [24, 20], [10, 8]]);
         // The own pose does not see depth.
-        assert!(error(&rejoined(Layout::Weighted, &frame, 16, 4), &frame) < 0.02);
+        assert!(error(&rejoined(Layout::Weighted, &frame, 16, [1, 1, 4]), &frame) < 0.02);
+        // Colours and opacities are blurred, the more the smaller, and stay where they are.
+        let [full, half, eighth] = [[1, 1, 1], [2, 2, 1], [8, 8, 1]].map(mean_error);
+        assert!(full < half && half < 0.02 && eighth > 2.0 * half, "{full} {half} {eighth}");
     }
 
     #[test]

@@ -346,7 +346,11 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
         Way::Raw(compressor) => vec![alone(compressor.setting().to_owned(), [0; 3])],
         Way::Planes(layout, codec) => {
             let num = codec.levels().len();
-            let middle = Part::ALL.map(|part| (ladder(*layout, part, num).len() - 1).div_ceil(2));
+            let middle = Part::ALL.map(|part| match (part, ladder(*layout, part, num).len()) {
+                (Part::Depth, num_rungs) => (num_rungs - 1).div_ceil(2),
+                // Of planes of full size.
+                (_, num_rungs) => num_rungs - num + (num - 1).div_ceil(2),
+            });
             let of_planes = alone("middle".to_owned(), middle);
             #[cfg(feature = "rivals")]
             if contender.name == super::contenders::AVIF {
