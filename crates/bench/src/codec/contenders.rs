@@ -117,15 +117,16 @@ pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<C
 
 /// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Levels of
 /// different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
-/// some out.
-pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize) -> Vec<(u32, usize)> {
+/// some out. Colours and opacities are half as large, too, if the ladder `has_half` of them.
+pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize, has_half: bool) -> Vec<(u32, usize)> {
     let top = num_levels - 1;
     let whole = (0..num_levels).map(|level| (1, level));
     if layout == Layout::Published || top == 0 {
         return whole.collect();
     }
     if part != Part::Depth {
-        return (0..num_levels.saturating_sub(2)).map(|level| (2, level)).chain(whole).collect();
+        let half = 0..if has_half { num_levels.saturating_sub(2) } else { 0 };
+        return half.map(|level| (2, level)).chain(whole).collect();
     }
     let below = |n: usize| top.saturating_sub(n);
     let quarter = [6, 5, 4, 3, 2].map(|n| (4, below(n)));
@@ -169,10 +170,10 @@ mod tests {
     #[test]
     fn ladders_rise() {
         for num in [1, 2, 7, 8] {
-            for (layout, part) in
-                [Layout::Published, Layout::Weighted].into_iter().flat_map(|l| Part::ALL.map(|p| (l, p)))
-            {
-                let rungs = ladder(layout, part, num);
+            let kinds =
+                [Layout::Published, Layout::Weighted].into_iter().flat_map(|l| Part::ALL.map(|p| (l, p)));
+            for ((layout, part), has_half) in kinds.flat_map(|kind| [false, true].map(|half| (kind, half))) {
+                let rungs = ladder(layout, part, num, has_half);
                 assert!(rungs.windows(2).all(|w| w[0].0 >= w[1].0 && w[0] != w[1]), "{rungs:?}");
                 assert!(rungs.iter().all(|(_, level)| *level < num));
                 assert_eq!(rungs.last(), Some(&(1, num - 1)));

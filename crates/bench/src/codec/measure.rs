@@ -1,5 +1,7 @@
 //! One codec on one frame: every setting it is worth to look at, with its bytes, its times and what is left of the picture.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
@@ -115,7 +117,7 @@ impl Judge<'_> {
                 let num_levels = codec.levels().len();
                 let mut parts = Vec::with_capacity(at.len());
                 for (part, rung) in Part::ALL.into_iter().zip(at) {
-                    let (divisor, level) = ladder(*layout, part, num_levels)[rung];
+                    let (divisor, level) = ladder(*layout, part, num_levels, false)[rung];
                     let rasters = layout.split(frame, part, codec.max_bits(), divisor);
                     parts.push(code_part(&**codec, &rasters, level)?);
                 }
@@ -161,41 +163,50 @@ impl Judge<'_> {
         frame: &LayeredFrame,
     ) -> Result<Vec<Measured>, BenchError> {
         let levels = codec.levels();
-        let ladders = Part::ALL.map(|part| ladder(layout, part, levels.len()));
-        let mut coded: [Vec<Option<CodedPart>>; 3] = std::array::from_fn(|_| Vec::new());
-        for (rungs, coded) in ladders.iter().zip(&mut coded) {
-            coded.resize_with(rungs.len(), || None);
-        }
+        let mut coded: [HashMap<Rung, CodedPart>; 3] = Default::default();
+        let mut heights: HashMap<[Rung; 3], Height> = HashMap::new();
         let mut all = Vec::new();
-        climb(ladders.each_ref().map(|rungs| rungs.len() - 1), |at| {
-            for (i, part) in Part::ALL.into_iter().enumerate() {
-                if coded[i][at[i]].is_none() {
-                    let (divisor, level) = ladders[i][at[i]];
-                    let rasters = layout.split(frame, part, codec.max_bits(), divisor);
-                    coded[i][at[i]] = Some(self.pool.install(|| code_part(codec, &rasters, level))?);
+        // Twice, as a climb that begins with planes of half the size may never find what is best without.
+        for has_half in [false, true] {
+            let ladders = Part::ALL.map(|part| ladder(layout, part, levels.len(), has_half));
+            climb(ladders.each_ref().map(|rungs| rungs.len() - 1), |at| {
+                let rungs = [0, 1, 2].map(|i| ladders[i][at[i]]);
+                if let Some(height) = heights.get(&rungs) {
+                    return Ok(*height);
                 }
-            }
-            let [Some(color), Some(opacity), Some(depth)] = [0, 1, 2].map(|i| coded[i][at[i]].as_ref())
-            else {
-                unreachable!("all three were coded above")
-            };
-            let three = [color, opacity, depth];
-            let joined = layout.join(frame.header, &color.decoded, &opacity.decoded, &depth.decoded);
-            let measured = Measured {
-                settings: settings_name(&ladders, at, &levels),
-                bytes: three.iter().map(|p| p.bytes).sum(),
-                parts: Some(three.map(|p| p.bytes)),
-                encode_ms: three.iter().map(|p| p.encode_ms).sum(),
-                decode_ms: three.iter().map(|p| p.decode_ms).sum(),
-                distortion: self.distortion(joined)?,
-            };
-            let height = height(&measured);
-            all.push(measured);
-            Ok::<_, BenchError>(height)
-        })?;
+                for (i, part) in Part::ALL.into_iter().enumerate() {
+                    if let Entry::Vacant(place) = coded[i].entry(rungs[i]) {
+                        let (divisor, level) = rungs[i];
+                        let rasters = layout.split(frame, part, codec.max_bits(), divisor);
+                        place.insert(self.pool.install(|| code_part(codec, &rasters, level))?);
+                    }
+                }
+                let [Some(color), Some(opacity), Some(depth)] = [0, 1, 2].map(|i| coded[i].get(&rungs[i]))
+                else {
+                    unreachable!("all three were coded above")
+                };
+                let three = [color, opacity, depth];
+                let joined = layout.join(frame.header, &color.decoded, &opacity.decoded, &depth.decoded);
+                let measured = Measured {
+                    settings: settings_name(rungs, &levels),
+                    bytes: three.iter().map(|p| p.bytes).sum(),
+                    parts: Some(three.map(|p| p.bytes)),
+                    encode_ms: three.iter().map(|p| p.encode_ms).sum(),
+                    decode_ms: three.iter().map(|p| p.decode_ms).sum(),
+                    distortion: self.distortion(joined)?,
+                };
+                let height = height(&measured);
+                heights.insert(rungs, height);
+                all.push(measured);
+                Ok::<_, BenchError>(height)
+            })?;
+        }
         Ok(all)
     }
 }
+
+/// How many times smaller planes are, and the level of their codec.
+type Rung = (u32, usize);
 
 /// The planes of a part, coded with one setting.
 struct CodedPart {
@@ -220,13 +231,12 @@ fn code_part(
     })
 }
 
-fn settings_name(ladders: &[Vec<(u32, usize)>; 3], at: [usize; 3], levels: &[String]) -> String {
-    let part = |name: &str, i: usize| {
-        let (divisor, level) = ladders[i][at[i]];
+fn settings_name(rungs: [Rung; 3], levels: &[String]) -> String {
+    let part = |name: &str, (divisor, level): Rung| {
         let smaller = if divisor > 1 { format!(" at 1/{divisor}") } else { String::new() };
         format!("{name} {}{smaller}", levels[level])
     };
-    [part("C", 0), part("α", 1), part("D", 2)].join(", ")
+    [part("C", rungs[0]), part("α", rungs[1]), part("D", rungs[2])].join(", ")
 }
 
 fn height(measured: &Measured) -> Height {

@@ -346,11 +346,7 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
         Way::Raw(compressor) => vec![alone(compressor.setting().to_owned(), [0; 3])],
         Way::Planes(layout, codec) => {
             let num = codec.levels().len();
-            let middle = Part::ALL.map(|part| match (part, ladder(*layout, part, num).len()) {
-                (Part::Depth, num_rungs) => (num_rungs - 1).div_ceil(2),
-                // Of planes of full size.
-                (_, num_rungs) => num_rungs - num + (num - 1).div_ceil(2),
-            });
+            let middle = Part::ALL.map(|part| (ladder(*layout, part, num, false).len() - 1).div_ceil(2));
             let of_planes = alone("middle".to_owned(), middle);
             #[cfg(feature = "rivals")]
             if contender.name == super::contenders::AVIF {
@@ -482,7 +478,7 @@ mod video {
         fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
             self.bytes.push(0);
             for (p, part) in Part::ALL.into_iter().enumerate() {
-                let (divisor, level) = ladder(Layout::Weighted, part, QUANTIZERS.len())[self.at[p]];
+                let (divisor, level) = ladder(Layout::Weighted, part, QUANTIZERS.len(), false)[self.at[p]];
                 let rasters = Layout::Weighted.split(frame, part, self.codec.max_bits(), divisor);
                 if self.streams[p].is_empty() {
                     let open = |r| Stream::new(r, AVIF_SPEED, QUANTIZERS[level], Kind::Sequence);
