@@ -113,8 +113,8 @@ pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
     }
 }
 
-/// What a chunk spends its bytes on: the header, with the borders of bands behind it, the bitmap of tiles, the lengths of the parts, the tables, and every
-/// plane.
+/// What a chunk spends its bytes on: the header, with the borders of bands behind it, the bitmap of tiles, the lengths of the
+/// parts, the tables, and every plane.
 pub(super) fn spent(header: &ChunkHeader, bytes: &[u8]) -> Result<Spent, CodecError> {
     let (borders, tiles, streams) = split(header, bytes)?;
     let borders = borders.map_or(0, |borders| borders.num_bytes());
