@@ -24,6 +24,9 @@ pub struct VolumeFacts {
     pub unit: Option<String>,
     /// Least and greatest value.
     pub range: [f32; 2],
+    /// Unit of the values, if known.
+    #[serde(skip)]
+    pub value_unit: Option<String>,
     /// Values at [`PERCENTILES`]; in JSON an object such as `{"1": 0.0, …, "99.9": 255.0}`.
     #[serde(serialize_with = "percentile_map")]
     pub percentiles: [f32; PERCENTILES.len()],
@@ -49,6 +52,7 @@ impl VolumeFacts {
             spacing: volume.spacing().to_array(),
             unit: volume.info.unit.clone(),
             range: [lo, hi],
+            value_unit: volume.info.value_unit.clone(),
             percentiles: PERCENTILES.map(|p| histogram.percentile(p)),
             orientation: volume.info.orientation.clone(),
             bytes_in_memory: volume.bytes_in_memory(),
@@ -67,7 +71,8 @@ impl fmt::Display for VolumeFacts {
         writeln!(f, "  dimensions   {nx} × {ny} × {nz}")?;
         writeln!(f, "  type         {}", self.dtype)?;
         writeln!(f, "  spacing      {sx} × {sy} × {sz}{unit}")?;
-        writeln!(f, "  values       {lo} to {hi}")?;
+        let value_unit = self.value_unit.as_ref().map_or(String::new(), |u| format!(" {u}"));
+        writeln!(f, "  values       {lo} to {hi}{value_unit}")?;
         let pairs: Vec<String> =
             PERCENTILES.iter().zip(self.percentiles).map(|(p, value)| format!("{p} %: {value}")).collect();
         writeln!(f, "  percentiles  {}", pairs.join("   "))?;

@@ -289,6 +289,7 @@ impl Fields {
             .and_then(|m| m.strip_prefix("MET_MOD_"))
             .map(|m| m.chars().filter(char::is_ascii_alphanumeric).take(MAX_MODALITY_CHARS).collect());
         plan.modality = plan.modality.filter(|m: &String| !m.is_empty() && m != "UNKNOWN" && m != "OTHER");
+        plan.value_unit = (plan.modality.as_deref() == Some("CT")).then(|| "HU".into());
         Ok((plan, at(2)))
     }
 

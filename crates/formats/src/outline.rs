@@ -48,6 +48,9 @@ pub struct Outline {
     pub series: Vec<String>,
     /// How the volume was taken (`CT`, `MR`, …), if known.
     pub modality: Option<String>,
+    /// Unit of the values, if known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value_unit: Option<String>,
     /// Centre of the volume in the world of the file, RAS+ for a body, if known.
     pub center: Option<[f64; 3]>,
     /// Directions of x, y and z in that world, if known.

@@ -70,6 +70,8 @@ pub(crate) struct Plan {
     /// The series that is shown if none is asked for.
     pub(crate) usual_series: u32,
     pub(crate) modality: Option<String>,
+    /// Unit of the values, by [`unit_of_values`].
+    pub(crate) value_unit: Option<String>,
     /// What to say of the spacing if the file does not know it, and the options neither.
     pub(crate) spacing_guess: Option<String>,
     /// Whether a float that is not a number stands for a voxel without a value. In a file without a header it stands for a
@@ -103,6 +105,7 @@ impl Plan {
             series: Vec::new(),
             usual_series: 0,
             modality: None,
+            value_unit: None,
             spacing_guess: None,
             has_gaps: true,
             warnings: Vec::new(),
@@ -230,6 +233,7 @@ impl Plan {
             level,
             series: self.series.clone(),
             modality: self.modality.clone(),
+            value_unit: self.value_unit.clone(),
             center: grid.placement.map(|p| p.center),
             directions: grid.placement.map(|p| p.axes),
             // One more byte for the brightness of each voxel, as `Volume::bytes_in_memory` counts.
@@ -288,6 +292,7 @@ pub(crate) fn read_volume(
         orientation: chosen.grid.orientation.clone(),
         placement: chosen.grid.placement,
         modality: plan.modality.clone(),
+        value_unit: plan.value_unit.clone(),
         warnings: warnings.into_iter().map(|w| w.text).collect(),
     };
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
@@ -297,6 +302,15 @@ pub(crate) fn read_volume(
         .map_err(|cause| FormatError::Volume { path: shown(path), cause })
 }
 
+/// A unit in the words of a file, cut to what fits beside a number; none where they say that there is none.
+pub(crate) fn unit_of_values(words: &str) -> Option<String> {
+    let is_none = ["", "none", "unknown", "relative", "gray value"]
+        .contains(&words.trim().to_ascii_lowercase().as_str());
+    let unit = || words.trim().chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect();
+    (!is_none).then(unit)
+}
+
+const MAX_UNIT_CHARS: usize = 24;
 /// Channels that are listed at all.
 const MAX_LISTED: u64 = 256;
 /// Channels that a sentence names.

@@ -297,6 +297,7 @@ fn calibrated_by_pydicom_and_tifffile() {
     check_place(&dose, "dose");
     check_body(&dose, "RAS", "dose");
     assert_eq!((dose.info.modality.as_deref(), dose.info.warnings.len()), (Some("RTDOSE"), 0));
+    assert_eq!(dose.info.value_unit.as_deref(), Some("Gy"));
     for (name, slope, intercept) in [("signed", 1.0, -3000.0), ("line", 0.5, -1000.0)] {
         let volume = open_path(&folder.path().join(format!("{name}.tif")));
         let expected: Vec<_> = (0..60).map(|i| slope * plain(i) + intercept).collect();

@@ -104,6 +104,13 @@ fn every_way_of_writing_gives_the_same_voxels() {
         assert_eq!((volume.dims(), volume.spacing().to_array()), ([5, 4, 3], [1.0, 1.0, 2.0]), "{name}");
         assert_eq!(volume.info.warnings, [""; 0], "{name}");
     }
+    for (written, unit) in
+        [("\"HU\"", Some("HU")), (" Bq/ml ", Some("Bq/ml")), ("\"\"", None), ("none", None)]
+    {
+        let fields = format!("{}sample units: {written}\n", files[0].1);
+        let volume = open_bytes(&folder, &[&header(&fields), &files[0].2]).unwrap();
+        assert_eq!((volume.info.value_unit.as_deref(), volume.info.warnings.len()), (unit, 0), "{written}");
+    }
     let same = |v: &Volume| matches!(v.voxels(), Voxels::U16(_));
     assert!(same(&open_bytes(&folder, &[&header(files[0].1), &files[0].2]).unwrap()), "16 bits stay 16 bits");
     // Negative control: the wrong byte order is noticed by the comparison.

@@ -7,14 +7,16 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use isinglass_client::{LocalServer, LocalServers, Services};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{LoadRequest, Outline};
 use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_server::{RunningServer, ServeOptions};
 use tokio::runtime::Runtime;
 
+use crate::args::{LayeringArgs, LookArgs};
 use crate::library::FileLoader;
 use crate::memory;
+use crate::state_args::Seen;
 
 /// Starts them.
 pub(crate) struct Locals {
@@ -22,13 +24,19 @@ pub(crate) struct Locals {
     /// Opened with the first volume, and kept: a device takes a while to open.
     opened: Mutex<Option<Backend>>,
     max_memory: u64,
+    first: Mutex<Option<FirstLook>>,
+}
+
+/// How the volume that a command names looks at first; what else is opened in its window looks as suits it.
+pub(crate) struct FirstLook {
+    pub(crate) source: String,
+    pub(crate) seen: Seen,
+    pub(crate) look: LookArgs,
+    pub(crate) lighting: Lighting,
+    pub(crate) layering: LayeringArgs,
 }
 
 impl Locals {
-    pub(crate) fn new(backend: BackendChoice, max_memory: u64) -> Self {
-        Self { backend, opened: Mutex::new(None), max_memory }
-    }
-
     fn backend(&self) -> Result<Backend, String> {
         let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         if opened.is_none() {
@@ -49,11 +57,20 @@ impl LocalServers for Locals {
 
     fn start(&self, volume: Volume, outline: &Outline, request: &LoadRequest) -> Result<LocalServer, String> {
         let one_line = |e: anyhow::Error| format!("{e:#}");
-        let loader = FileLoader::new(request, None).map_err(one_line)?;
+        let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
+        let first = first.take_if(|first| first.source == request.source);
+        let transfer = first.as_ref().and_then(|first| first.look.tf.as_deref());
+        let loader = FileLoader::new(request, transfer).map_err(one_line)?;
         let opened = loader.opened(Arc::new(volume), outline).map_err(one_line)?;
+        let look = match first {
+            Some(FirstLook { seen, look, lighting, layering, .. }) => {
+                seen.look_at(&opened, &look, lighting, &layering).map_err(one_line)?
+            }
+            None => Look::new(opened.transfer),
+        };
         let options = ServeOptions {
             volume: opened.volume,
-            look: Look::new(opened.transfer),
+            look,
             backend: self.backend()?,
             listen: ([127, 0, 0, 1], 0).into(),
             plan: Plan::default(),
@@ -83,10 +100,11 @@ impl Drop for Running {
     }
 }
 
-/// What a window with a start page needs.
-pub(crate) fn services(backend: BackendChoice, max_memory: u64) -> Services {
+/// What a window with a start page needs, or one that begins with the volume of `first`.
+pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<FirstLook>) -> Services {
+    let (opened, first) = (Mutex::new(None), Mutex::new(first));
     Services {
-        servers: Arc::new(Locals::new(backend, max_memory)),
+        servers: Arc::new(Locals { backend, opened, max_memory, first }),
         recent_file: state_folder().map(|folder| folder.join("recent.toml")),
         calendar: || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()),
     }

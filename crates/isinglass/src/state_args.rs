@@ -76,6 +76,11 @@ impl Seen {
         Self { state: read.state, given }
     }
 
+    /// Whether a flag was given that says how a volume looks.
+    pub(crate) fn has_flags_of_look(&self) -> bool {
+        OF_LOOK.iter().any(|field| self.given.has(field))
+    }
+
     /// The volume that was named, or else the state's.
     pub(crate) fn volume(&self, volume: &VolumeArgs) -> Result<VolumeArgs> {
         if volume.volume.is_some() {
@@ -124,9 +129,21 @@ impl Seen {
         memory: &MemoryArgs,
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
+        let wanted = self.look_at(&opened, look, lighting, layering)?;
+        Ok((opened, wanted))
+    }
+
+    /// How a volume that was opened for a server is to look. Says so if it is not the state's.
+    pub(crate) fn look_at(
+        &self,
+        opened: &OpenedFile,
+        look: &LookArgs,
+        lighting: Lighting,
+        layering: &LayeringArgs,
+    ) -> Result<Look> {
         let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
         self.note_oddities(&opened.volume, &wanted);
-        Ok((opened, wanted))
+        Ok(wanted)
     }
 
     /// Says what a person should know who sees the volume in this look.
@@ -162,7 +179,10 @@ impl Seen {
         // Whoever adds a field says here which flag sets it.
         let Look { transfer, shaded, lighting, layering, k, clip, mode, isos } = flags;
         let mut look = saved;
-        let has = |field| self.given.has(field);
+        let has = |field| {
+            debug_assert!(OF_LOOK.contains(&field), "{field}");
+            self.given.has(field)
+        };
         if has("tf") {
             look.transfer = transfer;
         }
@@ -288,3 +308,20 @@ fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
         world_from_view: (turn * pose.world_from_view).normalize(),
     }
 }
+
+/// The fields of the flags that say how a volume looks.
+const OF_LOOK: [&str; 13] = [
+    "tf",
+    "shading",
+    "mode",
+    "iso",
+    "clip_box",
+    "clip_plane",
+    "ambient_occlusion",
+    "occlusion_radius",
+    "shadows",
+    "softness",
+    "light",
+    "layering",
+    "k",
+];

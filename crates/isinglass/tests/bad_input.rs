@@ -231,6 +231,15 @@ fn without_a_display_the_viewer_says_so() {
     let bench = Bench::new();
     let link = link_to(9);
     bench.fails(&format!("view {link}"), 1, &["display", "doctor"]);
+    // What is wrong with a command is told first.
+    for (line, words) in [
+        (&*format!("view {link} --tf ct"), &["--tf", "give them to `serve`"][..]),
+        ("view --mode mip", &["--tf", "found none"]),
+        ("view builtin:cloud --tf nothing", &["preset", "nothing"]),
+        ("view builtin:cloud --mode mip --iso 3", &["--iso", "expected --mode iso"]),
+    ] {
+        bench.fails(line, 1, words);
+    }
 }
 
 /// Wrong token, wrong certificate, nobody there: one line each, and the server goes on serving.

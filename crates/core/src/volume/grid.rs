@@ -66,6 +66,8 @@ pub struct VolumeInfo {
     pub placement: Option<Placement>,
     /// How the volume was taken, in DICOM's terms (`CT`, `MR`, …), if the file knows it.
     pub modality: Option<String>,
+    /// Unit of the values, such as `HU`, if the file knows it.
+    pub value_unit: Option<String>,
     /// What was odd about the file, one sentence each.
     pub warnings: Vec<String>,
 }

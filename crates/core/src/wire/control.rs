@@ -294,8 +294,7 @@ impl VolumeDescription {
             unit: volume.info.unit.as_deref().map(cut),
             orientation: volume.info.orientation.as_deref().map(cut),
             placement: volume.info.placement,
-            // Computed tomography's numbers are Hounsfield units; of others no file of ours says.
-            value_unit: (volume.info.modality.as_deref() == Some("CT")).then(|| "HU".into()),
+            value_unit: volume.info.value_unit.as_deref().map(cut),
             value_range: volume.value_range(),
             histogram: counts,
         }

@@ -107,6 +107,8 @@ pub(super) struct Slices {
     /// In words.
     pub(super) name: String,
     pub(super) modality: Option<String>,
+    /// Of the values.
+    pub(super) value_unit: Option<String>,
     /// Directions of rows and columns.
     pub(super) orientation: Option<[f64; 6]>,
     /// Distances of rows and of columns.
@@ -164,11 +166,13 @@ impl Slices {
         let modality = fields
             .text(tags::MODALITY)
             .filter(|m| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_'));
+        let value_unit = unit_of(first.and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref()), &modality);
         Ok(Self {
             shape,
             series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
             name: format!("{number_of_series} {}", quoted(&description)),
             modality,
+            value_unit,
             orientation: first.and_then(|o| o.orientation).or(shared.orientation),
             pixel_spacing: first.and_then(|o| o.pixel_spacing).or(shared.pixel_spacing),
             slice_spacing: first.and_then(|o| o.slice_spacing).or(shared.slice_spacing),
@@ -185,6 +189,8 @@ struct Own {
     slice_spacing: Option<f64>,
     slope: Option<f64>,
     intercept: Option<f64>,
+    /// Of the values, in DICOM's terms.
+    unit: Option<String>,
 }
 
 impl Own {
@@ -200,6 +206,9 @@ impl Own {
             // A distribution of doses has its own name for it, and is in gray then.
             slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
             intercept: fields.decimal(tags::RESCALE_INTERCEPT),
+            unit: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
+                .into_iter()
+                .find_map(|t| fields.text(t)),
         }
     }
 }
@@ -210,6 +219,24 @@ impl Own {
         let [a, b, c, d, e, f] = self.orientation?;
         DVec3::new(a, b, c).cross(DVec3::new(d, e, f)).try_normalize()
     }
+}
+
+/// The unit of values that DICOM calls `term` (PS3.3, C.7.6.16.2.9, C.8.9.1 and C.8.8.3). Computed tomography is in Hounsfield
+/// units unless it says otherwise.
+fn unit_of(term: Option<&str>, modality: &Option<String>) -> Option<String> {
+    let unit = match term {
+        None if modality.as_deref() == Some("CT") => "HU",
+        Some("HU" | "HU_MOD") => "HU",
+        Some("GY") => "Gy",
+        Some("BQML") => "Bq/mL",
+        Some("GML") => "g/mL",
+        Some("MGML") => "mg/mL",
+        Some("CNTS") => "counts",
+        Some("CPS") => "counts/s",
+        Some("PCNT") => "%",
+        _ => return None,
+    };
+    Some(unit.to_owned())
 }
 
 /// Frames one after the other.
@@ -287,3 +314,19 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
 /// Frames of one file.
 const MAX_FRAMES: f64 = 65_536.0;
 const MAX_FRAGMENTS: usize = 1 << 18;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_have_the_unit_that_their_file_says() {
+        let unit = |term: Option<&str>, modality: &str| unit_of(term, &Some(modality.to_owned()));
+        assert_eq!(unit(None, "CT").as_deref(), Some("HU"));
+        assert_eq!(unit(Some("HU"), "MR").as_deref(), Some("HU"));
+        assert_eq!(unit(Some("BQML"), "PT").as_deref(), Some("Bq/mL"));
+        for (term, modality) in [(None, "MR"), (Some("US"), "CT"), (Some("RELATIVE"), "RTDOSE")] {
+            assert_eq!(unit(term, modality), None, "{term:?} of {modality}");
+        }
+    }
+}

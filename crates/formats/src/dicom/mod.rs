@@ -113,6 +113,7 @@ impl DicomFiles {
         let mut plan = Plan::new(format, dtype, Endian::Little, axes, stacked.geometry);
         plan.spacing_guess = stacked.spacing_guess;
         plan.modality = stacked.modality;
+        plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         if shape.samples == 3 {
             plan.channel_names = ["red", "green", "blue"].map(str::to_owned).into();
         }

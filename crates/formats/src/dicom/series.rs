@@ -13,6 +13,7 @@ pub(super) struct Series {
     uid: String,
     name: String,
     modality: Option<String>,
+    value_unit: Option<String>,
     orientation: Option<[f64; 6]>,
     pixel_spacing: Option<[f64; 2]>,
     slice_spacing: Option<f64>,
@@ -27,6 +28,7 @@ pub(super) struct Stacked {
     pub(super) num_times: usize,
     pub(super) geometry: Geometry,
     pub(super) modality: Option<String>,
+    pub(super) value_unit: Option<String>,
     pub(super) spacing_guess: Option<String>,
     pub(super) warnings: Vec<(WarningKind, String)>,
 }
@@ -49,6 +51,7 @@ pub(super) fn group(files: Vec<Slices>) -> Vec<Series> {
                 uid: file.series_uid,
                 name: file.name,
                 modality: file.modality,
+                value_unit: file.value_unit,
                 orientation: file.orientation,
                 pixel_spacing: file.pixel_spacing,
                 slice_spacing: file.slice_spacing,
@@ -116,6 +119,7 @@ impl Series {
                 num_times: 1,
                 geometry,
                 modality: self.modality,
+                value_unit: self.value_unit,
                 spacing_guess,
                 warnings,
             };
@@ -149,7 +153,8 @@ impl Series {
             is_body: true,
             unit: self.pixel_spacing.map(|_| "mm".to_owned()),
         };
-        Stacked { frames, num_slices, num_times, geometry, modality: self.modality, spacing_guess, warnings }
+        let Self { modality, value_unit, .. } = self;
+        Stacked { frames, num_slices, num_times, geometry, modality, value_unit, spacing_guess, warnings }
     }
 }
 

@@ -26,6 +26,8 @@ pub(super) struct Header {
     pub(super) units: Option<Vec<String>>,
     /// Units of `space`.
     pub(super) space_units: Option<Vec<String>>,
+    /// Unit of the values, as it is written.
+    pub(super) sample_units: Option<String>,
     pub(super) line_skip: u64,
     pub(super) byte_skip: ByteSkip,
     pub(super) data: DataFiles,
@@ -121,11 +123,11 @@ fields! {
     Type "type", Dimension "dimension", Sizes "sizes", Encoding "encoding", Endian "endian",
     DataFile "data file", LineSkip "line skip", ByteSkip "byte skip", Spacings "spacings", Kinds "kinds",
     Units "units", Space "space", SpaceDimension "space dimension", SpaceUnits "space units",
-    SpaceDirections "space directions", SpaceOrigin "space origin",
+    SpaceDirections "space directions", SpaceOrigin "space origin", SampleUnits "sample units",
 }
 
 /// Fields of the format that say nothing about where voxels are or which values they have.
-const IGNORED_FIELDS: [&str; 16] = [
+const IGNORED_FIELDS: [&str; 15] = [
     "block size",
     "content",
     "old min",
@@ -133,7 +135,6 @@ const IGNORED_FIELDS: [&str; 16] = [
     "min",
     "max",
     "number",
-    "sample units",
     "thicknesses",
     "axis mins",
     "axis maxs",
@@ -276,6 +277,7 @@ impl Fields {
                 Some(n) => self.names(Field::SpaceUnits, n)?,
                 None => None,
             },
+            sample_units: self.get(Field::SampleUnits).map(|text| text.trim_matches('"').to_owned()),
             sizes,
             line_skip,
             byte_skip,

@@ -11,7 +11,7 @@ use self::axes::Axes;
 use self::header::{ByteSkip, DataFiles, Encoding, Header, HeaderReadError};
 use crate::decode::next_number;
 use crate::error::{FormatError, HeaderError, io_error, shown};
-use crate::plan::{Plan, VolumeFile};
+use crate::plan::{Plan, VolumeFile, unit_of_values};
 use crate::source::{file_name, open_file};
 use crate::stream::{GzipMembers, MAX_DEFLATE_RATIO, read_past};
 use crate::taker::Taker;
@@ -45,6 +45,7 @@ impl NrrdFile {
         let format = format!("NRRD, {encoding}{place}");
         let mut plan = Plan::new(format, header.dtype, header.endian, axes.axes, axes.geometry);
         plan.channel_names = axes.channel_names;
+        plan.value_unit = header.sample_units.as_deref().and_then(unit_of_values);
         plan.warnings = header.warnings.iter().map(|w| Warning::new(WarningKind::Data, w.clone())).collect();
         plan.warnings.extend(axes.warnings);
         Ok(Self { header, plan, path: path.to_owned(), reader: Some(reader) })

@@ -1,6 +1,7 @@
 //! ImageJ's description of a hyperstack: lines of `name=value`.
 
 use super::{PlaneAxis, Stack};
+use crate::plan::unit_of_values;
 
 /// Whether a description is ImageJ's.
 pub(super) fn is_imagej(text: &str) -> bool {
@@ -36,6 +37,7 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         other_files: Vec::new(),
         series: Vec::new(),
         value_map: value_map(get("cf"), number("c1"), number("c0")),
+        value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(unit_of_values),
         name: "ImageJ TIFF",
     }
 }

@@ -73,6 +73,8 @@ pub(super) struct Stack {
     pub(super) series: Vec<String>,
     /// What numbers mean: times the first, plus the second.
     pub(super) value_map: (f64, f64),
+    /// Unit of the values.
+    pub(super) value_unit: Option<String>,
     pub(super) name: &'static str,
 }
 
@@ -275,6 +277,7 @@ fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) 
     }
     plan.series = std::mem::take(&mut stack.series);
     plan.value_map = stack.value_map;
+    plan.value_unit = stack.value_unit.take();
     let depth = stack.axes.iter().find(|a| a.0 == PlaneAxis::Z).map_or(1, |a| a.1);
     plan.spacing_guess = match (in_plane, spacing[2]) {
         (None, _) => Some("the file has no spacing; it was taken as 1".into()),
@@ -298,6 +301,7 @@ fn plain_stack(scan: &Scan) -> Stack {
         other_files: Vec::new(),
         series: Vec::new(),
         value_map: (1.0, 0.0),
+        value_unit: None,
         name: "TIFF",
     }
 }

@@ -87,6 +87,7 @@ pub(super) fn stack(text: &str, own_name: &str, samples: u64, series: Option<u32
         other_files,
         series: if images.len() > 1 { names.collect() } else { Vec::new() },
         value_map: (1.0, 0.0),
+        value_unit: None,
         name: "OME-TIFF",
     })
 }

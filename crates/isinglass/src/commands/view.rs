@@ -11,16 +11,17 @@ use isinglass_bench::progress::note;
 use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
-use isinglass_formats::{LoadRequest, Selection};
+use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
 use super::demo::initial_orbit;
 use crate::args::{
-    BackendArgs, ForesightArgs, MethodArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
-    parse_size,
+    BackendArgs, ForesightArgs, LayeringArgs, LookArgs, MethodArgs, PartArgs, RawArgs, VolumeArgs, parse_fov,
+    parse_output, parse_size,
 };
 use crate::given::Given;
-use crate::local;
+use crate::light_args::LightArgs;
+use crate::local::{self, FirstLook};
 use crate::memory::MemoryArgs;
 use crate::state_args::StateArgs;
 use crate::window_args::WindowArgs;
@@ -54,7 +55,13 @@ pub(crate) struct ViewerArgs {
     /// Write the camera's path to FILE when the window is closed, for `demo --headless --path`
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     record: Option<PathBuf>,
+    #[command(flatten)]
+    layering: LayeringArgs,
     // Last: what follows would be listed under their headings.
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    light: LightArgs,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -84,6 +91,23 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         (None, Some(link)) => Some(Target::Server(link.context("the link of the state's volume")?)),
         (target, _) => target,
     };
+    let (raw, selection, spacing) = (args.raw.shape(), args.part.selection(), args.part.spacing);
+    let is_of_volume =
+        raw.is_some() || selection != Selection::default() || spacing.is_some() || seen.has_flags_of_look();
+    let of_state = seen.state.volume.as_ref().is_some_and(|v| v.source.is_some());
+    match target {
+        Some(Target::Server(_)) if is_of_volume => {
+            bail!(
+                "--channel, --tf, --dims and the like belong to a volume, found a link; give them to `serve`"
+            );
+        }
+        None if is_of_volume && !of_state => {
+            bail!("--channel, --tf, --dims and the like belong to a volume, found none");
+        }
+        _ => {}
+    }
+    args.look.mode()?;
+    args.look.tf.as_deref().map(load_transfer).transpose()?;
     let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
     // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
     if !display_available() {
@@ -104,37 +128,42 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         recorder: recorder.clone(),
         ..WindowOptions::default()
     };
-    let services = local::services(args.backend.backend, args.memory.bytes());
-    let (raw, selection, spacing) = (args.raw.shape(), args.part.selection(), args.part.spacing);
-    let is_of_volume = raw.is_some() || selection != Selection::default() || spacing.is_some();
     let limit = args.memory.bytes();
-    let of_state = seen.state.volume.as_ref().filter(|v| v.source.is_some());
-    match target {
-        Some(Target::Server(_)) if is_of_volume => {
-            bail!(
-                "--channel, --time, --dims and the like belong to a volume, found a link; give them to `serve`"
-            );
-        }
+    let request = match target {
         Some(Target::Server(link)) => {
             let (client, waker) = connect(&link)?;
             let clock = client.clock().clone();
+            let services = local::services(args.backend.backend, limit, None);
             run_window_with_start(window, clock, services, move |wake| {
                 // There is one window, so nothing was set before.
                 let _ = waker.set(wake);
                 Ok(First::Connected { source: Box::new(client), link })
             })?;
+            return write_path(args.record.as_deref(), recorder.as_deref());
         }
         Some(Target::Volume(source)) => {
-            let request = LoadRequest { source, raw, selection, spacing, max_bytes: limit };
-            run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
+            Some(LoadRequest { source, raw, selection, spacing, max_bytes: limit })
         }
-        None if of_state.is_some() => {
+        None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
-            let request = seen.volume(&volume)?.volume_source()?.request(limit);
-            run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
+            Some(seen.volume(&volume)?.volume_source()?.request(limit))
         }
-        None if is_of_volume => {
-            bail!("--channel, --time, --dims and the like belong to a volume, found none");
+        None => None,
+    };
+    match request {
+        Some(request) => {
+            let first = FirstLook {
+                source: request.source.clone(),
+                seen,
+                look: args.look,
+                lighting: args.light.lighting(),
+                layering: args.layering,
+            };
+            // The server of the volume has the look already, with what flags say.
+            let state = window.state.map(|state| SavedState { look: None, ..state });
+            let window = WindowOptions { state, ..window };
+            let services = local::services(args.backend.backend, limit, Some(first));
+            run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
         }
         None => {
             if let Some(server) = seen.state.volume.as_ref().and_then(|v| v.server.as_deref()) {
@@ -142,12 +171,18 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                     "the state was made with the server {server}: connect to that, and it is shown"
                 ));
             }
+            let services = local::services(args.backend.backend, limit, None);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?;
         }
     }
-    if let (Some(file), Some(recorder)) = (args.record, recorder) {
+    write_path(args.record.as_deref(), recorder.as_deref())
+}
+
+/// Writes what the camera did.
+fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Result<()> {
+    if let (Some(file), Some(recorder)) = (file, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
-        write_whole(&file, path.to_string().as_bytes())?;
+        write_whole(file, path.to_string().as_bytes())?;
     }
     Ok(())
 }
