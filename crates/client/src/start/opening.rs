@@ -1,6 +1,7 @@
 //! From a wish to a source of frames, step by step and without waiting: a link is connected to; a volume is looked at, read,
 //! served in this process, and then connected to.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
@@ -285,8 +286,10 @@ pub(super) fn on_a_thread<T: Send + 'static>(
     let (sender, receiver) = sync_channel(1);
     let wake = wake.clone();
     let run = move || {
+        // A defect of ours must not leave anyone waiting.
+        let outcome = catch_unwind(AssertUnwindSafe(work));
         // Nobody listens any more if it was cancelled.
-        let _ = sender.send(work());
+        let _ = sender.send(outcome.unwrap_or_else(|_| Err(DEFECT.into())));
         wake();
     };
     // Without a thread the sender is gone, and the outcome a failure.
@@ -298,8 +301,27 @@ fn taken<T>(receiver: &Receiver<Result<T, String>>) -> Option<Result<T, String>>
     match receiver.try_recv() {
         Ok(outcome) => Some(outcome),
         Err(TryRecvError::Empty) => None,
-        Err(TryRecvError::Disconnected) => {
-            Some(Err("Opening ended early, by a defect of the program.".into()))
-        }
+        Err(TryRecvError::Disconnected) => Some(Err(DEFECT.into())),
+    }
+}
+
+const DEFECT: &str = "Opening ended early, by a defect of the program.";
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    #[test]
+    fn work_that_panics_wakes_and_has_failed() {
+        let (wake, woken) = channel();
+        let wake: Waker = Arc::new(move || wake.send(()).unwrap());
+        let receiver = on_a_thread::<()>(&wake, || panic!("for the test"));
+        woken.recv().unwrap();
+        assert_eq!(taken(&receiver), Some(Err(DEFECT.into())));
+        let receiver = on_a_thread(&wake, || Ok(7));
+        woken.recv().unwrap();
+        assert_eq!(taken(&receiver), Some(Ok(7)));
     }
 }
