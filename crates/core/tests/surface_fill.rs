@@ -28,6 +28,13 @@ fn sphere(is_greater: bool) -> Arc<Volume> {
     Arc::new(Volume::new([SIDE; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap())
 }
 
+/// The greater sphere, stored as numbers that fall where its values rise.
+fn falling() -> Arc<Volume> {
+    let sphere = sphere(true);
+    let voxels = (0..sphere.voxels().len()).map(|i| -sphere.voxels().get(i)).collect();
+    Arc::new(Volume::new([SIDE; 3], Vec3::ONE, Voxels::F32(voxels), (-1.0, 0.0), Default::default()).unwrap())
+}
+
 fn white() -> TransferFunction {
     let p = |x, opacity| ControlPoint { x, color: [1.0; 3], opacity };
     TransferFunction {
@@ -77,6 +84,49 @@ fn bodies_of_lesser_values_are_filled_as_those_of_greater_ones_and_leave_open_wh
     assert!(found[0] < 0.005 && found[1] < 0.005, "{found:?}");
     // The control: what fills the open space behind the sphere is a shadow of matter beside it.
     assert!(found[2] > 0.02, "{found:?}");
+}
+
+#[test]
+fn stored_numbers_that_fall_where_values_rise_change_nothing() {
+    let (rising, falling) = (scene(true, Clip::default()), scene_of(falling(), Clip::default()));
+    assert_eq!(falling.volume.value_range(), rising.volume.value_range());
+    assert!(!falling.has_lesser_bodies);
+    assert_eq!(share_off(&falling, 20.0), share_off(&rising, 20.0));
+}
+
+/// A core in a body in something else, of three values each: what a segmentation has.
+#[test]
+fn a_surface_of_a_value_holds_the_voxels_of_that_value() {
+    let at = |i: u32| i as f32 + 0.5 - 12.0;
+    let radius = |i: u32| Vec3::new(at(i % 24), at(i / 24 % 24), at(i / 576)).length();
+    for [lo, body, core] in
+        [[-1000, 40, 1200], [-1024, 300, 2000], [10, 50, 200], [1, 2, 3], [100, 1000, 4000]]
+    {
+        let stored = |i: u32| match radius(i) {
+            r if r < 3.0 => core,
+            r if r < 8.0 => body,
+            _ => lo,
+        };
+        let voxels = (0..24 * 24 * 24).map(|i| (stored(i) + 32768) as u16).collect();
+        let volume =
+            Volume::new([24; 3], Vec3::ONE, Voxels::U16(voxels), (1.0, -32768.0), Default::default());
+        let volume = Arc::new(volume.unwrap());
+        let mean = |value: f32| {
+            let isos = Isos::new(&[Iso { value, opacity: 1.0 }]).unwrap();
+            let settings =
+                MarchSettings { mode: Mode::Iso, isos, ..MarchSettings::of(true, Lighting::default()) };
+            let scene = Scene::new(volume.clone(), &white(), settings);
+            let bounds = volume.bounds();
+            let intrinsics = Intrinsics::perspective(40, 40, 0.6);
+            let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.3, bounds.radius() * intrinsics.fit_distance());
+            let rgb = render(&scene, &Camera::new(pose, intrinsics, &bounds)).to_srgb8([0.0; 3]);
+            rgb.iter().map(|&v| f32::from(v)).sum::<f32>() / rgb.len() as f32
+        };
+        let [below, on, above] = [-0.05, 0.0, 0.05].map(|by| mean(body as f32 + by));
+        assert!((on - below).abs() < 0.05 * on, "{lo} {body} {core}: {below} {on} {above}");
+        // Negative control: the core is much smaller.
+        assert!(above < 0.5 * on, "{lo} {body} {core}: {below} {on} {above}");
+    }
 }
 
 #[test]

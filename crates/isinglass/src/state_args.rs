@@ -154,7 +154,7 @@ impl Seen {
         }
         let (least, greatest) = volume.value_range();
         let isos = look.isos.as_slice();
-        let is_outside = |iso: &Iso| iso.value < least || iso.value > greatest;
+        let is_outside = |iso: &Iso| iso.value <= least || iso.value > greatest;
         if look.mode == Mode::Iso && !isos.is_empty() && isos.iter().all(is_outside) {
             note(&format!("note: no surface is there: the values lie between {least} and {greatest}"));
         }

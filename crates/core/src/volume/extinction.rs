@@ -91,20 +91,21 @@ impl Extinction {
     fn cut(&mut self, volume: &Aabb, region: &Region) {
         let [cx, cy, _] = self.dims;
         let (cell, first) = (self.cell, volume.min);
-        // Half of what a cell spans along the normal.
-        let reach = 0.5 * (region.normal.abs() * cell).element_sum();
         self.sigma.par_iter_mut().enumerate().for_each(|(i, sigma)| {
             let corner = Vec3::new((i % cx) as f32, (i / cx % cy) as f32, (i / cx / cy) as f32);
             let low = first + corner * cell;
-            let overlap = (region.bounds.max.min(low + cell) - region.bounds.min.max(low)).max(Vec3::ZERO);
-            let in_box = (overlap / cell).to_array().iter().product::<f32>();
-            let distance = region.normal.dot(low + 0.5 * cell) - region.offset;
+            // Of a cell that reaches beyond the volume only the part inside holds anything, and can lose it.
+            let inside = (low + cell).min(volume.max) - low;
+            let overlap = (region.bounds.max.min(low + inside) - region.bounds.min.max(low)).max(Vec3::ZERO);
+            let in_box = (overlap / inside).to_array().iter().product::<f32>();
+            let distance = region.normal.dot(low + 0.5 * inside) - region.offset;
+            // Half of what it spans along the normal.
+            let reach = 0.5 * (region.normal.abs() * inside).element_sum();
             let on_side = if reach > 0.0 {
                 (0.5 + 0.5 * distance / reach).clamp(0.0, 1.0)
             } else {
                 f32::from(distance >= 0.0)
             };
-            // The last cells reach beyond the volume, where nothing is in any case.
             *sigma *= in_box.min(1.0) * on_side;
         });
     }
@@ -172,4 +173,37 @@ fn sigma_of(table: &TransferTable, stored: f32) -> f32 {
 /// Extinctions of the numbers from 0 on.
 fn by_number(table: &TransferTable, count: usize) -> Vec<f32> {
     (0..count).map(|stored| sigma_of(table, stored as f32)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clip::{Clip, Plane};
+    use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+    use crate::volume::Histogram;
+
+    #[test]
+    fn a_cut_beside_the_volume_takes_nothing() {
+        // Cells of two voxels, the last of one.
+        let voxels = Voxels::U8(vec![200; 71 * 71 * 71]);
+        let volume = Volume::new([71; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap();
+        let point = |x| ControlPoint { x, color: [1.0; 3], opacity: 0.5 };
+        let transfer = TransferFunction {
+            name: "even".into(),
+            domain: Domain::Values(0.0, 255.0),
+            unit_length: UnitLength::Voxel,
+            points: vec![point(0.0), point(1.0)],
+        };
+        let table = transfer.table(&volume, &Histogram::of(&volume));
+        let of = |d: f32| {
+            let clip = Clip { plane: Plane::new(Vec3::new(0.3, 1.0, 0.2), d), bounds: None };
+            Extinction::of(&volume, Matter::Medium(&table), &clip.region(&volume.bounds()), Detail::Draft)
+        };
+        let whole = Clip::default().region(&volume.bounds());
+        let whole = Extinction::of(&volume, Matter::Medium(&table), &whole, Detail::Draft);
+        assert_eq!((whole.dims, whole.voxels), ([36; 3], [2; 3]));
+        assert_eq!(of(-1000.0), whole);
+        // Negative control.
+        assert_ne!(of(30.0), whole);
+    }
 }

@@ -39,7 +39,10 @@ pub(super) fn surfaces(
     let each = isos.iter().map(|iso| {
         // In double precision, as the map of positions is made.
         let stored = (f64::from(iso.value) - f64::from(offset)) / f64::from(scale);
-        let x = (stored * f64::from(table.x_scale) + f64::from(table.x_offset)) as f32;
+        let scaled = stored * f64::from(table.x_scale);
+        let x = scaled + f64::from(table.x_offset);
+        // Below all roundings of a march, so that voxels of this very value lie inside.
+        let x = (x - f64::from(2.0 * f32::EPSILON) * (scaled.abs() + x.abs())) as f32;
         let (color, _) = transfer.at(x.clamp(0.0, 1.0));
         let tau = -(1.0 - iso.opacity.min(MAX_OPACITY)).ln();
         Surface { x: x.clamp(-0.5 * FARTHEST, 0.5 * FARTHEST), color: color.into(), tau }

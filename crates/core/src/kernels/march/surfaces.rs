@@ -27,7 +27,9 @@ pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> 
 
 /// Whether the bodies that opaque surfaces enclose in what is left of a volume lie among the lesser values.
 pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
-    has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()))
+    let is_lesser = has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()));
+    // Values, and with them positions, may fall where stored numbers rise.
+    is_lesser.is_some_and(|is_lesser| is_lesser == (table.x_scale > 0.0))
 }
 
 /// Hands crossings on as segments that do not overlap.

@@ -23,9 +23,10 @@ pub struct Sheet {
     pub is_opaque: bool,
 }
 
-/// Whether the bodies of opaque sheets lie among the lesser values, where `region` of the volume is shown.
-pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> bool {
-    Body::of(sheets, volume, region).is_some_and(|body| !body.is_greater)
+/// Whether the bodies of opaque sheets lie among the lesser stored numbers, where `region` of the volume is shown; none
+/// without such a sheet.
+pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> Option<bool> {
+    Some(!Body::of(sheets, volume, region)?.is_greater)
 }
 
 /// A stored number, and on which side of it bodies lie.
