@@ -160,6 +160,7 @@ mod tests {
             }),
             value_unit: Some("HU".into()),
             value_range: (0.0, 1.0),
+            histogram_range: (0.0, 1.0),
             histogram: vec![1],
         }
     }

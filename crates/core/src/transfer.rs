@@ -181,7 +181,11 @@ impl TransferFunction {
         let (lo, hi) = match self.domain {
             Domain::Full => volume.value_range(),
             Domain::Values(a, b) => (a, b),
-            Domain::Percentiles(a, b) => (histogram.percentile(a), histogram.percentile(b)),
+            Domain::Percentiles(a, b) => match (histogram.percentile(a), histogram.percentile(b)) {
+                // Nearly all voxels are the same: the others are what there is to see.
+                (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
+                between => between,
+            },
         };
         let (scale, offset) = volume.value_map();
         // In double precision: the span may be shorter than the inverse of the greatest float.

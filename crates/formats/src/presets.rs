@@ -101,7 +101,7 @@ struct Statistics {
 
 impl Statistics {
     fn of(volume: &Volume, histogram: &Histogram) -> Self {
-        let (lo, hi) = volume.value_range();
+        let (lo, hi) = (histogram.lo, histogram.hi);
         let range = (histogram.percentile(99.9) - lo).max(f32::MIN_POSITIVE);
         let last = (histogram.counts.len() - 1).max(1) as f32;
         let above = |share: f32| {

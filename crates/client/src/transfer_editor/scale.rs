@@ -8,24 +8,30 @@ use isinglass_core::wire::VolumeDescription;
 pub(crate) struct ValueScale {
     /// Least and greatest value, never the same.
     pub(crate) range: (f32, f32),
+    /// Between which the bins are; a few voxels may lie far outside.
+    bins: (f32, f32),
     counts: Vec<u64>,
 }
 
 impl ValueScale {
     /// That of a volume.
     pub(crate) fn of(volume: &VolumeDescription) -> Self {
-        Self { range: apart(volume.value_range), counts: volume.histogram.clone() }
+        let (range, bins) = (apart(volume.value_range), apart(volume.histogram_range));
+        Self { range, bins, counts: volume.histogram.clone() }
     }
 
-    /// From the least to the greatest value.
+    /// From the first to the last bin.
     pub(crate) fn span(&self) -> f32 {
-        self.range.1 - self.range.0
+        self.bins.1 - self.bins.0
     }
 
     /// The value below which `percent` % of the voxels are, as far as the bins tell: within one, evenly.
     pub(crate) fn percentile(&self, percent: f32) -> f32 {
+        if percent <= 0.0 || percent >= 100.0 {
+            return if percent <= 0.0 { self.range.0 } else { self.range.1 };
+        }
         let total: u64 = self.counts.iter().sum();
-        let wanted = f64::from(percent.clamp(0.0, 100.0)) / 100.0 * total as f64;
+        let wanted = f64::from(percent) / 100.0 * total as f64;
         let mut seen = 0.0;
         for (i, &n) in self.counts.iter().enumerate() {
             let n = n as f64;
@@ -40,7 +46,7 @@ impl ValueScale {
 
     /// The value that parts the histogram best, as far as the bins tell.
     pub(crate) fn parting_value(&self) -> f32 {
-        isinglass_core::volume::parting_value(&self.counts, self.range)
+        isinglass_core::volume::parting_value(&self.counts, self.bins)
     }
 
     /// The two values that a domain stands for, ascending and apart.
@@ -48,17 +54,23 @@ impl ValueScale {
         match *domain {
             Domain::Full => self.range,
             Domain::Values(a, b) => apart((a, b)),
-            Domain::Percentiles(a, b) => apart((self.percentile(a), self.percentile(b))),
+            Domain::Percentiles(a, b) => {
+                let (lo, hi) = (self.percentile(a), self.percentile(b));
+                // Nearly all voxels are the same: as the kernels read it.
+                let is_one = hi - lo <= self.span() / self.counts.len().max(1) as f32;
+                if is_one { self.bins } else { (lo, hi) }
+            }
         }
     }
 
     /// Share of the voxels in the bin of a value, 0 to 1.
     pub(crate) fn share(&self, value: f32) -> f32 {
         let total: u64 = self.counts.iter().sum();
-        let bin = ((value - self.range.0) / self.span() * self.counts.len() as f32).floor();
+        let (lo, hi) = self.bins;
+        let bin = ((value - lo) / self.span() * self.counts.len() as f32).floor();
         let last = self.counts.len() as f32 - 1.0;
         // The greatest value is in the last bin.
-        let bin = if value == self.range.1 { last } else { bin };
+        let bin = if value == hi { last } else { bin };
         if !(0.0..=last).contains(&bin) || total == 0 {
             return 0.0;
         }
@@ -68,7 +80,7 @@ impl ValueScale {
     /// Heights, 0 to 1, of `num` columns over the values of `view`: the largest bin in each.
     pub(crate) fn columns(&self, view: (f32, f32), num: usize, is_log: bool) -> Vec<f32> {
         let bins = self.counts.len() as f32;
-        let bin_at = |x: f32| (view.0 + (view.1 - view.0) * x - self.range.0) / self.span() * bins;
+        let bin_at = |x: f32| (view.0 + (view.1 - view.0) * x - self.bins.0) / self.span() * bins;
         let most_in = |column: usize| {
             let (a, b) = (bin_at(column as f32 / num as f32), bin_at((column + 1) as f32 / num as f32));
             let (a, b) = (a.floor().max(0.0), b.ceil().min(bins));
@@ -82,7 +94,7 @@ impl ValueScale {
     }
 
     fn value_at(&self, fraction: f32) -> f32 {
-        self.range.0 + self.span() * fraction
+        self.bins.0 + self.span() * fraction
     }
 }
 
@@ -126,7 +138,7 @@ mod tests {
     use super::*;
 
     pub(crate) fn scale() -> ValueScale {
-        ValueScale { range: (-100.0, 300.0), counts: vec![70, 0, 20, 10] }
+        ValueScale { range: (-100.0, 300.0), bins: (-100.0, 300.0), counts: vec![70, 0, 20, 10] }
     }
 
     #[test]
@@ -140,10 +152,13 @@ mod tests {
         assert_eq!(s.domain(&Domain::Full), (-100.0, 300.0));
         assert_eq!(s.domain(&Domain::Percentiles(70.0, 90.0)), (0.0, 200.0));
         assert_eq!(s.domain(&Domain::Values(5.0, 6.0)), (5.0, 6.0));
-        let constant = ValueScale { range: apart((7.0, 7.0)), counts: vec![5] };
+        let far = ValueScale { range: (-100.0, 1e8), ..scale() };
+        assert_eq!(far.domain(&Domain::Percentiles(70.0, 90.0)), (0.0, 200.0));
+        assert_eq!(far.domain(&Domain::Percentiles(0.0, 100.0)), (-100.0, 1e8));
+        let constant = ValueScale { range: apart((7.0, 7.0)), bins: apart((7.0, 7.0)), counts: vec![5] };
         let (lo, hi) = constant.domain(&Domain::Percentiles(50.0, 50.0));
         assert!(lo < hi && lo.is_finite() && hi.is_finite());
-        let empty = ValueScale { range: (0.0, 1.0), counts: vec![] };
+        let empty = ValueScale { range: (0.0, 1.0), bins: (0.0, 1.0), counts: vec![] };
         assert_eq!((empty.percentile(50.0), empty.share(0.5)), (1.0, 0.0));
         assert_eq!(empty.columns((0.0, 1.0), 3, true), [0.0; 3]);
     }

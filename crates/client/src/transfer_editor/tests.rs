@@ -26,6 +26,7 @@ fn harness(name: &str) -> Harness<'static, Bench> {
         placement: None,
         value_unit: None,
         value_range: (-1000.0, 3000.0),
+        histogram_range: (-1000.0, 3000.0),
         histogram: (0..256).map(|i| 10_000 / (1 + i)).collect(),
     });
     let given = preset(name).unwrap();

@@ -56,6 +56,7 @@ impl FrameSource for FakeSource {
             placement: None,
             value_unit: None,
             value_range: (0.0, 1.0),
+            histogram_range: (0.0, 1.0),
             histogram: vec![],
         };
         Some(Arc::new(Welcome {

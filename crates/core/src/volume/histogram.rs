@@ -2,64 +2,127 @@
 
 use super::grid::{Volume, Voxels};
 
-/// Counts of voxels over equal bins between the least and the greatest value.
+/// Counts of voxels over equal bins, in almost all cases between the least and the greatest value.
 #[derive(Clone, Debug)]
 pub struct Histogram {
-    /// Value at the left edge of the first bin.
+    /// Value at the left edge of the first bin; what is less is counted there.
     pub lo: f32,
-    /// Value at the right edge of the last bin.
+    /// Value at the right edge of the last bin; what is greater is counted there.
     pub hi: f32,
     /// Voxels in each bin.
     pub counts: Vec<u64>,
+    /// Least and greatest value.
+    range: (f32, f32),
 }
 
 impl Histogram {
-    /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes.
+    /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. Where few floats far away from all
+    /// others would leave those a few bins, the bins are between the others.
     pub fn of(volume: &Volume) -> Self {
         let (stored_lo, stored_hi) = volume.stored_range();
-        let num_bins = match volume.voxels() {
-            Voxels::F32(_) => 65_536,
-            _ => (stored_hi - stored_lo) as usize + 1,
-        };
-        let mut counts = vec![0u64; num_bins];
-        match volume.voxels() {
-            Voxels::U8(v) => v.iter().for_each(|&x| counts[x as usize - stored_lo as usize] += 1),
-            Voxels::U16(v) => v.iter().for_each(|&x| counts[x as usize - stored_lo as usize] += 1),
+        let mut range = (stored_lo, stored_hi);
+        let mut counts = match volume.voxels() {
+            Voxels::U8(v) => counted(v, stored_lo, stored_hi),
+            Voxels::U16(v) => counted(v, stored_lo, stored_hi),
             Voxels::F32(v) => {
-                // In double precision: the range may be shorter than the inverse of the greatest float.
-                let lo = f64::from(stored_lo);
-                let scale = num_bins as f64 / (f64::from(stored_hi) - lo).max(f64::MIN_POSITIVE);
-                for &x in v {
-                    counts[(((f64::from(x) - lo) * scale) as usize).min(num_bins - 1)] += 1;
+                let mut counts = in_bins(v, range);
+                if let Some(bulk) = bulk(v, range, &counts) {
+                    range = bulk;
+                    counts = in_bins(v, range);
                 }
+                counts
             }
-        }
-        let (a, b) = (volume.value_from_stored(stored_lo), volume.value_from_stored(stored_hi));
-        if b < a {
+        };
+        let value = |stored: (f32, f32)| {
+            let (a, b) = (volume.value_from_stored(stored.0), volume.value_from_stored(stored.1));
+            (a.min(b), a.max(b), b < a)
+        };
+        let (lo, hi, falls) = value(range);
+        if falls {
             counts.reverse();
         }
-        Self { lo: a.min(b), hi: a.max(b), counts }
+        let (least, greatest, _) = value((stored_lo, stored_hi));
+        Self { lo, hi, counts, range: (least, greatest) }
     }
 
-    /// The least value with at least `percent` % of the voxels at or below it.
+    /// The least value with at least `percent` % of the voxels at or below it, as far as bins tell.
     pub fn percentile(&self, percent: f32) -> f32 {
+        if percent <= 0.0 {
+            return self.range.0;
+        }
         let total: u64 = self.counts.iter().sum();
-        let wanted = (f64::from(percent.clamp(0.0, 100.0)) / 100.0 * total as f64).ceil().max(1.0) as u64;
+        let wanted = (f64::from(percent.min(100.0)) / 100.0 * total as f64).ceil().max(1.0) as u64;
         let mut seen = 0;
         let last = (self.counts.len() - 1).max(1) as f64;
         let (lo, hi) = (f64::from(self.lo), f64::from(self.hi));
         for (i, n) in self.counts.iter().enumerate() {
             seen += n;
-            if seen >= wanted {
+            if seen >= wanted && wanted < total {
                 return (lo + (hi - lo) * (i as f64 / last)) as f32;
             }
         }
-        self.hi
+        self.range.1
     }
 
     /// The value that parts the voxels best into lower and higher ones: the greatest variance between the two (Otsu 1979).
     pub fn parting_value(&self) -> f32 {
         parting_value(&self.counts, (self.lo, self.hi))
+    }
+}
+
+/// Voxels of each number.
+fn counted<T: Copy + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
+    let mut counts = vec![0; (hi - lo) as usize + 1];
+    voxels.iter().for_each(|&x| counts[x.into() as usize - lo as usize] += 1);
+    counts
+}
+
+/// Voxels in [`NUM_BINS`] equal bins; those outside in the first and the last.
+fn in_bins(voxels: &[f32], (lo, hi): (f32, f32)) -> Vec<u64> {
+    let mut counts = vec![0; NUM_BINS];
+    // In double precision: the range may be shorter than the inverse of the greatest float.
+    let lo = f64::from(lo);
+    let scale = NUM_BINS as f64 / (f64::from(hi) - lo).max(f64::MIN_POSITIVE);
+    for &x in voxels {
+        counts[(((f64::from(x) - lo) * scale) as usize).min(NUM_BINS - 1)] += 1;
+    }
+    counts
+}
+
+/// The range of all voxels but [`TAIL`] at each end, if that is [`FAR`] times as short as `range`, over which `counts` are.
+fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f32)> {
+    let tail = (voxels.len() as f64 * TAIL) as u64;
+    let from_below = |counts: &mut dyn Iterator<Item = &u64>| {
+        let mut seen = 0;
+        counts
+            .take_while(|n| {
+                seen += **n;
+                seen <= tail
+            })
+            .count()
+    };
+    let (whole, mut counts) = (range, counts.to_vec());
+    loop {
+        let first = from_below(&mut counts.iter());
+        let after = NUM_BINS - from_below(&mut counts.iter().rev());
+        if (after - first) * FAR >= NUM_BINS {
+            return (range != whole).then_some(range);
+        }
+        let at = |bin: usize| {
+            let (lo, hi) = (f64::from(range.0), f64::from(range.1));
+            (lo + (hi - lo) * (bin as f64 / NUM_BINS as f64)) as f32
+        };
+        // The ends themselves: beside what is far away the others may be less than its rounding.
+        let inner = (
+            if first == 0 { range.0 } else { at(first) },
+            if after == NUM_BINS { range.1 } else { at(after) },
+        );
+        // One value, and a few others: those are what there is to see.
+        if inner.0 >= inner.1 || inner == range {
+            return None;
+        }
+        range = inner;
+        counts = in_bins(voxels, range);
     }
 }
 
@@ -90,6 +153,13 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
     (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * at) as f32
 }
 
+/// Bins of floats.
+const NUM_BINS: usize = 65_536;
+/// Share of the voxels at either end that bins may pass over.
+const TAIL: f64 = 1e-4;
+/// How much finer bins must become by that.
+const FAR: usize = 16;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,6 +187,39 @@ mod tests {
         assert_eq!(parting_value(&[7], (2.0, 2.0)), 2.0);
         assert!(parting_value(&[], (0.0, 1.0)).is_finite());
         assert!((-MAX..=MAX).contains(&parting_value(&[3, 1, 4], (-MAX, MAX))));
+    }
+
+    #[test]
+    fn what_lies_far_away_leaves_the_others_their_bins() {
+        let of = |voxels: Vec<f32>, map: (f32, f32)| {
+            let dims = [voxels.len() as u32, 1, 1];
+            let dims = if dims[0] > 2048 { [dims[0] / 64, 8, 8] } else { dims };
+            let info = VolumeInfo::default();
+            Histogram::of(&Volume::new(dims, Vec3::ONE, Voxels::F32(voxels), map, info).unwrap())
+        };
+        let ramp = |outlier: Option<f32>| -> Vec<f32> {
+            (0..64_000).map(|i| outlier.filter(|_| i == 40).unwrap_or((i % 1000) as f32)).collect()
+        };
+        for outlier in [None, Some(1e8), Some(-1e30), Some(MAX), Some(-MAX)] {
+            let h = of(ramp(outlier), (1.0, 0.0));
+            for percent in [1.0, 25.0, 50.0, 99.0] {
+                let (found, expected) = (h.percentile(percent), 10.0 * percent - 1.0);
+                assert!((found - expected).abs() < 1.1, "{outlier:?} {percent} %: {found}");
+            }
+            let ends = [h.percentile(0.0), h.percentile(100.0)];
+            let all = outlier.unwrap_or(500.0);
+            assert_eq!(ends, [all.min(0.0), all.max(999.0)]);
+            assert!((h.parting_value() - 500.0).abs() < 10.0, "{}", h.parting_value());
+            assert_eq!(h.counts.iter().sum::<u64>(), 64_000);
+            // Numbers that fall where values rise.
+            let falling = of(ramp(outlier), (-0.5, 1.0));
+            assert!((falling.percentile(25.0) + 373.5).abs() < 1.0, "{}", falling.percentile(25.0));
+        }
+        // Nothing but a few voxels in nothing: they are what there is to see.
+        let mut sparse = vec![0.0; 64_000];
+        sparse[7] = 5.0;
+        let h = of(sparse, (1.0, 0.0));
+        assert_eq!((h.lo, h.hi, h.percentile(99.0)), (0.0, 5.0, 0.0));
     }
 
     #[test]

@@ -133,7 +133,10 @@ pub struct VolumeDescription {
     pub value_unit: Option<String>,
     /// Least and greatest value.
     pub value_range: (f32, f32),
-    /// Voxels in at most [`MAX_BINS`] equal bins over the value range.
+    /// Between which values the bins of the histogram are: the value range, or less where a few voxels lie far away from all
+    /// others. Those are counted in the first and the last bin.
+    pub histogram_range: (f32, f32),
+    /// Voxels in at most [`MAX_BINS`] equal bins.
     pub histogram: Vec<u64>,
 }
 
@@ -296,6 +299,7 @@ impl VolumeDescription {
             placement: volume.info.placement,
             value_unit: volume.info.value_unit.as_deref().map(cut),
             value_range: volume.value_range(),
+            histogram_range: (histogram.lo, histogram.hi),
             histogram: counts,
         }
     }
@@ -322,8 +326,13 @@ impl VolumeDescription {
             return Err(ControlError::Value("volume size"));
         }
         let (lo, hi) = self.value_range;
-        if !(lo <= hi && lo.is_finite() && hi.is_finite()) {
+        let is_range = |(lo, hi): (f32, f32)| lo <= hi && lo.is_finite() && hi.is_finite();
+        if !is_range(self.value_range) {
             return Err(ControlError::Value("value range"));
+        }
+        let (first, last) = self.histogram_range;
+        if !is_range(self.histogram_range) || first < lo || last > hi {
+            return Err(ControlError::Value("histogram range"));
         }
         if self.histogram.len() > MAX_BINS {
             return Err(ControlError::Value("histogram"));
@@ -427,6 +436,7 @@ mod tests {
             placement: None,
             value_unit: None,
             value_range: (-1.0, 1.0),
+            histogram_range: (-0.5, 1.0),
             histogram: (0..256).collect(),
         };
         let welcome = Welcome {

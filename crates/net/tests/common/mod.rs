@@ -38,6 +38,7 @@ pub(crate) fn greeting() -> Greeting {
         placement: None,
         value_unit: None,
         value_range: (0.0, 1.0),
+        histogram_range: (0.0, 1.0),
         histogram: vec![1; 16],
     };
     Greeting { volume, look_version: LookVersion(1), look: look() }
