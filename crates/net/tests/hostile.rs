@@ -117,6 +117,21 @@ async fn whatever_a_client_says_first_others_are_served() {
     assert_serves(&bad_links[1]).await;
 }
 
+/// Also where nobody has accepted them yet: who makes links must know.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_that_is_gone_at_once_has_used_its_link_and_left() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let left = server.left();
+    let mut peer = raw(&link).await;
+    peer.send.write_all(&control::encode(&hello(link.token.clone(), t(), "x")).unwrap()).await.unwrap();
+    assert!(matches!(peer.answer().await, ServerMessage::Welcome(_)));
+    assert_eq!((server.num_used_links(), server.num_viewers()), (1, 1));
+    peer.connection.close(0u32.into(), b"");
+    tokio::time::timeout(Duration::from_secs(20), left.notified()).await.unwrap();
+    assert_eq!((server.num_used_links(), server.num_viewers()), (1, 0));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn garbage_after_the_welcome_hurts_only_its_sender() {
     let server = server();

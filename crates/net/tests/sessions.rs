@@ -13,7 +13,7 @@ use isinglass_core::codec::{
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::look::Look;
 use isinglass_core::session::server::Request;
-use isinglass_core::wire::{PoseRequest, Refusal};
+use isinglass_core::wire::{Part, PoseRequest, Refusal};
 use isinglass_net::{Client, ClientOptions, ConnectError, Identity, LinkModel, Server, ServerOptions, State};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -220,6 +220,27 @@ async fn a_dropped_connection_keeps_the_picture_and_comes_back() {
     let id = client.set_pose(pose(2), INTRINSICS);
     until_answered(&client, id).await;
     assert_eq!(client.state(), State::Connected);
+}
+
+/// Later it would change what all others see.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_part_that_is_wished_for_without_a_connection_is_forgotten() {
+    let mut server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let client = connect(&link);
+    let session = server.accept().await.unwrap();
+    let control = session.control.clone();
+    until("the welcome", || (client.state() == State::Connected).then_some(())).await;
+    control.close("a test");
+    until("the loss", || matches!(client.state(), State::Reconnecting { .. }).then_some(())).await;
+    client.open_part(Some(Part { time: Some(1), ..Part::default() }));
+    let mut session = server.accept().await.unwrap();
+    until("the welcome", || (client.state() == State::Connected).then_some(())).await;
+    // The control: one that is wished for now.
+    let wanted = Part { time: Some(2), ..Part::default() };
+    client.open_part(Some(wanted));
+    let asked = until("the part", || session.requests.try_recv().ok()).await;
+    assert_eq!(asked, Request::OpenPart(wanted));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -49,6 +49,7 @@ pub(crate) async fn serve(
     let mut known = HashSet::new();
     let mut present = house.present.clone();
     let librarian = tokio::spawn(librarian.run());
+    let left = server.left();
     loop {
         tokio::select! {
             session = server.accept() => {
@@ -59,6 +60,7 @@ pub(crate) async fn serve(
                 viewers.spawn(viewer.run().instrument(span));
             }
             Some(_) = viewers.join_next() => {}
+            () = left.notified() => {}
             Ok(()) = present.changed() => {
                 server.set_greeting(present.borrow_and_update().greeting.clone());
             }
@@ -86,6 +88,8 @@ struct Viewer {
     version: LookVersion,
     mode: Mode,
     pilot: Pilot,
+    /// What the pilot's clock counts from.
+    since: Instant,
     frame: FrameId,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
@@ -141,6 +145,7 @@ impl Viewer {
             version: LookVersion(1),
             mode: plan.mode,
             pilot: Pilot::new(plan),
+            since: Instant::now(),
             frame: FrameId(0),
             answered: None,
             sending: None,
@@ -545,7 +550,8 @@ impl Viewer {
             if !sent.ticket.is_finer || matches!(coding, Coding::Exact(_)) {
                 self.pilot.handle_encoded(coding, is_predicted, num_lists, sent.bytes, sent.encode_micros);
             }
-            self.pilot.handle_link(self.session.frames.link_state());
+            let now_micros = self.since.elapsed().as_micros() as u64;
+            self.pilot.handle_link(now_micros, self.session.frames.link_state());
         }
         true
     }

@@ -309,13 +309,11 @@ const DEFECT: &str = "Opening ended early, by a defect of the program.";
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::channel;
-
     use super::*;
 
     #[test]
     fn work_that_panics_wakes_and_has_failed() {
-        let (wake, woken) = channel();
+        let (wake, woken) = sync_channel(1);
         let wake: Waker = Arc::new(move || wake.send(()).unwrap());
         let receiver = on_a_thread::<()>(&wake, || panic!("for the test"));
         woken.recv().unwrap();

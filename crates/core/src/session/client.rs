@@ -1,8 +1,8 @@
 //! The client's side of a connection: from chunks to the next thing worth decoding, and the ledger of a frame's life.
 //!
 //! At most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] are in reassembly; a newer one pushes the oldest out. A frame whose base is
-//! complete ends the older ones. What is handed out for decoding never goes back to an older frame. A frame that is
-//! predicted from another waits for it.
+//! complete ends the older ones. What is handed out for decoding never goes back to an older frame, but for those that others
+//! may be predicted from and that were overtaken by one that is not. A frame that is predicted from another waits for it.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -168,9 +168,14 @@ impl Session {
         self.poses.push_back((pose, now_micros));
     }
 
-    /// Whether a chunk of this frame can still be of use.
-    pub fn wants(&self, frame: FrameId) -> bool {
-        self.newest_base.is_none_or(|newest| frame >= newest)
+    /// Whether a chunk of this frame can still be of use; `is_predicting` if others can be predicted from the frame.
+    pub fn wants(&self, frame: FrameId, is_predicting: bool) -> bool {
+        let is_new = self.newest_base.is_none_or(|newest| frame >= newest);
+        // Those that follow may name it, though the newest has overtaken it.
+        let is_late = is_predicting
+            && !self.is_predicting
+            && self.references.iter().chain(&self.coming).all(|decoded| frame > *decoded);
+        (is_new || is_late)
             && (self.assembling.len() < MAX_ASSEMBLING
                 || self.assembling.keys().next().is_some_and(|o| frame >= *o))
     }
@@ -193,7 +198,7 @@ impl Session {
         if !is_sound {
             return Err(ChunkError::Place(place));
         }
-        if !self.wants(frame) {
+        if !self.wants(frame, place.prediction.is_some()) {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
@@ -285,6 +290,10 @@ impl Session {
     /// picture before, which is complete, is better for the moment that they still need: a base is held back until
     /// it is followed by a newer one or a quarter of a second has passed.
     pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
+        self.poll_newest(now_micros).or_else(|| self.poll_late())
+    }
+
+    fn poll_newest(&mut self, now_micros: u64) -> Option<DecodeJob> {
         let frame = self.newest_base?;
         let is_held = self.hold_until().is_some_and(|until| now_micros < until);
         let a = self.assembling.get_mut(&frame)?;
@@ -301,6 +310,28 @@ impl Session {
             self.refinements_keep_up = true;
         }
         Some(DecodeJob { connection: self.connection, frame, is_first, is_last, chunks })
+    }
+
+    /// A frame that others may be predicted from, and that the newest one has overtaken.
+    fn poll_late(&mut self) -> Option<DecodeJob> {
+        let newest = self.newest_base?;
+        let is_begun = self.assembling.get(&newest).is_none_or(|a| a.is_decoding);
+        if self.is_predicting || self.coming.is_some() || !is_begun {
+            return None;
+        }
+        let is_ready = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
+        let frame = self.assembling.range(..newest).find(|(_, a)| is_ready(a)).map(|(frame, _)| *frame)?;
+        let late = self.assembling.remove(&frame)?;
+        // Its refinements would come after another frame's chunks.
+        self.assembling.remove(&newest);
+        self.coming = Some(frame);
+        Some(DecodeJob {
+            connection: self.connection,
+            frame,
+            is_first: true,
+            is_last: true,
+            chunks: late.waiting,
+        })
     }
 
     /// When [`Session::poll_decode`] must be asked again though nothing has arrived.
@@ -330,6 +361,9 @@ impl Session {
             }
             self.references.push_back(frame);
             self.choose();
+        }
+        if self.newest_decoded.is_some_and(|t| t.connection == connection && t.frame > frame) {
+            return None;
         }
         let times = self.times_mut(frame)?;
         if is_complete {

@@ -47,7 +47,7 @@ pub struct LinkState {
     pub window_bytes: u64,
     /// Round-trip time now, smoothed, µs.
     pub rtt_micros: u64,
-    /// The least there was, µs.
+    /// The least there ever was, µs.
     pub least_rtt_micros: u64,
 }
 
@@ -64,7 +64,7 @@ impl LinkState {
 
     /// Whether packets wait somewhere on the way, so that the window is all that the link carries.
     fn is_queueing(&self) -> bool {
-        self.rtt_micros > self.least_rtt_micros + (self.least_rtt_micros / 4).max(QUEUE_MICROS)
+        is_longer(self.rtt_micros, self.least_rtt_micros)
     }
 }
 
@@ -79,6 +79,9 @@ pub struct Pilot {
     /// What the link carries, bytes a second, as far as it has shown; none: no queue was seen.
     ceiling: Option<f64>,
     link: Option<LinkState>,
+    least_rtt: LeastRtt,
+    /// When the link was looked at last, µs.
+    looked_at_micros: u64,
     generate_micros: f64,
     /// How far frames of a moving camera are turned when they are seen, degrees; none: it is not known.
     turned_deg: Option<f32>,
@@ -98,6 +101,8 @@ impl Pilot {
             control: RateControl::new(usize::MAX),
             ceiling: None,
             link: None,
+            least_rtt: LeastRtt::default(),
+            looked_at_micros: 0,
             generate_micros: 0.0,
             turned_deg: None,
             is_turned: false,
@@ -123,20 +128,28 @@ impl Pilot {
         }
     }
 
-    /// The link is like this now.
-    pub fn handle_link(&mut self, link: LinkState) {
-        self.link = Some(link);
+    /// The link is like this now, on a clock that does not run backwards.
+    pub fn handle_link(&mut self, now_micros: u64, link: LinkState) {
+        let least_rtt_micros = self.least_rtt.handle(now_micros, &link);
+        let link = LinkState { least_rtt_micros, ..link };
+        let since = (now_micros.saturating_sub(self.looked_at_micros) as f64).min(MAX_GROWTH_MICROS);
+        (self.link, self.looked_at_micros) = (Some(link), now_micros);
         // A full queue shows what the link carries. Later, the window may stand for the queue too, so it is believed only
         // step by step.
-        self.ceiling =
-            if link.is_queueing() { Some(link.bytes_per_second()) } else { self.ceiling.map(|c| c * GROWTH) };
+        self.ceiling = if link.is_queueing() {
+            Some(link.bytes_per_second())
+        } else {
+            self.ceiling.map(|c| c * (since / DOUBLED_IN_MICROS).exp2())
+        };
     }
 
     /// What the link is taken to carry, bytes a second: infinite as long as it is not known.
     pub fn bytes_per_second(&self) -> f64 {
         let link = self.link.map_or(f64::INFINITY, |link| {
             // A window without a queue is not all that the link carries: it grows when it is filled.
-            let open = if link.is_queueing() {
+            let open = if self.least_rtt.draining.is_some() {
+                FILLING / 3.0
+            } else if link.is_queueing() {
                 (FILLING - link.queue_seconds() / DRAINED_IN_SECONDS).max(FILLING / 3.0)
             } else {
                 OPENING
@@ -228,6 +241,73 @@ fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
 
+/// The least round trip of a link, until its way becomes longer for good. Taken for a queue for ever, what it takes longer would keep
+/// the window from being filled, and one that is not filled does not grow again after a loss. So where round trips stay longer, the link
+/// is drained for a moment: what is left then is no queue of ours.
+#[derive(Clone, Copy, Debug)]
+struct LeastRtt {
+    least_micros: Option<u64>,
+    /// Since when all have been longer, µs.
+    longer_since_micros: Option<u64>,
+    /// Until when the link is drained, and the least since it is, µs.
+    draining: Option<(u64, u64)>,
+    /// How long they may be longer before the link is drained.
+    patience_micros: u64,
+    seen_at_micros: u64,
+}
+
+impl Default for LeastRtt {
+    fn default() -> Self {
+        Self {
+            least_micros: None,
+            longer_since_micros: None,
+            draining: None,
+            patience_micros: PATIENCE_MICROS,
+            seen_at_micros: 0,
+        }
+    }
+}
+
+impl LeastRtt {
+    /// Takes a round trip into account, and returns the least, µs.
+    fn handle(&mut self, now_micros: u64, link: &LinkState) -> u64 {
+        let LinkState { rtt_micros, least_rtt_micros, .. } = *link;
+        // Nothing of ours queues during a pause.
+        let is_paused = now_micros.saturating_sub(self.seen_at_micros) > PATIENCE_MICROS;
+        self.seen_at_micros = now_micros;
+        let least = self.least_micros.unwrap_or(least_rtt_micros).min(rtt_micros);
+        self.least_micros = Some(least);
+        if is_paused || !is_longer(rtt_micros, least) {
+            if self.draining.take().is_some() {
+                // It was ours, and will be again.
+                self.patience_micros = (self.patience_micros * 2).min(MAX_PATIENCE_MICROS);
+            }
+            self.longer_since_micros = None;
+            return least;
+        }
+        let since = *self.longer_since_micros.get_or_insert(now_micros);
+        match &mut self.draining {
+            Some((until, longer)) => {
+                *longer = rtt_micros.min(*longer);
+                if now_micros >= *until {
+                    *self =
+                        Self { least_micros: Some(*longer), seen_at_micros: now_micros, ..Self::default() };
+                }
+            }
+            None if now_micros.saturating_sub(since) > self.patience_micros => {
+                self.draining = Some((now_micros + DRAINING_MICROS + 3 * rtt_micros, rtt_micros));
+            }
+            None => {}
+        }
+        self.least_micros.unwrap_or(least)
+    }
+}
+
+/// Whether a round trip is longer than the least by a queue, and not by jitter.
+fn is_longer(rtt_micros: u64, least_micros: u64) -> bool {
+    rtt_micros > least_micros + (least_micros / 4).max(QUEUE_MICROS)
+}
+
 /// A mean that forgets.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean(Option<f64>);
@@ -282,9 +362,15 @@ const FILLING: f64 = 0.9;
 const DRAINED_IN_SECONDS: f64 = 0.5;
 /// Times the window that frames may fill when nothing queues: in one round trip more would not be noticed.
 const OPENING: f64 = 2.0;
-/// By how much a frame without a queue raises what the link is taken to carry, for each [`FRAME_MICROS`] that it is in the
-/// making: doubled within a second.
-const GROWTH: f64 = 1.025;
+/// Without a queue the link is taken to carry twice as much after so long, however many frames that were; and no more than
+/// twice as much from one frame to the next.
+const DOUBLED_IN_MICROS: f64 = 1e6;
+const MAX_GROWTH_MICROS: f64 = DOUBLED_IN_MICROS;
+/// Round trips may be longer for so long before the link is drained to tell why; at most for so long, where it was our queue before.
+const PATIENCE_MICROS: u64 = 5_000_000;
+const MAX_PATIENCE_MICROS: u64 = 60_000_000;
+/// A third of what the link carries drains a queue of a fifth of a second in so long.
+const DRAINING_MICROS: u64 = 300_000;
 /// Waits beyond the least round trip that are a queue and not jitter.
 const QUEUE_MICROS: u64 = 15_000;
 /// Clocks and threads do not tell shorter round trips.
@@ -303,26 +389,31 @@ mod tests {
         }
     }
 
-    /// A link of so many bytes a second that carries one frame after the other: 100 ms, and whatever queues.
+    /// A link of so many bytes a second that carries one frame after the other: a round trip, and whatever queues.
     struct FakeLink {
         bytes_per_second: f64,
+        rtt_micros: f64,
         window: f64,
         queued: f64,
     }
 
     impl FakeLink {
+        fn new(megabytes: f64) -> Self {
+            Self { bytes_per_second: megabytes * 1e6, rtt_micros: 1e5, window: 76_800.0, queued: 0.0 }
+        }
+
         /// 33 ms in which `bytes` are handed over, and what the transport sees then.
         fn send(&mut self, bytes: f64) -> LinkState {
-            let in_flight = self.bytes_per_second * 0.1;
+            let in_flight = self.bytes_per_second * self.rtt_micros / 1e6;
             self.queued = (self.queued + bytes - self.bytes_per_second / 30.0).max(0.0);
             // Never more than the window is on its way; it grows as long as it is filled and nothing is lost.
-            if bytes * 3.0 + self.queued > self.window {
+            if bytes * 30.0 * self.rtt_micros / 1e6 + self.queued > self.window {
                 self.window = (self.window * 1.3).min(in_flight * 3.0);
             }
             self.queued = self.queued.min(self.window - in_flight.min(self.window));
             LinkState {
                 window_bytes: self.window as u64,
-                rtt_micros: (1e5 + self.queued / self.bytes_per_second * 1e6) as u64,
+                rtt_micros: (self.rtt_micros + self.queued / self.bytes_per_second * 1e6) as u64,
                 least_rtt_micros: 100_000,
             }
         }
@@ -365,7 +456,7 @@ mod tests {
     #[test]
     fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
         for megabytes in [0.6, 1.25, 6.0] {
-            let mut link = FakeLink { bytes_per_second: megabytes * 1e6, window: 76_800.0, queued: 0.0 };
+            let mut link = FakeLink::new(megabytes);
             let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
             let mut waits = vec![];
             for n in 0..300 {
@@ -374,7 +465,7 @@ mod tests {
                 let coding = pilot.next(LISTS, n > 0);
                 let bytes = bytes_at(quality(coding).unwrap(), hardness);
                 pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
-                pilot.handle_link(link.send(bytes));
+                pilot.handle_link(n * 33_000, link.send(bytes));
                 waits.push(link.queued / link.bytes_per_second);
             }
             // Half a second to settle, each time; then what queues is a few frames' worth.
@@ -383,12 +474,60 @@ mod tests {
             let best = pilot.bytes_per_second();
             assert!(best > megabytes * 0.5e6, "{megabytes}: {best} of the link is used");
             // The control: a fixed quality fills the narrow link's queue.
-            let mut link = FakeLink { bytes_per_second: megabytes * 1e6, window: 76_800.0, queued: 0.0 };
+            let mut link = FakeLink::new(megabytes);
             for _ in 0..300 {
                 link.send(bytes_at(90, 1.0));
             }
             assert_eq!(link.queued > 0.1 * link.bytes_per_second, megabytes < 0.7, "{megabytes}");
         }
+    }
+
+    #[test]
+    fn a_way_that_has_become_longer_is_no_queue() {
+        let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+        let mut link = FakeLink::new(2.5);
+        let mut rates = vec![];
+        for n in 0..900 {
+            if n == 150 {
+                link.rtt_micros = 2e5;
+            }
+            // Losses for a while.
+            if (200..350).contains(&n) && n % 10 == 0 {
+                link.window = (link.window * 0.5).max(5_000.0);
+            }
+            let coding = pilot.next(LISTS, n > 0);
+            let bytes = bytes_at(quality(coding).unwrap(), 1.0);
+            pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+            pilot.handle_link(n * 33_000, link.send(bytes));
+            rates.push(pilot.bytes_per_second());
+        }
+        let mean =
+            |range: std::ops::Range<usize>| rates[range.clone()].iter().sum::<f64>() / range.len() as f64;
+        // Ten seconds after the last loss.
+        assert!(
+            mean(650..900) > 0.9 * mean(100..150),
+            "{} {} {}",
+            mean(100..150),
+            mean(340..350),
+            mean(650..900)
+        );
+        // Negative control: losses do tell.
+        assert!(mean(340..350) < 0.5 * mean(100..150));
+        // A round trip is forgotten when all are longer, drained or not; not for a queue that drains, nor for a pause.
+        let second = 1_000_000;
+        let link = |rtt_micros| LinkState { window_bytes: 1, rtt_micros, least_rtt_micros: 10_000 };
+        let found = |trips: &[(u64, u64)]| {
+            let mut least = LeastRtt::default();
+            trips.iter().map(|&(at, rtt)| least.handle(at * second, &link(rtt))).last()
+        };
+        let longer = [(0, 10_000), (1, 90_000), (4, 80_000), (7, 95_000), (8, 90_000)];
+        assert_eq!(found(&longer[..4]), Some(10_000));
+        assert_eq!(found(&longer), Some(90_000));
+        let drains =
+            [(0, 10_000), (1, 90_000), (7, 90_000), (8, 20_000), (9, 90_000), (15, 90_000), (17, 90_000)];
+        assert_eq!(found(&drains), Some(10_000));
+        assert_eq!(found(&[(0, 90_000), (20, 90_000)]), Some(10_000));
+        assert_eq!(found(&[(0, 90_000), (1, 5_000), (2, 8_000)]), Some(5_000));
     }
 
     #[test]
@@ -398,7 +537,7 @@ mod tests {
         let wide = LinkState { window_bytes: 10_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
         let mut last = 0.0;
         for n in 0..20 {
-            pilot.handle_link(wide);
+            pilot.handle_link(n * 33_000, wide);
             let coding = pilot.next(LISTS, n > 0);
             last = bytes_at(quality(coding).unwrap(), 1.0);
             pilot.handle_encoded(&coding, n > 0, LISTS, last as usize, 1000);
@@ -417,7 +556,7 @@ mod tests {
             for _ in 0..20 {
                 pilot.handle_generated(generate_micros);
                 let link = LinkState { window_bytes: 10_000_000, rtt_micros, least_rtt_micros: rtt_micros };
-                pilot.handle_link(link);
+                pilot.handle_link(0, link);
                 let coding = pilot.next(LISTS, true);
                 last = bytes_at(quality(coding).unwrap(), 1.0);
                 pilot.handle_encoded(&coding, true, LISTS, last as usize, 1000);
@@ -470,9 +609,9 @@ mod tests {
             }
             steps
         };
-        pilot.handle_link(link(10_000_000));
+        pilot.handle_link(0, link(10_000_000));
         assert_eq!(steps(&pilot), [None]);
-        pilot.handle_link(link(80_000));
+        pilot.handle_link(0, link(80_000));
         assert_eq!(steps(&pilot), [Some(FINE_QUALITY), None]);
         pilot.plan.mode = Mode::Blocks;
         assert_eq!(steps(&pilot), []);
@@ -491,7 +630,7 @@ mod tests {
             pilot.exact_bytes = Mean::default();
             pilot.exact_micros = Mean::default();
             pilot.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
-            pilot.handle_link(LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
+            pilot.handle_link(0, LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
             quality(pilot.next(LISTS, true))
         };
         assert_eq!(coding(20_000, 2_000_000), None);

@@ -143,13 +143,30 @@ pub fn violation(error: &ControlError) -> Refusal {
     Refusal::Protocol(crate::wire::control::one_line(&error.to_string()))
 }
 
-/// Priority of a chunk's stream: any base before any refinement, newer frames first, and within a frame by index.
-/// The control stream has [`CONTROL_PRIORITY`].
+/// What a chunk is to the frames beside its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rank {
+    /// Later frames may be predicted from it: those wait at the client until it is there.
+    Predicting,
+    /// It is a picture by itself, or the base of one.
+    Base,
+    /// It makes a picture finer.
+    Refinement,
+}
+
+/// Priority of a chunk's stream: what others may be predicted from before any base, that before any refinement. Of the first older
+/// frames come first, of the others newer ones; within a frame it goes by index. The control stream has [`CONTROL_PRIORITY`].
 ///
-/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the two bands never meet.
-pub fn priority(frame: FrameId, index: ChunkIndex, is_base: bool) -> i32 {
-    let place = ((frame.0 & 0x01ff_ffff) << 4) as i32 + 15 - i32::from(index.0.min(15));
-    if is_base { BASE_BAND + place } else { place }
+/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the bands never meet.
+pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
+    let newer_first = (frame.0 & FRAMES) as i32;
+    let (band, frame) = match rank {
+        Rank::Predicting => (2, FRAMES as i32 - newer_first),
+        Rank::Base => (1, newer_first),
+        Rank::Refinement => (0, newer_first),
+    };
+    // The last of them is the control stream's.
+    band * BAND + (frame << 4) + 14 - i32::from(index.0.min(14))
 }
 
 /// Below every chunk: a picture to keep waits for what is looked at.
@@ -162,7 +179,10 @@ pub const MAX_POSES_PER_SECOND: u32 = 240;
 pub const MAX_MESSAGES_PER_SECOND: u32 = 100;
 /// After so long one more may be handled, µs.
 pub const MESSAGE_WAIT_MICROS: u64 = 1_000_000 / MAX_MESSAGES_PER_SECOND as u64;
-const BASE_BAND: i32 = 1 << 30;
+/// Frame numbers that priorities tell apart.
+const FRAMES: u32 = 0x01ff_ffff;
+/// Priorities of a rank.
+const BAND: i32 = 1 << 29;
 
 #[cfg(test)]
 mod tests {
@@ -236,16 +256,22 @@ mod tests {
     }
 
     #[test]
-    fn priorities_never_mix_bases_and_refinements() {
+    fn priorities_never_mix_ranks() {
+        use Rank::{Base, Predicting, Refinement};
         for n in [1u32, 2, 1_000_000, 0x01ff_fffe] {
             let (old, new) = (FrameId(n), FrameId(n + 1));
-            let p = |f, i, base| priority(f, ChunkIndex(i), base);
-            assert!(p(new, 0, true) > p(old, 0, true));
-            assert!(p(new, 15, false) > p(old, 0, false));
-            assert!(p(old, 0, true) > p(old, 1, true));
-            assert!(p(old, 15, true) > p(new, 0, false));
-            assert!(p(FrameId(0), 15, true) > p(FrameId(0x01ff_ffff), 0, false));
-            assert!(p(new, 0, true) < CONTROL_PRIORITY);
+            let p = |f, i, rank| priority(f, ChunkIndex(i), rank);
+            assert!(p(new, 0, Base) > p(old, 0, Base));
+            assert!(p(new, 15, Refinement) > p(old, 0, Refinement));
+            assert!(p(old, 0, Base) > p(old, 1, Base));
+            assert!(p(old, 15, Base) > p(new, 0, Refinement));
+            assert!(p(FrameId(0), 15, Base) > p(FrameId(FRAMES), 0, Refinement));
+            // What others wait for goes before them.
+            assert!(p(old, 15, Predicting) > p(new, 0, Predicting));
+            assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
+            assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Base));
+            assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
+            assert!(p(FrameId(0), 15, Refinement) > SHOT_PRIORITY);
         }
     }
 

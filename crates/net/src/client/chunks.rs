@@ -63,7 +63,7 @@ async fn read(
             }
             header = Some(read.map_err(|e| e.to_string())?);
         }
-        if header.as_ref().is_some_and(|h| !shared.session().wants(h.frame.frame)) {
+        if header.as_ref().is_some_and(|h| !shared.session().wants(h.frame.frame, is_predicting(h))) {
             let _ = stream.stop(RESET_SUPERSEDED);
             return Ok(());
         }
@@ -71,10 +71,14 @@ async fn read(
     Ok(())
 }
 
+/// Whether others can be predicted from the frame: chunks of their own for corrections may never come.
+fn is_predicting(header: &codec::ChunkHeader) -> bool {
+    header.is_rate() && header.num_chunks == header.num_base
+}
+
 fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
-    // Chunks of their own for corrections may never come, so such a frame is no reference.
-    let is_predicting = header.is_rate() && header.num_chunks == header.num_base;
-    let prediction = is_predicting.then(|| Prediction { reference: codec::blocks::reference_named(bytes) });
+    let prediction =
+        is_predicting(header).then(|| Prediction { reference: codec::blocks::reference_named(bytes) });
     ChunkPlace {
         prediction,
         frame: header.frame.frame,

@@ -91,6 +91,10 @@ impl Dialer {
                     session.handle_connected();
                     session.connection()
                 };
+                if number > 1 {
+                    // Wished for while nobody was there, perhaps minutes ago: it would change what all others see.
+                    shared.part.send_if_modified(|wish| wish.take().is_some());
+                }
                 shared.update(|s| {
                     s.connection = number;
                     s.look = Some((welcome.look_version, Arc::new(welcome.look.clone())));

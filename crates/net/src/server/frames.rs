@@ -10,7 +10,7 @@ use std::time::Duration;
 use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId, ShotId};
 use isinglass_core::session::rate::LinkState;
-use isinglass_core::session::server::{SHOT_PRIORITY, priority};
+use isinglass_core::session::server::{Rank, SHOT_PRIORITY, priority};
 use isinglass_core::wire::shot::shot_header;
 use quinn::{SendStream, WriteError};
 use tokio::time::Instant;
@@ -43,7 +43,8 @@ impl FrameSender {
         self.send_inner(frame, chunks, false).instrument(span).await
     }
 
-    /// The same for a frame that only makes the one before finer: nothing of it goes ahead of what is left of others.
+    /// The same for a frame that only makes the one before finer: nothing of it goes ahead of what is left of others, unless
+    /// those that follow may be predicted from it.
     ///
     /// # Errors
     /// If the connection is over.
@@ -112,12 +113,17 @@ impl FrameSender {
         // From here on refinements of older frames are superseded, which frees the window for this base.
         link.state().handle_base_handed(frame);
         link.progress.send_replace(());
-        // Later frames may be predicted from this one, so it must arrive.
+        // Later frames may be predicted from this one, so it must arrive, and before them.
         let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| h.is_rate()));
         let (base, refinements): (Vec<_>, Vec<_>) = chunks.into_iter().partition(|c| c.is_base);
+        let rank = match (is_kept, is_finer) {
+            (true, _) => Rank::Predicting,
+            (false, false) => Rank::Base,
+            (false, true) => Rank::Refinement,
+        };
         let mut streams = Vec::with_capacity(base.len());
         for chunk in base {
-            let mut stream = ChunkStream::open(link, frame, &chunk, !is_finer).await?;
+            let mut stream = ChunkStream::open(link, frame, &chunk, rank).await?;
             stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
         }
@@ -152,7 +158,7 @@ async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
     let mut streams = Vec::with_capacity(chunks.len());
     let writing = async {
         for chunk in &chunks {
-            let mut stream = ChunkStream::open(link, frame, chunk, false).await?;
+            let mut stream = ChunkStream::open(link, frame, chunk, Rank::Refinement).await?;
             stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
         }
@@ -202,14 +208,9 @@ struct ChunkStream {
 }
 
 impl ChunkStream {
-    async fn open(
-        link: &Link,
-        frame: FrameId,
-        chunk: &Chunk,
-        is_urgent: bool,
-    ) -> Result<Self, SessionClosed> {
+    async fn open(link: &Link, frame: FrameId, chunk: &Chunk, rank: Rank) -> Result<Self, SessionClosed> {
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
-        let _ = stream.set_priority(priority(frame, chunk.index, chunk.is_base && is_urgent));
+        let _ = stream.set_priority(priority(frame, chunk.index, rank));
         Ok(Self { stream })
     }
 

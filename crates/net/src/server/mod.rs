@@ -16,7 +16,7 @@ use isinglass_core::session::admission::{Admission, ViewerId};
 use isinglass_core::session::server::{CONTROL_PRIORITY, MAX_POSES_PER_SECOND, violation};
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, SendStream, TokioRuntime};
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::{Notify, Semaphore, mpsc};
 use tracing::Instrument;
 
 use crate::control_stream::{self, ReceiveError};
@@ -89,6 +89,8 @@ struct Shared {
     doors: Mutex<Doors>,
     /// Connections that have not said who they are.
     strangers: Semaphore,
+    /// Told when a place is given back.
+    left: Arc<Notify>,
 }
 
 /// Who may come in, and who is in.
@@ -129,6 +131,7 @@ impl Server {
             greeting: Mutex::new(greeting.into()),
             doors: Mutex::default(),
             strangers: Semaphore::new(MAX_STRANGERS),
+            left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
         tokio::spawn(accept_all(endpoint.clone(), shared.clone(), sender));
@@ -168,6 +171,11 @@ impl Server {
     /// Links that a viewer has used.
     pub fn num_used_links(&self) -> usize {
         self.shared.doors().admission.num_used()
+    }
+
+    /// Is told when a viewer has given its place back, also one that left before it was accepted but has used its link.
+    pub fn left(&self) -> Arc<Notify> {
+        self.shared.left.clone()
     }
 
     /// What viewers are told from now on when they are let in.
@@ -255,6 +263,7 @@ struct Place {
 impl Drop for Place {
     fn drop(&mut self) {
         self.shared.leave(self.viewer, self.session);
+        self.shared.left.notify_one();
     }
 }
 

@@ -91,7 +91,7 @@ fn chunks_that_contradict_are_errors_and_late_ones_are_dropped() {
     arrive(&mut s, 0, 2, 1).unwrap();
     arrive(&mut s, 0, 1, 0).unwrap();
     assert_eq!(s.assembling.len(), 1, "frame 1 is older than a complete base");
-    assert!(!s.wants(FrameId(1)) && s.wants(FrameId(2)));
+    assert!(!s.wants(FrameId(1), false) && s.wants(FrameId(2), false));
 }
 
 #[test]
@@ -233,6 +233,43 @@ fn an_exact_frame_comes_after_the_references_before_it() {
     assert_eq!(decode(&mut s), Some(4));
 }
 
+/// All of frame 2 is lost, and 3, which is exact, comes before it is sent again: those after may be predicted from it.
+#[test]
+fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let whole = |s: &mut Session, frame: u32, prediction: Option<Option<u32>>| {
+        let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
+        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        s.handle_chunk(0, 0, place, vec![]).unwrap();
+    };
+    let decode = |s: &mut Session| {
+        let job = s.poll_decode(0)?;
+        let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
+        Some((job.frame.0, is_shown))
+    };
+    whole(&mut s, 1, Some(None));
+    whole(&mut s, 3, None);
+    assert_eq!([decode(&mut s), decode(&mut s)], [Some((1, true)), Some((3, true))]);
+    whole(&mut s, 5, Some(Some(2)));
+    assert_eq!(decode(&mut s), None);
+    whole(&mut s, 2, Some(Some(1)));
+    assert_eq!([decode(&mut s), decode(&mut s), decode(&mut s)], [Some((2, false)), Some((5, true)), None]);
+    assert_eq!(s.newest_complete(), Some(FrameId(5)));
+    // Once others go on from a newer one, or it was decoded, or nothing is predicted from it, it is of no use.
+    assert!(!s.wants(FrameId(4), true));
+    whole(&mut s, 7, None);
+    assert_eq!(decode(&mut s), Some((7, true)));
+    assert!(s.wants(FrameId(6), true) && !s.wants(FrameId(6), false) && !s.wants(FrameId(5), true));
+    // One that is broken stands in nobody's way.
+    whole(&mut s, 6, Some(Some(5)));
+    let job = s.poll_decode(0).unwrap();
+    s.handle_broken(job.connection, job.frame);
+    assert_eq!((decode(&mut s), s.newest_complete()), (None, Some(FrameId(7))));
+    whole(&mut s, 8, Some(Some(5)));
+    assert_eq!(decode(&mut s), Some((8, true)));
+}
+
 /// While a lost packet is sent again, as many frames come as may be predicted from each other. None of them is lost.
 #[test]
 fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
@@ -245,7 +282,7 @@ fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
     };
     let last = MAX_ASSEMBLING as u32;
     (2..=last).for_each(|frame| arrive(&mut s, frame, 1));
-    assert!(s.poll_decode(0).is_none() && s.wants(FrameId(1)));
+    assert!(s.poll_decode(0).is_none() && s.wants(FrameId(1), true));
     arrive(&mut s, 1, 1);
     for frame in 1..=last {
         let job = s.poll_decode(0).unwrap();
