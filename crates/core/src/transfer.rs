@@ -176,9 +176,16 @@ impl TransferFunction {
         integrated(shown, self.x_map(volume, histogram))
     }
 
-    /// From stored numbers s to positions: s·`.0` + `.1`.
-    fn x_map(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
-        let (lo, hi) = match self.domain {
+    /// The same function over the values that its domain stands for in one volume, for others to be seen alike.
+    pub fn at_values(&self, volume: &Volume, histogram: &Histogram) -> Self {
+        let (lo, hi) = self.domain_in(volume, histogram);
+        let domain = if hi > lo { Domain::Values(lo, hi) } else { self.domain };
+        Self { domain, ..self.clone() }
+    }
+
+    /// The values that the domain stands for in a volume.
+    fn domain_in(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
+        match self.domain {
             Domain::Full => volume.value_range(),
             Domain::Values(a, b) => (a, b),
             Domain::Percentiles(a, b) => match (histogram.percentile(a), histogram.percentile(b)) {
@@ -186,7 +193,12 @@ impl TransferFunction {
                 (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
                 between => between,
             },
-        };
+        }
+    }
+
+    /// From stored numbers s to positions: s·`.0` + `.1`.
+    fn x_map(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
+        let (lo, hi) = self.domain_in(volume, histogram);
         let (scale, offset) = volume.value_map();
         // In double precision: the span may be shorter than the inverse of the greatest float.
         let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });

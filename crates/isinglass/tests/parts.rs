@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::picture::Picture;
+use isinglass_core::transfer::Domain;
 use isinglass_core::wire::{LoadState, Part};
 use isinglass_net::{Client, ClientOptions};
 
@@ -164,10 +165,14 @@ fn another_time_of_a_file_moves_the_matter_for_two_viewers() {
             assert_eq!((volume.dims, volume.value_range.1), ([16; 3], 1000.0 + time as f32));
         }
     }
+    // What has one value has one colour at all times, whichever of them the curve was made for.
+    let domain = viewers[0].look().unwrap().1.transfer.domain;
+    assert!(matches!(domain, Domain::Values(..)), "{domain:?}");
     let [ends, middle_time] = [0, 1].map(|time| {
         viewers[1].open_part(Some(Part { time: Some(time), ..parts.shown }));
         middle(&picture_of(&viewers[1], time))
     });
+    assert_eq!(viewers[0].look().unwrap().1.transfer.domain, domain);
     assert!((ends - middle_time).abs() > 0.1, "the control: {ends} and {middle_time}");
     let problem = refusal_of(&viewers[0], Part { time: Some(3), ..parts.shown });
     assert_eq!(problem, "film.nii: time 3 was asked for, expected 0 to 2");

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::volume::Volume;
 use tokio::sync::Semaphore;
 
@@ -21,6 +22,16 @@ pub(crate) struct Lights {
 }
 
 impl Lights {
+    /// A look that shows each value in any volume as it does in this one.
+    pub(crate) fn at_values(&self, look: &Look) -> Look {
+        let Scene { volume, histogram, .. } = &*self.base;
+        let isos = match look.mode {
+            Mode::Iso if look.isos.as_slice().is_empty() => Isos::one(histogram.parting_value()),
+            _ => look.isos,
+        };
+        Look { transfer: look.transfer.at_values(volume, histogram), isos, ..look.clone() }
+    }
+
     /// `scene` is that of `look`, with all of its shade.
     pub(crate) fn new(scene: &Scene, look: &Look) -> Self {
         let known = vec![(look.clone(), scene.clone())];

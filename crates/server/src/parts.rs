@@ -119,6 +119,12 @@ impl Present {
             bytes: scene.volume.bytes_in_memory(),
         }
     }
+
+    /// Whether numbers mean the same in both: those of other times, levels and regions do.
+    pub(crate) fn has_values_like(&self, other: &Self) -> bool {
+        let kind = |present: &Self| present.parts.as_ref().map(|p| (p.shown.channel, p.shown.series));
+        kind(self).is_some() && kind(self) == kind(other)
+    }
 }
 
 /// Reads what is ordered, the newest order at a time, until nobody can order any more.

@@ -170,7 +170,7 @@ impl Viewer {
             self.tell_parts().await && (!self.is_new || self.tell_oddities().await)
         } else {
             let greeted = self.session.greeting.look.clone();
-            self.turn_to_present(&greeted).await
+            self.turn_to_present(&greeted, None).await
         };
         while is_welcome && self.wait_for_work().await {
             let Some(request) = *self.session.poses.borrow_and_update() else { continue };
@@ -196,7 +196,7 @@ impl Viewer {
             Ok(()) = self.house.present.changed() => {
                 let before = self.present.clone();
                 self.present = self.house.present.borrow_and_update().clone();
-                self.turn_to_present(&before.greeting.look).await
+                self.turn_to_present(&before.greeting.look, Some(&before)).await
             }
             request = self.session.requests.recv() => match request {
                 Some(request) => self.take(request).await,
@@ -221,9 +221,12 @@ impl Viewer {
     }
 
     /// The volume is another from now on. A look that nobody has chosen gives way to the one that suits it.
-    async fn turn_to_present(&mut self, usual_look: &Look) -> bool {
+    async fn turn_to_present(&mut self, usual_look: &Look, before: Option<&Present>) -> bool {
         self.version = self.version.next();
-        if self.look.transfer == usual_look.transfer {
+        if let Some(before) = before.filter(|before| before.has_values_like(&self.present)) {
+            // What has one value has one colour, now and later.
+            self.look = Arc::new(before.lights.at_values(&self.look));
+        } else if self.look.transfer == usual_look.transfer {
             let transfer = self.present.greeting.look.transfer.clone();
             self.look = Arc::new(Look { transfer, ..(*self.look).clone() });
         }
