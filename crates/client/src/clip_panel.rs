@@ -1,6 +1,6 @@
 //! The part of the look panel that clips: numbers for the box and the plane.
 
-use egui::{Slider, Ui};
+use egui::Ui;
 use glam::Vec3;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
@@ -8,6 +8,8 @@ use isinglass_core::space::Aabb;
 use crate::bindings::{Action, Bindings};
 use crate::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
 use crate::look_panel::row;
+use crate::number::slider;
+use crate::transfer_editor::format_in;
 
 /// Shows and changes the clip of a volume in `bounds`; `forward` is the viewing direction.
 pub(crate) fn show(
@@ -36,7 +38,7 @@ pub(crate) fn show(
         if let Some(plane) = &mut clip.plane {
             let [least, most] = offsets(bounds, plane.normal);
             row(ui, "plane at", "along its normal, from the middle of the volume", |ui| {
-                ui.add(Slider::new(&mut plane.offset, least..=most))
+                ui.add(slider(ui, &mut plane.offset, least..=most, |v| format_in(v, most - least)))
             });
         }
     });
@@ -64,13 +66,14 @@ fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb) {
     {
         let (least, most) = (bounds.min[axis], bounds.max[axis]);
         let gap = (most - least) * LEAST_SIDE;
+        let format = |v: f32| format_in(v, most - least);
         row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = ui.add(Slider::new(&mut inner.min[axis], least..=most));
+            let slider = ui.add(slider(ui, &mut inner.min[axis], least..=most, format));
             inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
             slider
         });
         row(ui, names[1], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = ui.add(Slider::new(&mut inner.max[axis], least..=most));
+            let slider = ui.add(slider(ui, &mut inner.max[axis], least..=most, format));
             inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
             slider
         });

@@ -12,6 +12,7 @@ use crate::clip_editor::ClipEditor;
 use crate::clip_panel;
 use crate::light_panel;
 use crate::mode_panel;
+use crate::number;
 use crate::panels::pane;
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
@@ -117,7 +118,8 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
             combo.show_ui(ui, choices).response
         });
         row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
-            ui.add(egui::Slider::new(&mut look.k, 1..=MAX_K as u8))
+            let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
+            ui.add(slider.custom_parser(number::reader(ui)))
         });
         if methods.len() > 1 {
             row(ui, "picture by", "how the server's frames become pictures here", |ui| {
@@ -132,7 +134,8 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
         }
         row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
             let mut percent = (frame_size.scale * 100.0).round();
-            let slider = ui.add(egui::Slider::new(&mut percent, 25.0..=100.0).step_by(5.0).suffix(" %"));
+            let slider = number::slider(ui, &mut percent, 25.0..=100.0, |v| format!("{v:.0}"));
+            let slider = ui.add(slider.step_by(5.0).suffix(" %"));
             if slider.changed() {
                 frame_size.scale = percent / 100.0;
             }
@@ -158,7 +161,8 @@ fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     });
     row(ui, "eye distance", "as an angle, seen from the centre", |ui| {
         let is_stereo = !stereo.is_mono();
-        let slider = egui::Slider::new(&mut stereo.eye_angle_degrees, 0.0..=MAX_EYE_ANGLE_DEGREES);
+        let range = 0.0..=MAX_EYE_ANGLE_DEGREES;
+        let slider = number::slider(ui, &mut stereo.eye_angle_degrees, range, |v| format!("{v:.1}"));
         ui.add_enabled(is_stereo, slider.step_by(0.1).fixed_decimals(1).suffix("°"))
     });
 }

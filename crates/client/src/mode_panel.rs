@@ -1,10 +1,11 @@
 //! What a pixel tells of its ray, in the look panel: the mode, and the surfaces of its values.
 
-use egui::{DragValue, Slider, SliderClamping, Ui};
+use egui::{SliderClamping, Ui};
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
 
-use crate::transfer_editor::{ValueScale, format_value};
+use crate::number;
+use crate::transfer_editor::{ValueScale, format_in};
 
 /// The rows of the panel.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
@@ -42,8 +43,8 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     for (i, iso) in isos.iter_mut().enumerate() {
         ui.horizontal(|ui| {
             ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
-            let slider = Slider::new(&mut iso.value, lo..=hi).clamping(SliderClamping::Never);
-            let slider = ui.add(slider.custom_formatter(|v, _| format_value(v as f32)));
+            let slider = number::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
+            let slider = ui.add(slider.clamping(SliderClamping::Never));
             let name = format!("value of surface {}", i + 1);
             slider.widget_info(|| egui::WidgetInfo {
                 value: Some(f64::from(iso.value)),
@@ -51,8 +52,8 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
             });
             slider.on_hover_text(name.clone());
             let mut percent = iso.opacity * 100.0;
-            let drag = DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %");
-            let drag = ui.add(drag.max_decimals(0));
+            let drag = number::field(ui, &mut percent, |v| format!("{v:.0}"));
+            let drag = ui.add(drag.range(0.0..=100.0).speed(0.5).max_decimals(0).suffix(" %"));
             let name = format!("opacity of surface {}", i + 1);
             drag.widget_info(|| egui::WidgetInfo {
                 value: Some(f64::from(percent)),

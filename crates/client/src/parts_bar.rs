@@ -8,6 +8,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use crate::bindings::{Action, Bindings};
+use crate::number::reader;
 use crate::overlay::format_bytes;
 use crate::panels::{named, pane, quiet};
 
@@ -170,7 +171,8 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
             .add_enabled(time > 0, egui::Button::new("−").small())
             .on_hover_text(bindings.with_key("the time before", Action::StepTime(-1)));
         named(&back, egui::Role::Button, "the time before");
-        let number = ui.add(egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false));
+        let number = egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false);
+        let number = ui.add(number.custom_parser(reader(ui)));
         named(&number, egui::Role::SpinButton, "time");
         let on = ui
             .add_enabled(time < last, egui::Button::new("+").small())

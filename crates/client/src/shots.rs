@@ -15,6 +15,7 @@ use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
 
 use self::files::{Stamp, Writing};
 use crate::frame_source::FrameSource;
+use crate::number;
 use crate::panels::pane;
 
 /// What is to be seen in the pictures.
@@ -216,6 +217,7 @@ impl Shots {
                 ui.horizontal(|ui| {
                     for (side, name) in size.iter_mut().zip(["width", "height"]) {
                         let value = egui::DragValue::new(side).range(1..=MAX_SIDE).suffix(" px");
+                        let value = value.update_while_editing(false).custom_parser(number::reader(ui));
                         ui.add(value).labelled_by(label.id).on_hover_text(name);
                     }
                     if ui.button("as the window").clicked() {
@@ -225,6 +227,7 @@ impl Shots {
                 ui.end_row();
                 let label = ui.label("pictures");
                 let number = egui::DragValue::new(&mut self.num_pictures).range(1..=MAX_PICTURES);
+                let number = number.update_while_editing(false).custom_parser(number::reader(ui));
                 let hint =
                     "more than one: a turntable, once around the vertical through the centre of rotation";
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);

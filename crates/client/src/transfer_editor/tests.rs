@@ -347,3 +347,23 @@ fn of_a_function_wider_than_the_volume_the_part_is_shown_that_the_volume_has() {
     h.run();
     assert_eq!(h.state().editor.view, Some((-1000.0, 6000.0)), "nothing of it: all there is");
 }
+
+#[test]
+fn who_goes_through_the_numbers_changes_none() {
+    let mut h = harness("ct");
+    h.state_mut().given.domain = Domain::Values(-123.456_78, 1_234.567_8);
+    h.run();
+    let at = point(&h, 2);
+    drag(&mut h, at, vec2(0.0, 0.0));
+    let before = h.state().given.clone();
+    for number in 0..5 {
+        for end in [Key::Tab, Key::Escape, Key::Enter] {
+            h.query_all_by_role(egui::Role::SpinButton).nth(number).unwrap().focus();
+            h.run();
+            press(&mut h, Modifiers::NONE, end);
+            assert_eq!((&h.state().given, h.state().edits), (&before, 0), "{number}, {end:?}");
+            h.get_by_label("window and level").focus();
+            h.run();
+        }
+    }
+}
