@@ -32,9 +32,9 @@ pub(crate) struct TransferEditor {
     known: Option<TransferFunction>,
     /// What reset goes back to.
     preset: TransferFunction,
-    history: History<TransferFunction>,
+    history: History<Step>,
     /// The state before a movement that goes on.
-    before: Option<TransferFunction>,
+    before: Option<Step>,
     selected: Option<usize>,
     grip: Option<Grip>,
     view: Option<(f32, f32)>,
@@ -47,6 +47,14 @@ pub(crate) struct TransferEditor {
     message: Option<String>,
     /// What a preset says of shading, until it is taken.
     shaded: Option<bool>,
+}
+
+/// What undo goes back to.
+#[derive(Clone, Debug, PartialEq)]
+struct Step {
+    transfer: TransferFunction,
+    /// What reset went back to, and the shift is told from.
+    preset: TransferFunction,
 }
 
 /// What was made in the editor at a refresh.
@@ -110,7 +118,7 @@ impl TransferEditor {
         }
         if self.grip.is_none()
             && !ctx.input(|i| i.pointer.any_down())
-            && let Some(before) = self.before.take().filter(|b| *b != self.curve.transfer)
+            && let Some(before) = self.before.take().filter(|b| *b != self.present())
         {
             self.history.note(before);
         }
@@ -130,18 +138,18 @@ impl TransferEditor {
     /// Back by one step.
     pub(crate) fn undo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
-            && let Some(transfer) = self.history.undo(self.curve.transfer.clone())
+            && let Some(step) = self.history.undo(self.present())
         {
-            self.set(transfer, scale);
+            self.go_to(step, scale);
         }
     }
 
     /// Forward by one step.
     pub(crate) fn redo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
-            && let Some(transfer) = self.history.redo(self.curve.transfer.clone())
+            && let Some(step) = self.history.redo(self.present())
         {
-            self.set(transfer, scale);
+            self.go_to(step, scale);
         }
     }
 
@@ -186,7 +194,22 @@ impl TransferEditor {
     }
 
     fn begin(&mut self) {
-        self.before.get_or_insert_with(|| self.curve.transfer.clone());
+        if self.before.is_none() {
+            self.before = Some(self.present());
+        }
+    }
+
+    fn present(&self) -> Step {
+        Step { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
+    }
+
+    /// A step of the history; with another preset the view starts anew, as when it was taken.
+    fn go_to(&mut self, step: Step, scale: &ValueScale) {
+        if step.preset != self.preset {
+            self.preset = step.preset;
+            self.fit();
+        }
+        self.set(step.transfer, scale);
     }
 
     /// The values across the plot: at first those of the function that the volume has.

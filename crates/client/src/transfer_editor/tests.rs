@@ -2,7 +2,7 @@
 
 use egui::{Event, Key, Modifiers, PointerButton, Pos2, vec2};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable;
+use egui_kittest::kittest::{NodeT, Queryable};
 use isinglass_formats::preset;
 
 use super::*;
@@ -239,6 +239,11 @@ fn presets_and_colour_maps_are_one_step_each() {
     click(&mut h, "undo");
     assert_eq!(h.state().given, preset("ct").unwrap());
     assert!(!h.state().editor.history.has().0);
+    // What reset and the shift refer to goes back and forth with it.
+    let can_reset = |h: &Harness<'_, Bench>| !h.get_by_label("reset").accesskit_node().is_disabled();
+    assert_eq!((&h.state().editor.preset, can_reset(&h)), (&preset("ct").unwrap(), false));
+    click(&mut h, "redo");
+    assert_eq!((&h.state().editor.preset, can_reset(&h)), (&preset("fluorescence").unwrap(), false));
 }
 
 #[test]
