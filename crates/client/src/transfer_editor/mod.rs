@@ -30,6 +30,8 @@ pub(crate) struct TransferEditor {
     curve: Curve,
     /// As the server or the editor itself last had it.
     known: Option<TransferFunction>,
+    /// Of the volume at the refresh before.
+    scale: Option<ValueScale>,
     /// What reset goes back to.
     preset: TransferFunction,
     history: History<Step>,
@@ -77,6 +79,7 @@ impl Default for TransferEditor {
         Self {
             curve: Curve { transfer: nothing.clone(), domain: (0.0, 1.0) },
             known: None,
+            scale: None,
             preset: nothing,
             history: History::default(),
             before: None,
@@ -107,6 +110,10 @@ impl TransferEditor {
         }
         // The values behind percentiles depend on the volume.
         self.curve.domain = scale.domain(&self.curve.transfer.domain);
+        if self.scale.as_ref() != Some(scale) && self.scale.replace(scale.clone()).is_some() {
+            // What was looked at may be nowhere in another volume: all of it is shown.
+            self.view = Some(self.widest_view(scale));
+        }
         self.take_outcome(scale);
     }
 

@@ -372,3 +372,19 @@ fn who_goes_through_the_numbers_changes_none() {
         }
     }
 }
+
+#[test]
+fn another_volume_is_shown_from_end_to_end_and_a_zoom_stays_with_its_own() {
+    let mut h = harness("ct");
+    let mut narrow = preset("ct").unwrap();
+    narrow.domain = Domain::Values(0.0, 100.0);
+    h.state_mut().given = narrow;
+    h.state_mut().editor.view = Some((40.0, 50.0));
+    h.run();
+    h.state_mut().editor.view = Some((40.0, 50.0));
+    h.run();
+    assert_eq!(h.state().editor.view, Some((40.0, 50.0)));
+    h.state_mut().scale.range = (20.0, 9000.0);
+    h.run();
+    assert_eq!(h.state().editor.view, Some((0.0, 9000.0)), "the function and the volume");
+}
