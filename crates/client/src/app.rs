@@ -323,8 +323,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let stats = source.stats();
         let interval = self.refreshes.interval().filter(|_| is_active);
         let state = source.state();
-        // Nothing is known of a way that is cut.
-        let round_trip = (state == State::Connected).then(|| micros(stats.rtt_micros)).flatten();
+        // Nothing is known of a way that is cut, and nothing comes by it.
+        let is_connected = state == State::Connected;
+        let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
             state,
             standing: refresh.standing,
@@ -337,8 +338,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 interval.map_or(ViewTime::Unknown, ViewTime::FrameInterval)
             },
             generate: micros(stats.server.generate_micros),
-            bytes_per_second: stats.bytes_per_second,
-            new_frames_per_second: stats.frames_per_second,
+            bytes_per_second: if is_connected { stats.bytes_per_second } else { 0.0 },
+            new_frames_per_second: if is_connected { stats.frames_per_second } else { 0 },
             refreshes_per_second: interval.filter(|i| !i.is_zero()).map(|i| i.as_secs_f64().recip()),
         }
     }

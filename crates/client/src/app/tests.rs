@@ -43,6 +43,8 @@ struct HereSource {
     num_cancelled: usize,
     parts: Option<Arc<Parts>>,
     load: Option<LoadStatus>,
+    state: State,
+    stats: LinkStats,
 }
 
 impl HereSource {
@@ -67,6 +69,8 @@ impl HereSource {
             num_cancelled: 0,
             parts: None,
             load: None,
+            state: State::Connected,
+            stats: LinkStats::default(),
         }
     }
 
@@ -106,11 +110,11 @@ impl FrameSource for HereSource {
     }
 
     fn state(&self) -> State {
-        State::Connected
+        self.state.clone()
     }
 
     fn stats(&self) -> LinkStats {
-        LinkStats::default()
+        self.stats
     }
 
     fn description(&self) -> Option<Arc<Welcome>> {
@@ -498,4 +502,5 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 
 mod access;
 mod clip;
+mod offline;
 mod states;
