@@ -445,7 +445,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
-                    panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame));
+                    panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame), &state);
                 }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
@@ -481,6 +481,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if self.marks_center(now) {
             ctx.request_repaint_after(CENTER_TIME);
+        }
+        if let Some((_, at)) = self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME) {
+            ctx.request_repaint_after((*at + NOTICE_TIME).saturating_sub(now));
         }
     }
 
@@ -557,7 +560,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// The connection's trouble before the device's before what the server says.
+    /// What was just asked for or said before the connection's trouble before the device's.
     fn banner(&self, now: Duration, model: &OverlayModel) -> Option<String> {
         let problem = || {
             let problem = self.method_problem.clone().or_else(|| self.picture_status.problem())?;
@@ -565,7 +568,7 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let notice =
             || self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME).map(|(n, _)| n.clone());
-        model.banner().or_else(problem).or_else(notice)
+        notice().or_else(|| model.banner()).or_else(problem)
     }
 
     fn report(&mut self, now: Duration, model: &OverlayModel) {

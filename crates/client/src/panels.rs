@@ -105,12 +105,19 @@ pub(crate) fn banner(ctx: &egui::Context, text: &str, right: f32, lift: f32) {
 }
 
 /// One line at the top, while the picture is made with an older look than was asked for.
-pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool) {
+pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State) {
     let area = egui::Area::new(egui::Id::unique("older look")).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             let what = if is_of_volume { "shown with the look before" } else { "the volume before" };
-            ui.label(RichText::new(format!("{what}; the new one is on its way")).size(12.0));
+            let coming = match state {
+                State::Connected => "the new one is on its way",
+                State::Connecting { .. } | State::Reconnecting { .. } => {
+                    "the new one waits until connected again"
+                }
+                State::Refused(_) => "there is no connection for the new one",
+            };
+            ui.label(RichText::new(format!("{what}; {coming}")).size(12.0));
         });
     });
 }

@@ -12,6 +12,7 @@ use glam::{Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
 use isinglass_core::ids::ShotId;
 use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+use isinglass_net::State;
 
 use self::files::{Stamp, Writing};
 use crate::frame_source::FrameSource;
@@ -195,16 +196,17 @@ impl Shots {
         source: &mut impl FrameSource,
     ) -> Option<String> {
         let mut is_cancelled = false;
+        let is_connected = source.state() == State::Connected;
         if let Some(series) = &self.series {
-            is_cancelled = show_progress(ctx, series);
+            is_cancelled = show_progress(ctx, series, is_connected);
         }
         if self.is_dialog_open {
-            self.show_dialog(ctx, subject);
+            self.show_dialog(ctx, subject, is_connected);
         }
         if is_cancelled { self.cancel(source) } else { None }
     }
 
-    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>) {
+    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>, is_connected: bool) {
         let mut is_open = true;
         let mut starts = false;
         let window = egui::Window::new(RichText::new("Picture of the view").size(14.0));
@@ -242,7 +244,10 @@ impl Shots {
             if !is_fitting {
                 ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
             }
-            let is_possible = is_fitting && subject.is_some() && self.series.is_none();
+            if !is_connected {
+                ui.label("the server renders them, and there is no connection to it");
+            }
+            let is_possible = is_fitting && is_connected && subject.is_some() && self.series.is_none();
             let name = if self.num_pictures > 1 { "Make the turntable" } else { "Take the picture" };
             starts = ui.add_enabled(is_possible, egui::Button::new(name)).clicked();
         });
@@ -292,18 +297,23 @@ impl Series {
 }
 
 /// Shows how far a series is; whether it shall end.
-fn show_progress(ctx: &Context, series: &Series) -> bool {
+fn show_progress(ctx: &Context, series: &Series, is_connected: bool) -> bool {
     let mut is_cancelled = false;
     let area = egui::Area::new(egui::Id::unique("pictures")).anchor(Align2::CENTER_TOP, vec2(0.0, 46.0));
     area.show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             ui.horizontal(|ui| {
                 let text = match series.total {
-                    1 => "the server renders the picture".to_owned(),
+                    1 if is_connected => "the server renders the picture".to_owned(),
+                    1 => "the picture".to_owned(),
                     total => format!("picture {} of {total}", series.done + 1),
                 };
-                ui.spinner();
-                ui.label(text);
+                if is_connected {
+                    ui.spinner();
+                    ui.label(text);
+                } else {
+                    ui.label(format!("{text} waits until connected again"));
+                }
                 if series.total > 1 {
                     let share = series.done as f32 / series.total as f32;
                     ui.add(egui::ProgressBar::new(share).desired_width(120.0));

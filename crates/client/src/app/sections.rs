@@ -35,10 +35,17 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Goes on with pictures to keep, and shows their dialog and progress.
     pub(super) fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
+        let is_connected = self.viewing.source().state() == State::Connected;
         if std::mem::take(&mut self.wants_picture)
             && let Some(subject) = subject.clone()
         {
-            self.shots.take(subject);
+            match is_connected {
+                true => self.shots.take(subject),
+                false => {
+                    self.notice = Some((NO_SERVER_FOR_PICTURE.into(), now));
+                    ctx.request_repaint();
+                }
+            }
         }
         // A look that waits goes first: the picture is to be made with it.
         let is_ready = self.viewing.look_due().is_none();
@@ -181,3 +188,6 @@ impl<S: FrameSource> ViewerApp<S> {
         });
     }
 }
+
+/// Pictures to keep are the server's work.
+const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";
