@@ -22,7 +22,6 @@ use crate::bindings::{Action, Bindings, Focus};
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
-use crate::look_panel;
 use crate::meters::RefreshMeter;
 use crate::novel_view::{NovelViews, Shown};
 use crate::open_dialog::OpenDialog;
@@ -229,16 +228,6 @@ impl<S: FrameSource> ViewerApp<S> {
         &self.options.bindings
     }
 
-    /// How much of the window's right is taken by the look panel, points.
-    pub(crate) fn right_width(&self) -> f32 {
-        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
-    }
-
-    /// How much of the window's bottom is taken by a bar, points.
-    pub(crate) fn bottom_height(&self) -> f32 {
-        self.parts_bar.height()
-    }
-
     /// The camera controls for the volume that the source has now; one of another size is seen from the same side.
     fn controls(&mut self, picture: &Intrinsics) -> Option<&mut (Aabb, CameraControls)> {
         let bounds = self.viewing.source().description()?.volume.bounds();
@@ -305,12 +294,13 @@ impl<S: FrameSource> ViewerApp<S> {
             unit: description.volume.unit.as_deref(),
             center: controls.center(),
             shows_center: self.marks_center(now),
+            lift: self.parts_bar.height_over(view_aids::CORNER.x),
         };
         self.aids.paint(ui.painter(), &scene);
         let view = clip_editor::View { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
         if self.aids.shows_axes {
-            panels::image(ui, ViewAids::axes_rect(rect), "axes", &ViewAids::axes_in_words(&scene));
+            panels::image(ui, ViewAids::axes_rect(&scene), "axes", &ViewAids::axes_in_words(&scene));
         }
     }
 
@@ -445,16 +435,17 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
-                    panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame), &state);
+                    let (is_of_volume, taken) =
+                        (self.viewing.source().is_of_volume(&frame), self.taken_at_top(&ctx));
+                    panels::older_look(&ctx, is_of_volume, &state, taken);
                 }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
-                    panels::overlay(&ctx, &self.title, &model);
+                    panels::overlay(&ctx, &self.title, &model, self.right_width_at_top());
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    let lift = self.parts_bar.height() + self.aids.scale_height();
-                    panels::banner(&ctx, &text, self.right_width(), lift);
+                    panels::banner(&ctx, &text, self.taken_at_bottom(&ctx));
                 }
             }
             None => {

@@ -214,5 +214,7 @@ fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
 
 /// Room for nine points of a curve, and for a third of a small screen beside it.
 const PANEL_WIDTH: f32 = 312.0;
+/// What the folded panel takes of the window's right, with a gap beside it.
+pub(crate) const FOLDED_WIDTH: f32 = 74.0;
 /// What the open panel takes of the window's right, with a gap beside it.
 pub(crate) const OPEN_WIDTH: f32 = PANEL_WIDTH + 40.0;

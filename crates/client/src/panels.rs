@@ -8,6 +8,29 @@ use crate::bindings::Bindings;
 use crate::overlay::{OverlayModel, sentence};
 use crate::viewing::Standing;
 
+/// What is taken of the window around a pane that is to keep clear of it, points.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Taken {
+    /// On the left.
+    pub(crate) left: f32,
+    /// On the right.
+    pub(crate) right: f32,
+    /// Above or below, at the edge of the window where the pane lies.
+    pub(crate) edge: f32,
+}
+
+impl Taken {
+    /// How wide a pane may be between the two sides.
+    pub(crate) fn width(&self, ctx: &egui::Context) -> f32 {
+        ctx.content_rect().width() - self.left - self.right
+    }
+
+    /// From the middle of the window to that between the sides.
+    pub(crate) fn shift(&self) -> f32 {
+        0.5 * (self.left - self.right)
+    }
+}
+
 /// A pane that text can be read on over any picture.
 pub(crate) fn pane(ctx: &egui::Context) -> Frame {
     let (fill, line) = if is_dark(ctx) {
@@ -35,21 +58,37 @@ pub(crate) fn quiet(ctx: &egui::Context) -> Color32 {
     if is_dark(ctx) { Color32::from_gray(178) } else { Color32::from_gray(70) }
 }
 
-/// The numbers, at the top left. `title` is the volume's name.
-pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel) {
+/// How much of the window's left the numbers take, with a gap beside them, where `right` points are taken on the right.
+pub(crate) fn overlay_taken(ctx: &egui::Context, right: f32) -> f32 {
+    let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
+    width + OVERLAY_GAPS
+}
+
+/// Whether there is room for more than the badge.
+pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
+    OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
+}
+
+/// The numbers, at the top left; in a narrow window the badge alone. `title` is the volume's name, `right` what is taken on the
+/// right.
+pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
+    let has_numbers = has_room_for_numbers(ctx, right);
     egui::Area::new(egui::Id::unique("overlay"))
         .anchor(Align2::LEFT_TOP, vec2(10.0, 10.0))
         .interactable(true)
         .show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
                 // A fixed width: changing digits must not make the pane tremble.
-                ui.set_width(OVERLAY_WIDTH);
+                ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
                 ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
                 ui.spacing_mut().interact_size.y = 0.0;
-                if !title.is_empty() {
+                if has_numbers && !title.is_empty() {
                     ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
                 }
                 badge(ui, model.standing);
+                if !has_numbers {
+                    return;
+                }
                 ui.add_space(3.0);
                 for (name, value) in model.rows() {
                     row(ui, name, &value);
@@ -91,24 +130,25 @@ pub(crate) fn named(response: &egui::Response, role: egui::Role, name: &str) {
     response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
 }
 
-/// One line at the bottom, `lift` points above it and beside `right` points that are taken, while something is wrong with the
-/// connection.
-pub(crate) fn banner(ctx: &egui::Context, text: &str, right: f32, lift: f32) {
+/// One line at the bottom while something is wrong with the connection, or something was said.
+pub(crate) fn banner(ctx: &egui::Context, text: &str, taken: Taken) {
     let area = egui::Area::new(egui::Id::unique("banner"));
-    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -12.0 - lift));
+    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
-            ui.set_max_width((ctx.content_rect().width() - right - 60.0).max(200.0));
+            ui.set_max_width((taken.width(ctx) - 40.0).max(100.0));
             ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
         });
     });
 }
 
 /// One line at the top, while the picture is made with an older look than was asked for.
-pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State) {
-    let area = egui::Area::new(egui::Id::unique("older look")).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
+pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State, taken: Taken) {
+    let area = egui::Area::new(egui::Id::unique("older look"));
+    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 12.0 + taken.edge));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
+            ui.set_max_width((taken.width(ctx) - 40.0).max(60.0));
             let what = if is_of_volume { "shown with the look before" } else { "the volume before" };
             let coming = match state {
                 State::Connected => "the new one is on its way",
@@ -264,6 +304,10 @@ pub(crate) fn title_of(volume: &VolumeDescription) -> String {
 /// Behind the page before the first picture.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);
 const OVERLAY_WIDTH: f32 = 190.0;
+/// For the badge's longest word.
+const BADGE_WIDTH: f32 = 66.0;
+/// Around the numbers and in their pane.
+const OVERLAY_GAPS: f32 = 42.0;
 const HELP_GAPS: egui::Vec2 = vec2(24.0, 4.0);
 /// Of a window, for two columns of keys.
 const LEAST_WIDTH_OF_TWO: f32 = 1240.0;

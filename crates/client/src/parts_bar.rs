@@ -31,6 +31,8 @@ pub(crate) struct PartsBar {
     /// The time that the number is dragged to.
     dragged: Option<u32>,
     height: f32,
+    /// Where it begins, from the window's left.
+    left: f32,
     /// Of the pickers in one row, as last drawn so.
     row_width: f32,
 }
@@ -61,6 +63,11 @@ impl PartsBar {
     /// The height of the bar, with the space below it.
     pub(crate) fn height(&self) -> f32 {
         self.height
+    }
+
+    /// The same if the bar lies over the window's first `width` points, else none.
+    pub(crate) fn height_over(&self, width: f32) -> f32 {
+        if self.left < width { self.height } else { 0.0 }
     }
 
     /// Shows the bar if there is anything to choose; what was chosen. The last `right` points of the window are taken.
@@ -99,7 +106,8 @@ impl PartsBar {
                 }
             });
         });
-        self.height = shown.response.rect.height() + 10.0;
+        let rect = shown.response.rect;
+        (self.height, self.left) = (rect.height() + 10.0, rect.left() - ctx.content_rect().left());
         if chosen != before {
             wish = Some(self.open(chosen, load));
         }

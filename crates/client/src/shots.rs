@@ -17,7 +17,7 @@ use isinglass_net::State;
 use self::files::{Stamp, Writing};
 use crate::frame_source::FrameSource;
 use crate::number;
-use crate::panels::pane;
+use crate::panels::{Taken, pane};
 
 /// What is to be seen in the pictures.
 #[derive(Clone, Debug)]
@@ -188,17 +188,19 @@ impl Shots {
         Some(series.stopped())
     }
 
-    /// Shows the dialog if it is open, and the progress if there is any; what there is to tell the person.
+    /// Shows the dialog if it is open, and the progress if there is any, beside what is taken at the top; what there is to tell
+    /// the person.
     pub(crate) fn show(
         &mut self,
         ctx: &Context,
         subject: Option<Subject>,
         source: &mut impl FrameSource,
+        taken: Taken,
     ) -> Option<String> {
         let mut is_cancelled = false;
         let is_connected = source.state() == State::Connected;
         if let Some(series) = &self.series {
-            is_cancelled = show_progress(ctx, series, is_connected);
+            is_cancelled = show_progress(ctx, series, is_connected, taken);
         }
         if self.is_dialog_open {
             self.show_dialog(ctx, subject, is_connected);
@@ -297,9 +299,10 @@ impl Series {
 }
 
 /// Shows how far a series is; whether it shall end.
-fn show_progress(ctx: &Context, series: &Series, is_connected: bool) -> bool {
+fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
     let mut is_cancelled = false;
-    let area = egui::Area::new(egui::Id::unique("pictures")).anchor(Align2::CENTER_TOP, vec2(0.0, 46.0));
+    let area = egui::Area::new(egui::Id::unique("pictures"));
+    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 46.0 + taken.edge));
     area.show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             ui.horizontal(|ui| {

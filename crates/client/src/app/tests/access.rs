@@ -4,6 +4,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use super::*;
+use crate::look_panel;
 use crate::window_walk::{
     assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside, overlapping,
 };
@@ -95,6 +96,51 @@ fn nothing_lies_outside_a_small_screen_or_a_fine_one() {
         press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
         assert!(w.query_by_label("Picture of the view").is_some());
         assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}, with the dialog");
+    }
+}
+
+#[test]
+fn panes_keep_clear_of_each_other_and_of_axes_and_scale() {
+    let long =
+        "Reconnecting; the last picture stays usable. Connection lost: the server says nothing any more.";
+    for (size, has_panel, has_parts) in [
+        ([1100.0, 760.0], true, true),
+        ([1100.0, 760.0], true, false),
+        ([1100.0, 760.0], false, true),
+        ([600.0, 400.0], true, false),
+        ([600.0, 400.0], false, false),
+    ] {
+        let mut w = window(size);
+        if has_parts {
+            give_parts(&mut w);
+        }
+        if has_panel {
+            open_panel(&mut w);
+        }
+        w.state_mut().viewing.source_mut().sleeps = true;
+        press(&mut w, Modifiers::NONE, Key::M);
+        w.state_mut().notice = Some((long.into(), Duration::from_secs(1000)));
+        rest(&mut w);
+        let case = format!("{size:?}, {has_panel}, {has_parts}");
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{case}");
+        let panes = ["overlay", "look", "look, folded", "older look", "parts", "banner"];
+        assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{case}");
+        let pane = |name| w.ctx.memory(|m| m.area_rect(egui::Id::unique(name)));
+        let open = {
+            let right = screen.right() - w.state().right_width().max(look_panel::FOLDED_WIDTH);
+            egui::Rect::from_x_y_ranges(right - 54.0..=right, 10.0..=48.0)
+        };
+        for name in ["overlay", "older look"] {
+            assert!(!pane(name).unwrap().intersects(open), "{name}, {case}");
+        }
+        // The harness leaves eight points around the picture.
+        let corner = w.get_by_label_contains("axes: ").rect();
+        let scale = egui::Rect::from_min_size(corner.right_bottom() - vec2(0.0, 64.0), vec2(180.0, 48.0));
+        for name in ["banner", "parts"] {
+            let is_clear = |rect: egui::Rect| !rect.intersects(corner) && !rect.intersects(scale);
+            assert!(pane(name).is_none_or(is_clear), "{name}, {case}");
+        }
     }
 }
 
