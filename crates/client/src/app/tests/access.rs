@@ -167,6 +167,24 @@ fn all_keys_are_on_a_small_screen_at_once() {
 }
 
 #[test]
+fn in_a_window_that_is_too_small_the_keys_are_broken_and_scrolled() {
+    for size in [[600.0, 400.0], [400.0, 300.0]] {
+        let mut w = window(size);
+        press(&mut w, Modifiers::NONE, Key::O);
+        press(&mut w, Modifiers::NONE, Key::H);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
+        assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
+        let pane = w.ctx.memory(|m| m.area_rect(egui::Id::unique("help"))).unwrap();
+        let texts = Bindings::default().lines().into_iter().map(|(_, text)| text);
+        let right = texts
+            .flat_map(|text| w.query_all_by_label(text).map(|n| n.rect().right()).max_by(f32::total_cmp));
+        let bar = w.ctx.global_style().spacing.scroll.bar_width;
+        assert!(right.fold(0.0, f32::max) <= pane.right() - bar, "the bar has its own place");
+    }
+}
+
+#[test]
 fn the_camera_turns_moves_and_zooms_by_keys_until_a_control_has_them() {
     let mut w = window([640.0, 480.0]);
     let first = pose(&w);
