@@ -40,6 +40,8 @@ pub(crate) struct Settings<'a> {
     pub(crate) clip_editor: &'a mut ClipEditor,
     /// The volume's box.
     pub(crate) bounds: Aabb,
+    /// Of its lengths, if known.
+    pub(crate) unit: Option<&'a str>,
     /// The viewing direction.
     pub(crate) forward: Vec3,
     /// For hints.
@@ -86,8 +88,8 @@ pub(crate) fn show(
                 });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
-                    let Settings { look, clip_editor, bounds, forward, bindings, .. } = &mut *settings;
-                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward, bindings);
+                    let Settings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
+                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
                 section(ui, "State", false, |ui| wish = state_files.show(ui));

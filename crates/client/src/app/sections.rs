@@ -147,6 +147,7 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         };
         let world_from_view = self.world_from_view();
+        let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
         let mut settings = Settings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
@@ -157,6 +158,7 @@ impl<S: FrameSource> ViewerApp<S> {
             is_orthographic: self.is_orthographic,
             clip_editor: &mut self.clip_editor,
             bounds,
+            unit: unit.as_deref(),
             forward,
             bindings: &self.options.bindings,
             world_from_view,
