@@ -85,6 +85,11 @@ impl Shots {
         }
     }
 
+    /// Whether the dialog is open.
+    pub(crate) fn is_dialog_open(&self) -> bool {
+        self.is_dialog_open
+    }
+
     /// Opens or closes the dialog.
     pub(crate) fn toggle_dialog(&mut self) {
         self.is_dialog_open = !self.is_dialog_open;

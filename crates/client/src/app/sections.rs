@@ -106,7 +106,9 @@ impl<S: FrameSource> ViewerApp<S> {
         rect: egui::Rect,
         refresh: &Refresh,
     ) {
-        if !self.probe.is_on() || !self.stereo().is_mono() {
+        // A dialog is not to be covered, whoever opens it while the pointer rests.
+        let has_dialog = self.shows_help || self.shots.is_dialog_open() || self.open_dialog.is_open();
+        if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
         }
         let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
