@@ -22,7 +22,6 @@ use crate::bindings::{Action, Bindings, Focus};
 use crate::camera_controls::{CameraControls, ControlInput};
 use crate::clip_editor::{self, ClipEditor};
 use crate::frame_source::FrameSource;
-use crate::look_panel;
 use crate::meters::RefreshMeter;
 use crate::novel_view::{NovelViews, Shown};
 use crate::open_dialog::OpenDialog;
@@ -229,16 +228,6 @@ impl<S: FrameSource> ViewerApp<S> {
         &self.options.bindings
     }
 
-    /// How much of the window's right is taken by the look panel, points.
-    pub(crate) fn right_width(&self) -> f32 {
-        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
-    }
-
-    /// How much of the window's bottom is taken by a bar, points.
-    pub(crate) fn bottom_height(&self) -> f32 {
-        self.parts_bar.height()
-    }
-
     /// The camera controls for the volume that the source has now; one of another size is seen from the same side.
     fn controls(&mut self, picture: &Intrinsics) -> Option<&mut (Aabb, CameraControls)> {
         let bounds = self.viewing.source().description()?.volume.bounds();
@@ -305,12 +294,13 @@ impl<S: FrameSource> ViewerApp<S> {
             unit: description.volume.unit.as_deref(),
             center: controls.center(),
             shows_center: self.marks_center(now),
+            lift: self.parts_bar.height_over(view_aids::CORNER.x),
         };
         self.aids.paint(ui.painter(), &scene);
         let view = clip_editor::View { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
         if self.aids.shows_axes {
-            panels::image(ui, ViewAids::axes_rect(rect), "axes", &ViewAids::axes_in_words(&scene));
+            panels::image(ui, ViewAids::axes_rect(&scene), "axes", &ViewAids::axes_in_words(&scene));
         }
     }
 
@@ -323,8 +313,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let stats = source.stats();
         let interval = self.refreshes.interval().filter(|_| is_active);
         let state = source.state();
-        // Nothing is known of a way that is cut.
-        let round_trip = (state == State::Connected).then(|| micros(stats.rtt_micros)).flatten();
+        // Nothing is known of a way that is cut, and nothing comes by it.
+        let is_connected = state == State::Connected;
+        let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
             state,
             standing: refresh.standing,
@@ -337,8 +328,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 interval.map_or(ViewTime::Unknown, ViewTime::FrameInterval)
             },
             generate: micros(stats.server.generate_micros),
-            bytes_per_second: stats.bytes_per_second,
-            new_frames_per_second: stats.frames_per_second,
+            bytes_per_second: if is_connected { stats.bytes_per_second } else { 0.0 },
+            new_frames_per_second: if is_connected { stats.frames_per_second } else { 0 },
             refreshes_per_second: interval.filter(|i| !i.is_zero()).map(|i| i.as_secs_f64().recip()),
         }
     }
@@ -444,16 +435,17 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
-                    panels::older_look(&ctx, self.viewing.source().is_of_volume(&frame));
+                    let (is_of_volume, taken) =
+                        (self.viewing.source().is_of_volume(&frame), self.taken_at_top(&ctx));
+                    panels::older_look(&ctx, is_of_volume, &state, taken);
                 }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
-                    panels::overlay(&ctx, &self.title, &model);
+                    panels::overlay(&ctx, &self.title, &model, self.right_width_at_top());
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    let lift = self.parts_bar.height() + self.aids.scale_height();
-                    panels::banner(&ctx, &text, self.right_width(), lift);
+                    panels::banner(&ctx, &text, self.taken_at_bottom(&ctx));
                 }
             }
             None => {
@@ -480,6 +472,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if self.marks_center(now) {
             ctx.request_repaint_after(CENTER_TIME);
+        }
+        if let Some((_, at)) = self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME) {
+            ctx.request_repaint_after((*at + NOTICE_TIME).saturating_sub(now));
         }
     }
 
@@ -556,7 +551,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// The connection's trouble before the device's before what the server says.
+    /// What was just asked for or said before the connection's trouble before the device's.
     fn banner(&self, now: Duration, model: &OverlayModel) -> Option<String> {
         let problem = || {
             let problem = self.method_problem.clone().or_else(|| self.picture_status.problem())?;
@@ -564,7 +559,7 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let notice =
             || self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME).map(|(n, _)| n.clone());
-        model.banner().or_else(problem).or_else(notice)
+        notice().or_else(|| model.banner()).or_else(problem)
     }
 
     fn report(&mut self, now: Duration, model: &OverlayModel) {

@@ -1,6 +1,6 @@
 //! The part of the look panel that clips: numbers for the box and the plane.
 
-use egui::{Slider, Ui};
+use egui::Ui;
 use glam::Vec3;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
@@ -8,16 +8,21 @@ use isinglass_core::space::Aabb;
 use crate::bindings::{Action, Bindings};
 use crate::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
 use crate::look_panel::row;
+use crate::number::slider;
+use crate::transfer_editor::format_in;
 
-/// Shows and changes the clip of a volume in `bounds`; `forward` is the viewing direction.
+/// Shows and changes the clip of a volume in `bounds`, whose lengths are in `unit` if that is known; `forward` is the viewing
+/// direction.
 pub(crate) fn show(
     ui: &mut Ui,
     clip: &mut Clip,
     editor: &mut ClipEditor,
     bounds: &Aabb,
+    unit: Option<&str>,
     forward: Vec3,
     bindings: &Bindings,
 ) {
+    let suffix = unit.map_or(String::new(), |unit| format!(" {unit}"));
     ui.horizontal(|ui| {
         let mut has_box = clip.bounds.is_some();
         if ui.checkbox(&mut has_box, "clip box").changed() {
@@ -31,12 +36,13 @@ pub(crate) fn show(
     });
     egui::Grid::new("clip").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         if let Some(inner) = &mut clip.bounds {
-            box_rows(ui, inner, bounds);
+            box_rows(ui, inner, bounds, &suffix);
         }
         if let Some(plane) = &mut clip.plane {
             let [least, most] = offsets(bounds, plane.normal);
             row(ui, "plane at", "along its normal, from the middle of the volume", |ui| {
-                ui.add(Slider::new(&mut plane.offset, least..=most))
+                let slider = slider(ui, &mut plane.offset, least..=most, |v| format_in(v, most - least));
+                ui.add(slider.suffix(&suffix))
             });
         }
     });
@@ -59,18 +65,21 @@ pub(crate) fn show(
 }
 
 /// Six ends, each on its side of the other.
-fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb) {
+fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb, suffix: &str) {
     for (axis, names) in [["x from", "x to"], ["y from", "y to"], ["z from", "z to"]].into_iter().enumerate()
     {
         let (least, most) = (bounds.min[axis], bounds.max[axis]);
         let gap = (most - least) * LEAST_SIDE;
+        let format = |v: f32| format_in(v, most - least);
         row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = ui.add(Slider::new(&mut inner.min[axis], least..=most));
+            let slider = slider(ui, &mut inner.min[axis], least..=most, format);
+            let slider = ui.add(slider.suffix(suffix));
             inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
             slider
         });
         row(ui, names[1], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = ui.add(Slider::new(&mut inner.max[axis], least..=most));
+            let slider = slider(ui, &mut inner.max[axis], least..=most, format);
+            let slider = ui.add(slider.suffix(suffix));
             inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
             slider
         });

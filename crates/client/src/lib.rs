@@ -26,6 +26,7 @@ mod look_panel;
 mod meters;
 mod mode_panel;
 mod novel_view;
+mod number;
 mod open_dialog;
 mod orientation;
 mod overlay;

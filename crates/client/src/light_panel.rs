@@ -6,6 +6,8 @@ use egui::{Color32, Rect, Response, Sense, Stroke, Ui, Vec2, pos2, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
 
+use crate::number;
+
 /// Shows the section and changes the light. `world_from_view`: how the camera of the picture is turned.
 pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     egui::Grid::new("light").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
@@ -70,7 +72,8 @@ fn slider(
     let shown = (*number * power).round() / power;
     let mut moved = shown;
     let slider = egui::Slider::new(&mut moved, range).fixed_decimals(decimals.into()).suffix(unit);
-    let response = ui.add_enabled(is_on, slider);
+    let response =
+        ui.add_enabled(is_on, slider.update_while_editing(false).custom_parser(number::reader(ui)));
     // Whether it counts as changed is of no use: rounding does, too.
     if (moved - shown).abs() > 0.25 / power {
         *number = moved;
@@ -80,7 +83,8 @@ fn slider(
 
 fn percent(ui: &mut Ui, share: &mut f32) -> Response {
     let mut percent = (*share * 100.0).round();
-    let slider = ui.add(egui::Slider::new(&mut percent, 0.0..=100.0).step_by(5.0).suffix(" %"));
+    let slider = number::slider(ui, &mut percent, 0.0..=100.0, |v| format!("{v:.0}"));
+    let slider = ui.add(slider.step_by(5.0).suffix(" %"));
     if slider.changed() {
         *share = percent / 100.0;
     }

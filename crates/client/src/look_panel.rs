@@ -12,6 +12,7 @@ use crate::clip_editor::ClipEditor;
 use crate::clip_panel;
 use crate::light_panel;
 use crate::mode_panel;
+use crate::number;
 use crate::panels::pane;
 use crate::state_files::{StateFiles, StateWish};
 use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
@@ -39,6 +40,8 @@ pub(crate) struct Settings<'a> {
     pub(crate) clip_editor: &'a mut ClipEditor,
     /// The volume's box.
     pub(crate) bounds: Aabb,
+    /// Of its lengths, if known.
+    pub(crate) unit: Option<&'a str>,
     /// The viewing direction.
     pub(crate) forward: Vec3,
     /// For hints.
@@ -85,8 +88,8 @@ pub(crate) fn show(
                 });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
-                    let Settings { look, clip_editor, bounds, forward, bindings, .. } = &mut *settings;
-                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *forward, bindings);
+                    let Settings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
+                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
                 section(ui, "State", false, |ui| wish = state_files.show(ui));
@@ -117,7 +120,8 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
             combo.show_ui(ui, choices).response
         });
         row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
-            ui.add(egui::Slider::new(&mut look.k, 1..=MAX_K as u8))
+            let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
+            ui.add(slider.custom_parser(number::reader(ui)))
         });
         if methods.len() > 1 {
             row(ui, "picture by", "how the server's frames become pictures here", |ui| {
@@ -132,7 +136,8 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
         }
         row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
             let mut percent = (frame_size.scale * 100.0).round();
-            let slider = ui.add(egui::Slider::new(&mut percent, 25.0..=100.0).step_by(5.0).suffix(" %"));
+            let slider = number::slider(ui, &mut percent, 25.0..=100.0, |v| format!("{v:.0}"));
+            let slider = ui.add(slider.step_by(5.0).suffix(" %"));
             if slider.changed() {
                 frame_size.scale = percent / 100.0;
             }
@@ -158,7 +163,8 @@ fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     });
     row(ui, "eye distance", "as an angle, seen from the centre", |ui| {
         let is_stereo = !stereo.is_mono();
-        let slider = egui::Slider::new(&mut stereo.eye_angle_degrees, 0.0..=MAX_EYE_ANGLE_DEGREES);
+        let range = 0.0..=MAX_EYE_ANGLE_DEGREES;
+        let slider = number::slider(ui, &mut stereo.eye_angle_degrees, range, |v| format!("{v:.1}"));
         ui.add_enabled(is_stereo, slider.step_by(0.1).fixed_decimals(1).suffix("°"))
     });
 }
@@ -210,5 +216,7 @@ fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
 
 /// Room for nine points of a curve, and for a third of a small screen beside it.
 const PANEL_WIDTH: f32 = 312.0;
+/// What the folded panel takes of the window's right, with a gap beside it.
+pub(crate) const FOLDED_WIDTH: f32 = 74.0;
 /// What the open panel takes of the window's right, with a gap beside it.
 pub(crate) const OPEN_WIDTH: f32 = PANEL_WIDTH + 40.0;

@@ -1,10 +1,11 @@
 //! What a pixel tells of its ray, in the look panel: the mode, and the surfaces of its values.
 
-use egui::{DragValue, Slider, SliderClamping, Ui};
+use egui::{SliderClamping, Ui};
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
 
-use crate::transfer_editor::{ValueScale, format_value};
+use crate::number;
+use crate::transfer_editor::{ValueScale, format_in};
 
 /// The rows of the panel.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
@@ -42,8 +43,8 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     for (i, iso) in isos.iter_mut().enumerate() {
         ui.horizontal(|ui| {
             ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
-            let slider = Slider::new(&mut iso.value, lo..=hi).clamping(SliderClamping::Never);
-            let slider = ui.add(slider.custom_formatter(|v, _| format_value(v as f32)));
+            let slider = number::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
+            let slider = ui.add(slider.clamping(SliderClamping::Never));
             let name = format!("value of surface {}", i + 1);
             slider.widget_info(|| egui::WidgetInfo {
                 value: Some(f64::from(iso.value)),
@@ -51,8 +52,8 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
             });
             slider.on_hover_text(name.clone());
             let mut percent = iso.opacity * 100.0;
-            let drag = DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %");
-            let drag = ui.add(drag.max_decimals(0));
+            let drag = number::field(ui, &mut percent, |v| format!("{v:.0}"));
+            let drag = ui.add(drag.range(0.0..=100.0).speed(0.5).max_decimals(0).suffix(" %"));
             let name = format!("opacity of surface {}", i + 1);
             drag.widget_info(|| egui::WidgetInfo {
                 value: Some(f64::from(percent)),
@@ -74,15 +75,28 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     }
     let add = ui.add_enabled(isos.len() < MAX_ISOS, egui::Button::new("add a surface").small());
     if add.clicked() {
-        // Half way up from the highest there is, and what is around is seen through.
-        let highest = isos.iter().map(|iso| iso.value).fold(lo, f32::max).min(hi);
-        for iso in &mut isos {
-            iso.opacity = iso.opacity.min(OUTER_OPACITY);
-        }
-        isos.push(Iso { value: 0.5 * (highest + hi), opacity: 1.0 });
+        isos.push(another(&isos, scale.range));
     }
     // Numbers that somebody wrote may be no surface.
     look.isos = Isos::new(&isos).unwrap_or(look.isos);
+}
+
+/// A surface beside others, which stay as they are: around the outermost that hides what is behind it, and seen through; if
+/// there is none such, half way up from the highest. Lower values lie further out.
+fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
+    let hides = |iso: &&Iso| iso.opacity >= HIDING_OPACITY;
+    let outermost = isos.iter().filter(hides).map(|iso| iso.value).min_by(f32::total_cmp);
+    match outermost.filter(|value| *value > lo) {
+        Some(hiding) => {
+            let around = isos.iter().map(|iso| iso.value).filter(|value| *value < hiding);
+            let next = around.fold(lo, f32::max);
+            Iso { value: 0.5 * (next + hiding), opacity: OUTER_OPACITY }
+        }
+        None => {
+            let highest = isos.iter().map(|iso| iso.value).fold(lo, f32::max).min(hi);
+            Iso { value: 0.5 * (highest + hi), opacity: 1.0 }
+        }
+    }
 }
 
 /// The mode for a person.
@@ -96,5 +110,26 @@ pub(crate) fn text(mode: Mode) -> &'static str {
     }
 }
 
-/// Opacity of surfaces that another one is seen through.
+/// Opacity of a surface that another one is seen through.
 const OUTER_OPACITY: f32 = 0.3;
+/// From here on next to nothing is seen behind a surface.
+const HIDING_OPACITY: f32 = 0.9;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_surface_is_added_where_it_is_seen_and_sees_the_others() {
+        let iso = |value, opacity| Iso { value, opacity };
+        for (isos, added) in [
+            (vec![iso(300.0, 1.0)], iso(-350.0, 0.3)),
+            (vec![iso(300.0, 1.0), iso(-350.0, 0.3)], iso(-25.0, 0.3)),
+            (vec![iso(300.0, 0.3)], iso(650.0, 1.0)),
+            (vec![iso(100.0, 0.5), iso(300.0, 1.0)], iso(200.0, 0.3)),
+            (vec![iso(-1000.0, 1.0)], iso(0.0, 1.0)),
+        ] {
+            assert_eq!(another(&isos, (-1000.0, 1000.0)), added, "{isos:?}");
+        }
+    }
+}

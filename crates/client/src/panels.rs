@@ -8,6 +8,29 @@ use crate::bindings::Bindings;
 use crate::overlay::{OverlayModel, sentence};
 use crate::viewing::Standing;
 
+/// What is taken of the window around a pane that is to keep clear of it, points.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Taken {
+    /// On the left.
+    pub(crate) left: f32,
+    /// On the right.
+    pub(crate) right: f32,
+    /// Above or below, at the edge of the window where the pane lies.
+    pub(crate) edge: f32,
+}
+
+impl Taken {
+    /// How wide a pane may be between the two sides.
+    pub(crate) fn width(&self, ctx: &egui::Context) -> f32 {
+        ctx.content_rect().width() - self.left - self.right
+    }
+
+    /// From the middle of the window to that between the sides.
+    pub(crate) fn shift(&self) -> f32 {
+        0.5 * (self.left - self.right)
+    }
+}
+
 /// A pane that text can be read on over any picture.
 pub(crate) fn pane(ctx: &egui::Context) -> Frame {
     let (fill, line) = if is_dark(ctx) {
@@ -35,21 +58,37 @@ pub(crate) fn quiet(ctx: &egui::Context) -> Color32 {
     if is_dark(ctx) { Color32::from_gray(178) } else { Color32::from_gray(70) }
 }
 
-/// The numbers, at the top left. `title` is the volume's name.
-pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel) {
+/// How much of the window's left the numbers take, with a gap beside them, where `right` points are taken on the right.
+pub(crate) fn overlay_taken(ctx: &egui::Context, right: f32) -> f32 {
+    let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
+    width + OVERLAY_GAPS
+}
+
+/// Whether there is room for more than the badge.
+pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
+    OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
+}
+
+/// The numbers, at the top left; in a narrow window the badge alone. `title` is the volume's name, `right` what is taken on the
+/// right.
+pub(crate) fn overlay(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
+    let has_numbers = has_room_for_numbers(ctx, right);
     egui::Area::new(egui::Id::unique("overlay"))
         .anchor(Align2::LEFT_TOP, vec2(10.0, 10.0))
         .interactable(true)
         .show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
                 // A fixed width: changing digits must not make the pane tremble.
-                ui.set_width(OVERLAY_WIDTH);
+                ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
                 ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
                 ui.spacing_mut().interact_size.y = 0.0;
-                if !title.is_empty() {
+                if has_numbers && !title.is_empty() {
                     ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
                 }
                 badge(ui, model.standing);
+                if !has_numbers {
+                    return;
+                }
                 ui.add_space(3.0);
                 for (name, value) in model.rows() {
                     row(ui, name, &value);
@@ -91,26 +130,34 @@ pub(crate) fn named(response: &egui::Response, role: egui::Role, name: &str) {
     response.widget_info(|| egui::WidgetInfo::labeled(role, true, name));
 }
 
-/// One line at the bottom, `lift` points above it and beside `right` points that are taken, while something is wrong with the
-/// connection.
-pub(crate) fn banner(ctx: &egui::Context, text: &str, right: f32, lift: f32) {
+/// One line at the bottom while something is wrong with the connection, or something was said.
+pub(crate) fn banner(ctx: &egui::Context, text: &str, taken: Taken) {
     let area = egui::Area::new(egui::Id::unique("banner"));
-    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -12.0 - lift));
+    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
-            ui.set_max_width((ctx.content_rect().width() - right - 60.0).max(200.0));
+            ui.set_max_width((taken.width(ctx) - 40.0).max(100.0));
             ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
         });
     });
 }
 
 /// One line at the top, while the picture is made with an older look than was asked for.
-pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool) {
-    let area = egui::Area::new(egui::Id::unique("older look")).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
+pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State, taken: Taken) {
+    let area = egui::Area::new(egui::Id::unique("older look"));
+    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 12.0 + taken.edge));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
+            ui.set_max_width((taken.width(ctx) - 40.0).max(60.0));
             let what = if is_of_volume { "shown with the look before" } else { "the volume before" };
-            ui.label(RichText::new(format!("{what}; the new one is on its way")).size(12.0));
+            let coming = match state {
+                State::Connected => "the new one is on its way",
+                State::Connecting { .. } | State::Reconnecting { .. } => {
+                    "the new one waits until connected again"
+                }
+                State::Refused(_) => "there is no connection for the new one",
+            };
+            ui.label(RichText::new(format!("{what}; {coming}")).size(12.0));
         });
     });
 }
@@ -125,52 +172,75 @@ pub(crate) fn help(ctx: &egui::Context, bindings: &Bindings, open: &mut bool) {
         .collapsible(false)
         .show(ctx, |ui| {
             let screen = ctx.content_rect().size();
-            let height = (screen.y - 90.0).max(100.0);
+            let height = (screen.y - 100.0).max(100.0);
             let lines = bindings.lines();
             let row_height = ui.text_style_height(&egui::TextStyle::Body) + HELP_GAPS.y;
             let is_high = lines.len() as f32 * row_height > height;
             let num_columns = if is_high && screen.x >= LEAST_WIDTH_OF_TWO { 2 } else { 1 };
-            let columns: Vec<_> = lines.chunks(lines.len().div_ceil(num_columns)).collect();
-            if columns[0].len() as f32 * row_height <= height {
-                key_columns(ui, &columns, row_height);
+            let room = (screen.x - 60.0).max(120.0) / num_columns as f32 - 2.0 * HELP_GAPS.x;
+            let columns = lines.chunks(lines.len().div_ceil(num_columns));
+            let columns: Vec<_> = columns.map(|lines| KeyColumn::of(ui, lines, room)).collect();
+            if columns.iter().all(|column| column.height() <= height) {
+                key_columns(ui, &columns, -HELP_GAPS.x);
             } else {
                 let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
-                scroll.show(ui, |ui| key_columns(ui, &columns, row_height));
+                // The bar lies over what is at the right.
+                scroll.show(ui, |ui| key_columns(ui, &columns, 0.0));
             }
         });
 }
 
-/// Keys and what they do, side by side. Sizes are known before anything is drawn: a table that finds its own is cut off at first.
-fn key_columns(ui: &mut Ui, columns: &[&[(String, &'static str)]], row_height: f32) {
-    let font = egui::TextStyle::Body.resolve(ui.style());
-    let widest = |ui: &Ui, texts: &mut dyn Iterator<Item = &str>| {
-        let width = |text: &str| {
-            ui.painter().layout_no_wrap(text.to_owned(), font.clone(), Color32::WHITE).size().x.ceil() + 1.0
+/// Keys and what they do. Sizes are known before anything is drawn: a table that finds its own is cut off at first.
+struct KeyColumn<'a> {
+    lines: &'a [(String, &'static str)],
+    /// Of the keys and of what they do, with a gap beside each.
+    widths: [f32; 2],
+    /// Of each line, with a gap below it.
+    heights: Vec<f32>,
+}
+
+impl<'a> KeyColumn<'a> {
+    /// Lines whose texts take up to `room` points across, and are broken where they need more.
+    fn of(ui: &Ui, lines: &'a [(String, &'static str)], room: f32) -> Self {
+        let font = egui::TextStyle::Body.resolve(ui.style());
+        let size = |text: &str, width: f32| {
+            ui.painter().layout(text.to_owned(), font.clone(), Color32::WHITE, width).size().ceil()
         };
-        texts.map(width).fold(0.0, f32::max)
-    };
-    let widths: Vec<[f32; 2]> = columns
-        .iter()
-        .map(|lines| {
-            let keys = widest(ui, &mut lines.iter().map(|(keys, _)| &keys[..]));
-            [keys + HELP_GAPS.x, widest(ui, &mut lines.iter().map(|(_, text)| *text)) + HELP_GAPS.x]
-        })
-        .collect();
-    let size = vec2(widths.iter().flatten().sum::<f32>() - HELP_GAPS.x, columns[0].len() as f32 * row_height);
-    let (rect, _) = ui.allocate_exact_size(size, egui::Sense::hover());
+        let widest = |texts: &mut dyn Iterator<Item = &str>| {
+            texts.map(|text| size(text, f32::INFINITY).x + 1.0).fold(0.0, f32::max)
+        };
+        let keys = widest(&mut lines.iter().map(|(keys, _)| &keys[..])).min(0.5 * room);
+        let text = widest(&mut lines.iter().map(|(_, text)| *text)).min(room - keys);
+        let height = |(of_keys, of_text): &(String, &str)| size(of_keys, keys).y.max(size(of_text, text).y);
+        let heights = lines.iter().map(|line| height(line) + HELP_GAPS.y).collect();
+        Self { lines, widths: [keys + HELP_GAPS.x, text + HELP_GAPS.x], heights }
+    }
+
+    fn height(&self) -> f32 {
+        self.heights.iter().sum()
+    }
+}
+
+/// Columns side by side, with so much more at their right.
+fn key_columns(ui: &mut Ui, columns: &[KeyColumn<'_>], more: f32) {
+    let width = columns.iter().flat_map(|column| column.widths).sum::<f32>() + more;
+    let height = columns.iter().map(KeyColumn::height).fold(0.0, f32::max);
+    let (rect, _) = ui.allocate_exact_size(vec2(width, height), egui::Sense::hover());
     let (bright, quiet) = (bright(ui.ctx()), quiet(ui.ctx()));
     let mut left = rect.left();
-    for (lines, [keys_width, text_width]) in columns.iter().zip(widths) {
-        for (row, (keys, text)) in lines.iter().enumerate() {
-            let top = rect.top() + row as f32 * row_height;
+    for KeyColumn { lines, widths: [keys_width, text_width], heights } in columns {
+        let mut top = rect.top();
+        for ((keys, text), height) in lines.iter().zip(heights) {
             for (x, width, text) in [
                 (left, keys_width, RichText::new(keys).color(bright).strong()),
                 (left + keys_width, text_width, RichText::new(*text).color(quiet)),
             ] {
-                let cell = egui::Rect::from_min_size(egui::pos2(x, top), vec2(width, row_height));
-                let layout = egui::Layout::left_to_right(egui::Align::Center);
-                ui.scope_builder(egui::UiBuilder::new().max_rect(cell).layout(layout), |ui| ui.label(text));
+                let size = vec2(width - HELP_GAPS.x, *height);
+                let cell = egui::Rect::from_min_size(egui::pos2(x, top), size);
+                let cell = egui::UiBuilder::new().max_rect(cell);
+                ui.scope_builder(cell, |ui| ui.add(egui::Label::new(text).wrap()));
             }
+            top += height;
         }
         left += keys_width + text_width;
     }
@@ -257,6 +327,10 @@ pub(crate) fn title_of(volume: &VolumeDescription) -> String {
 /// Behind the page before the first picture.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);
 const OVERLAY_WIDTH: f32 = 190.0;
+/// For the badge's longest word.
+const BADGE_WIDTH: f32 = 66.0;
+/// Around the numbers and in their pane.
+const OVERLAY_GAPS: f32 = 42.0;
 const HELP_GAPS: egui::Vec2 = vec2(24.0, 4.0);
 /// Of a window, for two columns of keys.
 const LEAST_WIDTH_OF_TWO: f32 = 1240.0;

@@ -8,6 +8,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use crate::bindings::{Action, Bindings};
+use crate::number::reader;
 use crate::overlay::format_bytes;
 use crate::panels::{named, pane, quiet};
 
@@ -30,6 +31,8 @@ pub(crate) struct PartsBar {
     /// The time that the number is dragged to.
     dragged: Option<u32>,
     height: f32,
+    /// Where it begins, from the window's left.
+    left: f32,
     /// Of the pickers in one row, as last drawn so.
     row_width: f32,
 }
@@ -60,6 +63,11 @@ impl PartsBar {
     /// The height of the bar, with the space below it.
     pub(crate) fn height(&self) -> f32 {
         self.height
+    }
+
+    /// The same if the bar lies over the window's first `width` points, else none.
+    pub(crate) fn height_over(&self, width: f32) -> f32 {
+        if self.left < width { self.height } else { 0.0 }
     }
 
     /// Shows the bar if there is anything to choose; what was chosen. The last `right` points of the window are taken.
@@ -98,7 +106,8 @@ impl PartsBar {
                 }
             });
         });
-        self.height = shown.response.rect.height() + 10.0;
+        let rect = shown.response.rect;
+        (self.height, self.left) = (rect.height() + 10.0, rect.left() - ctx.content_rect().left());
         if chosen != before {
             wish = Some(self.open(chosen, load));
         }
@@ -170,7 +179,8 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
             .add_enabled(time > 0, egui::Button::new("−").small())
             .on_hover_text(bindings.with_key("the time before", Action::StepTime(-1)));
         named(&back, egui::Role::Button, "the time before");
-        let number = ui.add(egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false));
+        let number = egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false);
+        let number = ui.add(number.custom_parser(reader(ui)));
         named(&number, egui::Role::SpinButton, "time");
         let on = ui
             .add_enabled(time < last, egui::Button::new("+").small())

@@ -82,9 +82,12 @@ pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescrip
     // A tenth of a voxel is as fine as anybody can point.
     let finest = f64::from(volume.spacing.iter().copied().fold(f32::INFINITY, f32::min));
     let decimals = (1.0 - finest.log10()).ceil().clamp(0.0, 6.0) as usize;
-    let letters = names(volume);
-    let coordinates: Vec<String> =
-        (0..3).map(|i| format!("{} {:.decimals$}", letters[i], place[i])).collect();
+    let names = names(volume);
+    let told = |i: usize| match names[i] {
+        (_, Some(opposite)) if place[i] < 0.0 => format!("{opposite} {:.decimals$}", -place[i]),
+        (name, _) => format!("{name} {:.decimals$}", place[i]),
+    };
+    let coordinates = [0, 1, 2].map(told);
     let index = voxel_at(point, volume);
     let [x, y, z] = index;
     // While the pointer moves, the newest answer is for where it was: right as long as that is the same voxel.
@@ -104,10 +107,14 @@ fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
     })
 }
 
-/// What the coordinates of the file's world are called. A body's world is right-anterior-superior.
-fn names(volume: &VolumeDescription) -> [&'static str; 3] {
+/// What the coordinates of the file's world are called, and what they are called below zero where there is a word for that. A
+/// body's world is right-anterior-superior.
+fn names(volume: &VolumeDescription) -> [(&'static str, Option<&'static str>); 3] {
     let is_body = volume.orientation.is_some() && volume.placement.is_some();
-    if is_body { ["R", "A", "S"] } else { ["x", "y", "z"] }
+    match is_body {
+        true => [("R", Some("L")), ("A", Some("P")), ("S", Some("I"))],
+        false => [("x", None), ("y", None), ("z", None)],
+    }
 }
 
 /// Shows lines beside the pointer, inside of the window.
@@ -181,7 +188,7 @@ mod tests {
         let point = Vec3::new(1.25, 2.0, -3.0);
         let [value, place, voxel] = lines(point, Some(&probed(point)), &volume());
         // x along R, y along S, z against A.
-        assert_eq!(place, "R 11.25  A -17.00  S 32.00 mm");
+        assert_eq!(place, "R 11.25  P 17.00  S 32.00 mm");
         assert_eq!((&value[..], &voxel[..]), ("-42.5 HU", "voxel 7, 9, 3"));
         let unplaced = VolumeDescription { placement: None, unit: None, value_unit: None, ..volume() };
         let [value, place, _] = lines(point, Some(&probed(point)), &unplaced);

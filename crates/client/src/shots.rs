@@ -12,10 +12,12 @@ use glam::{Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
 use isinglass_core::ids::ShotId;
 use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+use isinglass_net::State;
 
 use self::files::{Stamp, Writing};
 use crate::frame_source::FrameSource;
-use crate::panels::pane;
+use crate::number;
+use crate::panels::{Taken, pane};
 
 /// What is to be seen in the pictures.
 #[derive(Clone, Debug)]
@@ -81,6 +83,11 @@ impl Shots {
             "height" => size[1] = value,
             _ => self.num_pictures = value,
         }
+    }
+
+    /// Whether the dialog is open.
+    pub(crate) fn is_dialog_open(&self) -> bool {
+        self.is_dialog_open
     }
 
     /// Opens or closes the dialog.
@@ -186,24 +193,27 @@ impl Shots {
         Some(series.stopped())
     }
 
-    /// Shows the dialog if it is open, and the progress if there is any; what there is to tell the person.
+    /// Shows the dialog if it is open, and the progress if there is any, beside what is taken at the top; what there is to tell
+    /// the person.
     pub(crate) fn show(
         &mut self,
         ctx: &Context,
         subject: Option<Subject>,
         source: &mut impl FrameSource,
+        taken: Taken,
     ) -> Option<String> {
         let mut is_cancelled = false;
+        let is_connected = source.state() == State::Connected;
         if let Some(series) = &self.series {
-            is_cancelled = show_progress(ctx, series);
+            is_cancelled = show_progress(ctx, series, is_connected, taken);
         }
         if self.is_dialog_open {
-            self.show_dialog(ctx, subject);
+            self.show_dialog(ctx, subject, is_connected);
         }
         if is_cancelled { self.cancel(source) } else { None }
     }
 
-    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>) {
+    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>, is_connected: bool) {
         let mut is_open = true;
         let mut starts = false;
         let window = egui::Window::new(RichText::new("Picture of the view").size(14.0));
@@ -216,6 +226,7 @@ impl Shots {
                 ui.horizontal(|ui| {
                     for (side, name) in size.iter_mut().zip(["width", "height"]) {
                         let value = egui::DragValue::new(side).range(1..=MAX_SIDE).suffix(" px");
+                        let value = value.update_while_editing(false).custom_parser(number::reader(ui));
                         ui.add(value).labelled_by(label.id).on_hover_text(name);
                     }
                     if ui.button("as the window").clicked() {
@@ -225,6 +236,7 @@ impl Shots {
                 ui.end_row();
                 let label = ui.label("pictures");
                 let number = egui::DragValue::new(&mut self.num_pictures).range(1..=MAX_PICTURES);
+                let number = number.update_while_editing(false).custom_parser(number::reader(ui));
                 let hint =
                     "more than one: a turntable, once around the vertical through the centre of rotation";
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);
@@ -239,7 +251,10 @@ impl Shots {
             if !is_fitting {
                 ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
             }
-            let is_possible = is_fitting && subject.is_some() && self.series.is_none();
+            if !is_connected {
+                ui.label("the server renders them, and there is no connection to it");
+            }
+            let is_possible = is_fitting && is_connected && subject.is_some() && self.series.is_none();
             let name = if self.num_pictures > 1 { "Make the turntable" } else { "Take the picture" };
             starts = ui.add_enabled(is_possible, egui::Button::new(name)).clicked();
         });
@@ -289,18 +304,24 @@ impl Series {
 }
 
 /// Shows how far a series is; whether it shall end.
-fn show_progress(ctx: &Context, series: &Series) -> bool {
+fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
     let mut is_cancelled = false;
-    let area = egui::Area::new(egui::Id::unique("pictures")).anchor(Align2::CENTER_TOP, vec2(0.0, 46.0));
+    let area = egui::Area::new(egui::Id::unique("pictures"));
+    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 46.0 + taken.edge));
     area.show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             ui.horizontal(|ui| {
                 let text = match series.total {
-                    1 => "the server renders the picture".to_owned(),
+                    1 if is_connected => "the server renders the picture".to_owned(),
+                    1 => "the picture".to_owned(),
                     total => format!("picture {} of {total}", series.done + 1),
                 };
-                ui.spinner();
-                ui.label(text);
+                if is_connected {
+                    ui.spinner();
+                    ui.label(text);
+                } else {
+                    ui.label(format!("{text} waits until connected again"));
+                }
                 if series.total > 1 {
                     let share = series.done as f32 / series.total as f32;
                     ui.add(egui::ProgressBar::new(share).desired_width(120.0));

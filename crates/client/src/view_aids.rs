@@ -41,14 +41,18 @@ pub(crate) struct Scene<'a> {
     pub(crate) center: Vec3,
     /// Whether to mark it.
     pub(crate) shows_center: bool,
+    /// How far above the picture's lower edge axes and scale lie, where that is taken.
+    pub(crate) lift: f32,
+}
+
+impl Scene<'_> {
+    /// What axes and scale are placed from, at the bottom left.
+    fn corner(&self) -> Pos2 {
+        self.rect.left_bottom() - vec2(0.0, self.lift)
+    }
 }
 
 impl ViewAids {
-    /// How far up the scale reaches, which comes with the axes, points.
-    pub(crate) fn scale_height(&self) -> f32 {
-        if self.shows_axes { 46.0 } else { 0.0 }
-    }
-
     /// The background as the ray cast takes it.
     pub(crate) fn linear_background(&self) -> [f32; 3] {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
@@ -72,8 +76,8 @@ impl ViewAids {
     }
 
     /// The part of the picture that the axes take.
-    pub(crate) fn axes_rect(rect: Rect) -> Rect {
-        let center = rect.left_bottom() + vec2(AXES_MARGIN, -AXES_MARGIN);
+    pub(crate) fn axes_rect(scene: &Scene<'_>) -> Rect {
+        let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
         Rect::from_center_size(center, Vec2::splat(2.0 * (AXIS_LENGTH + LETTER_GAP)))
     }
 
@@ -144,7 +148,7 @@ impl Pen<'_> {
 
     /// In the corner at the bottom left.
     fn draw_axes(&self, scene: &Scene<'_>) {
-        let center = scene.rect.left_bottom() + vec2(AXES_MARGIN, -AXES_MARGIN);
+        let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
         let view_from_world = scene.camera.pose.world_from_view.inverse();
         let mut ends: Vec<(Vec3, char, Color32, bool)> = Vec::with_capacity(6);
         for (i, axis) in Vec3::AXES.into_iter().enumerate() {
@@ -175,7 +179,7 @@ impl Pen<'_> {
         let Some((length, text)) = round_length(world_per_point * MAX_SCALE_POINTS, scene.unit) else {
             return;
         };
-        let left = scene.rect.left_bottom() + vec2(2.0 * AXES_MARGIN + 12.0, -32.0);
+        let left = scene.corner() + vec2(2.0 * AXES_MARGIN + 12.0, -32.0);
         let right = left + vec2(length / world_per_point, 0.0);
         self.line([left, right], 2.0, self.ink);
         for end in [left, right] {
@@ -256,6 +260,9 @@ const LETTER_GAP: f32 = 10.0;
 pub(crate) const AXIS_COLORS: [Color32; 3] =
     [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
 const MAX_SCALE_POINTS: f32 = 150.0;
+/// What axes and scale take of the corner at the bottom left, with the scale's longest note.
+pub(crate) const CORNER: Vec2 =
+    vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + AXIS_LENGTH + LETTER_GAP + 8.0);
 
 /// A place in the picture for a point of the screen, pixels.
 pub(crate) fn pixel_at(rect: Rect, camera: &Camera, at: Pos2) -> [f32; 2] {

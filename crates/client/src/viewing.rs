@@ -29,7 +29,7 @@ pub enum Standing {
     Moving,
     /// The camera rests; its own frame is not complete yet.
     Refining,
-    /// The same, and there is no connection that it could come by.
+    /// The camera rests, and there is no connection: whatever is shown, nothing better can come.
     Offline,
     /// The camera's own frame is complete, but in blocks or of another size than the picture, or the picture is for two
     /// eyes.
@@ -440,11 +440,12 @@ impl<S: FrameSource> Viewing<S> {
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
-        if self.is_settled(now, frame, (pose, full)) {
+        let is_connected = self.source.state() == State::Connected;
+        if is_connected && self.is_settled(now, frame, (pose, full)) {
             if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
-        } else if self.source.state() == State::Connected {
+        } else if is_connected {
             Standing::Refining
         } else {
             Standing::Offline

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use egui::Vec2;
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
 use isinglass_net::State;
@@ -9,16 +10,52 @@ use isinglass_net::State;
 use super::{ViewerApp, is_free};
 use crate::frame_source::FrameSource;
 use crate::look_panel::{self, Settings};
+use crate::panels::{self, Taken};
 use crate::parts_bar::PartsWish;
 use crate::pick::visible_point;
 use crate::probe;
 use crate::shots::Subject;
 use crate::start::browser::Chosen;
-use crate::view_aids::pixel_at;
+use crate::view_aids::{self, pixel_at};
 use crate::viewing::Refresh;
 use crate::{light_panel, mode_panel};
 
 impl<S: FrameSource> ViewerApp<S> {
+    /// How much of the window's right is taken by the look panel, points.
+    pub(crate) fn right_width(&self) -> f32 {
+        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
+    }
+
+    /// The same with the buttons beside it.
+    pub(crate) fn right_width_at_top(&self) -> f32 {
+        self.right_width().max(look_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
+    }
+
+    /// What is taken at the top: panes lie between the numbers and the buttons, or below these where there is too little room.
+    pub(crate) fn taken_at_top(&self, ctx: &egui::Context) -> Taken {
+        let right = self.right_width_at_top();
+        let left = if self.shows_overlay { panels::overlay_taken(ctx, right) } else { 0.0 };
+        let between = Taken { left, right, edge: 0.0 };
+        if between.width(ctx) >= LEAST_ROOM_AT_TOP {
+            return between;
+        }
+        // The badge alone is no higher than the buttons.
+        let left = if panels::has_room_for_numbers(ctx, right) { left } else { 0.0 };
+        Taken { left, right: self.right_width(), edge: BUTTONS_HEIGHT }
+    }
+
+    /// What is taken at the bottom: panes lie beside axes and scale bar, or above them where there is too little room.
+    pub(crate) fn taken_at_bottom(&self, ctx: &egui::Context) -> Taken {
+        let corner = if self.aids.shows_axes { view_aids::CORNER } else { Vec2::ZERO };
+        let (right, edge) = (self.right_width(), self.parts_bar.height());
+        let beside = Taken { left: corner.x, right, edge };
+        let lift = self.parts_bar.height_over(corner.x);
+        match beside.width(ctx) >= LEAST_ROOM {
+            true => beside,
+            false => Taken { left: 0.0, right, edge: edge.max(lift + corner.y) },
+        }
+    }
+
     /// What a picture to keep shows: what is seen, whatever the projection.
     fn subject(&self, camera: &Camera) -> Option<Subject> {
         let (_, controls) = self.controls.as_ref()?;
@@ -35,20 +72,27 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Goes on with pictures to keep, and shows their dialog and progress.
     pub(super) fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
+        let is_connected = self.viewing.source().state() == State::Connected;
         if std::mem::take(&mut self.wants_picture)
             && let Some(subject) = subject.clone()
         {
-            self.shots.take(subject);
+            match is_connected {
+                true => self.shots.take(subject),
+                false => {
+                    self.notice = Some((NO_SERVER_FOR_PICTURE.into(), now));
+                    ctx.request_repaint();
+                }
+            }
         }
         // A look that waits goes first: the picture is to be made with it.
-        let is_ready = self.viewing.look_due().is_none();
+        let (is_ready, taken) = (self.viewing.look_due().is_none(), self.taken_at_top(ctx));
         let source = self.viewing.source_mut();
         let done = match source.state() {
             // None will come any more.
             State::Refused(_) => self.shots.end(source, ctx),
             _ => self.shots.poll(source, is_ready, ctx),
         };
-        if let Some(notice) = self.shots.show(ctx, subject, source).or(done) {
+        if let Some(notice) = self.shots.show(ctx, subject, source, taken).or(done) {
             self.notice = Some((notice, now));
             ctx.request_repaint();
         }
@@ -62,7 +106,9 @@ impl<S: FrameSource> ViewerApp<S> {
         rect: egui::Rect,
         refresh: &Refresh,
     ) {
-        if !self.probe.is_on() || !self.stereo().is_mono() {
+        // A dialog is not to be covered, whoever opens it while the pointer rests.
+        let has_dialog = self.shows_help || self.shots.is_dialog_open() || self.open_dialog.is_open();
+        if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
         }
         let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
@@ -103,6 +149,7 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         };
         let world_from_view = self.world_from_view();
+        let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
         let mut settings = Settings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
@@ -113,6 +160,7 @@ impl<S: FrameSource> ViewerApp<S> {
             is_orthographic: self.is_orthographic,
             clip_editor: &mut self.clip_editor,
             bounds,
+            unit: unit.as_deref(),
             forward,
             bindings: &self.options.bindings,
             world_from_view,
@@ -181,3 +229,14 @@ impl<S: FrameSource> ViewerApp<S> {
         });
     }
 }
+
+/// The button to the page of volumes and servers, with a gap beside it.
+const OPEN_BUTTON_WIDTH: f32 = 64.0;
+/// From the window's upper edge, with a gap below, less that of a pane.
+const BUTTONS_HEIGHT: f32 = 42.0;
+/// Of a pane at the top.
+const LEAST_ROOM_AT_TOP: f32 = 180.0;
+/// Of a pane at the bottom.
+const LEAST_ROOM: f32 = 280.0;
+/// Pictures to keep are the server's work.
+const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";

@@ -83,6 +83,13 @@ pub(super) fn is_digit(key: Key) -> bool {
     key.name().len() == 1 && key.name().starts_with(|c: char| c.is_ascii_digit())
 }
 
+/// Whether a field that a person types in has no use of its own for a key.
+pub(super) fn means_nothing_in_text(key: Key, modifiers: Modifiers) -> bool {
+    let is_function = key.name().strip_prefix('F').is_some_and(|number| number.parse::<u8>().is_ok());
+    // Alt and Ctrl together write letters on some keyboards.
+    is_function || modifiers.command && !modifiers.alt && !OF_TEXT.contains(&key)
+}
+
 /// How many of the modifiers that can be written are in a chord.
 pub(super) fn num_held(modifiers: Modifiers) -> u8 {
     u8::from(modifiers.command) + u8::from(modifiers.shift) + u8::from(modifiers.alt)
@@ -109,6 +116,29 @@ const SHORT: [(&str, Key); 12] = [
     ("/", Key::Slash),
     (";", Key::Semicolon),
     ("'", Key::Quote),
+];
+/// With Ctrl: the clipboard, undo, moving about, and deleting.
+const OF_TEXT: [Key; 20] = [
+    Key::A,
+    Key::C,
+    Key::V,
+    Key::X,
+    Key::Z,
+    Key::Y,
+    Key::H,
+    Key::K,
+    Key::U,
+    Key::W,
+    Key::ArrowLeft,
+    Key::ArrowRight,
+    Key::ArrowUp,
+    Key::ArrowDown,
+    Key::Home,
+    Key::End,
+    Key::Backspace,
+    Key::Delete,
+    Key::Insert,
+    Key::Enter,
 ];
 /// The key for commands.
 const CTRL_NAME: &str = if cfg!(target_os = "macos") { "Cmd" } else { "Ctrl" };

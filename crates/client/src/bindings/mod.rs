@@ -289,7 +289,10 @@ impl Bindings {
             let Some(action) = self.action_of(*key, *physical_key, *modifiers) else { return true };
             let is_left = match focus {
                 // Keys are letters, and undo is the text's.
-                Focus::Text => !matches!(action, Action::Quit | Action::CloseHelp),
+                Focus::Text => {
+                    let is_other = chord::means_nothing_in_text(*key, *modifiers);
+                    !is_other && !matches!(action, Action::Quit | Action::CloseHelp)
+                }
                 // A widget has its own use for arrows.
                 Focus::Widget => matches!(action, Action::Step(_)),
                 Focus::Picture => false,

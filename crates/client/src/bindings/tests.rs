@@ -60,6 +60,35 @@ fn a_person_who_types_is_left_alone_and_a_control_has_its_arrows() {
     assert_eq!((taken(&mut events, Focus::Text), events.len()), (vec![], 2));
     let mut events = vec![press(Key::Q, None, CTRL, false)];
     assert_eq!(taken(&mut events, Focus::Text), [Action::Quit]);
+    let chords = [
+        (Key::S, CTRL, Action::SaveState),
+        (Key::S, CTRL | Modifiers::SHIFT, Action::PictureDialog),
+        (Key::O, CTRL, Action::OpenFile),
+        (Key::L, CTRL, Action::CopyLink),
+        (Key::N, CTRL, Action::Start),
+        (Key::F12, NONE, Action::Picture),
+        (Key::F1, NONE, Action::Help),
+    ];
+    for (key, modifiers, action) in chords {
+        let mut events = vec![press(key, None, modifiers, false)];
+        assert_eq!((taken(&mut events, Focus::Text), events.len()), (vec![action], 0), "writes nothing");
+    }
+    let of_text = [
+        (Key::Z, CTRL | Modifiers::SHIFT),
+        (Key::ArrowLeft, CTRL),
+        (Key::Num1, Modifiers::SHIFT),
+        (Key::F, NONE),
+        (Key::Plus, NONE),
+        (Key::OpenBracket, NONE),
+    ];
+    for (key, modifiers) in of_text {
+        let mut events = vec![press(key, None, modifiers, false)];
+        assert_eq!((taken(&mut events, Focus::Text), events.len()), (vec![], 1), "{key:?}");
+    }
+    // On some keyboards a letter.
+    let bindings = set("numbers", &["ctrl+alt+q"]).unwrap();
+    let mut events = vec![press(Key::Q, None, CTRL | Modifiers::ALT, false)];
+    assert_eq!(bindings.take_actions(&mut events, Focus::Text), []);
     let mut events = vec![press(Key::ArrowLeft, None, NONE, false), press(Key::O, None, NONE, false)];
     assert_eq!((taken(&mut events, Focus::Widget), events.len()), (vec![Action::Numbers], 1));
     assert_eq!(taken(&mut events, Focus::Picture), [Action::Step(Step::Turn(-1, 0))]);

@@ -32,6 +32,7 @@ use crate::app::{Origin, ViewerApp};
 use crate::background::Background;
 use crate::bindings::Action;
 use crate::frame_source::FrameSource;
+use crate::look_panel::FOLDED_WIDTH;
 use crate::panels::{name_window, named, pane};
 use crate::parts_bar::warning;
 use crate::window::Waker;
@@ -307,7 +308,7 @@ impl StartWindow {
 
     /// What lies over the picture: the way to the page, and how far an opening is.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
-        let right = self.app.right_width().max(FOLDED_LOOK_WIDTH);
+        let right = self.app.right_width().max(FOLDED_WIDTH);
         let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
         let is_clicked = area.show(ctx, |ui| {
             let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
@@ -322,11 +323,11 @@ impl StartWindow {
             return None;
         }
         let mut wish = None;
-        let (lift, right) = (self.app.bottom_height(), self.app.right_width());
+        let taken = self.app.taken_at_bottom(ctx);
         let area = egui::Area::new(egui::Id::unique("opening"));
-        area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -12.0 - lift)).show(ctx, |ui| {
+        area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge)).show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
-                ui.set_max_width((ctx.content_rect().width() - right - 60.0).clamp(180.0, 420.0));
+                ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
                 if let Some(opening) = &self.opening {
                     ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
                     wish = opening_rows(ui, opening);
@@ -397,5 +398,3 @@ impl FrameSource for Nothing {
 
 /// How often a window that opens something is refreshed.
 const PROGRESS_PERIOD: std::time::Duration = std::time::Duration::from_millis(60);
-/// Beside the folded look panel.
-const FOLDED_LOOK_WIDTH: f32 = 74.0;

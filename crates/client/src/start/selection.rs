@@ -3,6 +3,7 @@
 use egui::{RichText, Ui};
 use isinglass_formats::{Outline, Region, Selection};
 
+use crate::number::reader;
 use crate::panels::{named, quiet};
 
 /// The choices of a person, and what the file leaves to choose.
@@ -98,8 +99,8 @@ impl SelectionForm {
                 label(ui, "time");
                 let mut time = chosen.time.or(choices.shown.time).unwrap_or(0);
                 let last = choices.num_times - 1;
-                let number =
-                    ui.add(egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false));
+                let number = egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false);
+                let number = ui.add(number.custom_parser(reader(ui)));
                 named(&number, egui::Role::SpinButton, "time");
                 if number.changed() {
                     chosen.time = Some(time);
@@ -116,13 +117,12 @@ impl SelectionForm {
                 let most = choices.whole_dims[axis];
                 let [from, to] = &mut self.region[axis];
                 label(ui, name);
-                let first = ui.add(
-                    egui::DragValue::new(from).range(0..=to.saturating_sub(1)).update_while_editing(false),
-                );
+                let first = egui::DragValue::new(from).range(0..=to.saturating_sub(1));
+                let first = ui.add(first.update_while_editing(false).custom_parser(reader(ui)));
                 named(&first, egui::Role::SpinButton, &format!("first {name}"));
                 label(ui, "to");
-                let last =
-                    ui.add(egui::DragValue::new(to).range(*from + 1..=most).update_while_editing(false));
+                let last = egui::DragValue::new(to).range(*from + 1..=most).update_while_editing(false);
+                let last = ui.add(last.custom_parser(reader(ui)));
                 named(&last, egui::Role::SpinButton, &format!("end of {name}"));
             }
         });

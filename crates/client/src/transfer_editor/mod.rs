@@ -10,7 +10,7 @@ mod tests;
 
 use std::path::PathBuf;
 
-use egui::{DragValue, RichText, Ui, vec2};
+use egui::{RichText, Ui, vec2};
 use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_formats::{ColorMap, ImportedTransfer};
 
@@ -20,8 +20,9 @@ use files::{Files, Outcome};
 use history::History;
 use plot::{Grip, LEAST_WINDOW};
 pub(crate) use scale::ValueScale;
-pub(crate) use scale::format_value;
+pub(crate) use scale::format_in;
 
+use crate::number;
 use crate::panels::named;
 
 /// The state of the editor. It shows what it is given, and tells what was made of it.
@@ -29,11 +30,13 @@ pub(crate) struct TransferEditor {
     curve: Curve,
     /// As the server or the editor itself last had it.
     known: Option<TransferFunction>,
+    /// Of the volume at the refresh before.
+    scale: Option<ValueScale>,
     /// What reset goes back to.
     preset: TransferFunction,
-    history: History<TransferFunction>,
+    history: History<Step>,
     /// The state before a movement that goes on.
-    before: Option<TransferFunction>,
+    before: Option<Step>,
     selected: Option<usize>,
     grip: Option<Grip>,
     view: Option<(f32, f32)>,
@@ -46,6 +49,14 @@ pub(crate) struct TransferEditor {
     message: Option<String>,
     /// What a preset says of shading, until it is taken.
     shaded: Option<bool>,
+}
+
+/// What undo goes back to.
+#[derive(Clone, Debug, PartialEq)]
+struct Step {
+    transfer: TransferFunction,
+    /// What reset went back to, and the shift is told from.
+    preset: TransferFunction,
 }
 
 /// What was made in the editor at a refresh.
@@ -68,6 +79,7 @@ impl Default for TransferEditor {
         Self {
             curve: Curve { transfer: nothing.clone(), domain: (0.0, 1.0) },
             known: None,
+            scale: None,
             preset: nothing,
             history: History::default(),
             before: None,
@@ -98,6 +110,10 @@ impl TransferEditor {
         }
         // The values behind percentiles depend on the volume.
         self.curve.domain = scale.domain(&self.curve.transfer.domain);
+        if self.scale.as_ref() != Some(scale) && self.scale.replace(scale.clone()).is_some() {
+            // What was looked at may be nowhere in another volume: all of it is shown.
+            self.view = Some(self.widest_view(scale));
+        }
         self.take_outcome(scale);
     }
 
@@ -109,7 +125,7 @@ impl TransferEditor {
         }
         if self.grip.is_none()
             && !ctx.input(|i| i.pointer.any_down())
-            && let Some(before) = self.before.take().filter(|b| *b != self.curve.transfer)
+            && let Some(before) = self.before.take().filter(|b| *b != self.present())
         {
             self.history.note(before);
         }
@@ -129,18 +145,18 @@ impl TransferEditor {
     /// Back by one step.
     pub(crate) fn undo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
-            && let Some(transfer) = self.history.undo(self.curve.transfer.clone())
+            && let Some(step) = self.history.undo(self.present())
         {
-            self.set(transfer, scale);
+            self.go_to(step, scale);
         }
     }
 
     /// Forward by one step.
     pub(crate) fn redo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
-            && let Some(transfer) = self.history.redo(self.curve.transfer.clone())
+            && let Some(step) = self.history.redo(self.present())
         {
-            self.set(transfer, scale);
+            self.go_to(step, scale);
         }
     }
 
@@ -185,7 +201,22 @@ impl TransferEditor {
     }
 
     fn begin(&mut self) {
-        self.before.get_or_insert_with(|| self.curve.transfer.clone());
+        if self.before.is_none() {
+            self.before = Some(self.present());
+        }
+    }
+
+    fn present(&self) -> Step {
+        Step { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
+    }
+
+    /// A step of the history; with another preset the view starts anew, as when it was taken.
+    fn go_to(&mut self, step: Step, scale: &ValueScale) {
+        if step.preset != self.preset {
+            self.preset = step.preset;
+            self.fit();
+        }
+        self.set(step.transfer, scale);
     }
 
     /// The values across the plot: at first those of the function that the volume has.
@@ -257,9 +288,10 @@ impl TransferEditor {
         let speed = f64::from(self.curve.domain.1 - self.curve.domain.0) * 0.002;
         let mut is_removed = false;
         ui.horizontal(|ui| {
-            let value = number(ui, "value", &mut value, speed, f32::MIN..=f32::MAX);
+            let span = self.curve.domain.1 - self.curve.domain.0;
+            let value = number(ui, "value", &mut value, speed, f32::MIN..=f32::MAX, span);
             value.on_hover_text("value of the selected point");
-            let opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0);
+            let opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0, 1.0);
             opacity.on_hover_text("opacity of matter one unit thick");
             let mut bytes = plot::color32(color).to_array();
             let button = ui.color_edit_button_srgba_unmultiplied(&mut bytes);
@@ -288,9 +320,9 @@ impl TransferEditor {
         let before = (level, window);
         let speed = f64::from(window) * 0.005;
         ui.horizontal(|ui| {
-            number(ui, "level", &mut level, speed, f32::MIN..=f32::MAX)
+            number(ui, "level", &mut level, speed, f32::MIN..=f32::MAX, before.1)
                 .on_hover_text("middle of the function's values; or drag the strip sideways");
-            number(ui, "window", &mut window, speed, 0.0..=f32::MAX)
+            number(ui, "window", &mut window, speed, 0.0..=f32::MAX, before.1)
                 .on_hover_text("width of the function's values; or drag the strip up and down");
         });
         if (level, window) != before {
@@ -307,8 +339,7 @@ impl TransferEditor {
         ui.horizontal(|ui| {
             ui.label("shift");
             ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
-            let slider = egui::Slider::new(&mut shift, -reach..=reach).clamping(egui::SliderClamping::Edits);
-            let slider = ui.add(slider.custom_formatter(|v, _| format_value(v as f32)));
+            let slider = ui.add(number::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
             named_number(&slider, egui::Role::Slider, "shift of the whole curve", f64::from(shift));
             slider.on_hover_text("moves the whole curve along the values");
         });
@@ -457,18 +488,19 @@ impl TransferEditor {
     }
 }
 
-/// A number to drag or write, with its name before it.
+/// A number to drag or write, with its name before it. It is told from others of a range that is `span` wide.
 fn number(
     ui: &mut Ui,
     name: &str,
     value: &mut f32,
     speed: f64,
     range: std::ops::RangeInclusive<f32>,
+    span: f32,
 ) -> egui::Response {
     ui.label(name);
     let before = *value;
-    let drag = DragValue::new(value).speed(speed).range(range).update_while_editing(false);
-    let response = ui.add(drag.custom_formatter(|v, _| format_value(v as f32)));
+    let field = number::field(ui, value, |v| format_in(v, span));
+    let response = ui.add(field.speed(speed).range(range));
     if !value.is_finite() {
         *value = before;
     }

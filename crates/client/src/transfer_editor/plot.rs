@@ -7,7 +7,7 @@ use egui::{
 
 use super::TransferEditor;
 use super::curve::Curve;
-use super::scale::{ValueScale, format_value, height_of, opacity_at};
+use super::scale::{ValueScale, format_in, format_value, height_of, opacity_at};
 
 /// What the pointer holds, and the curve when it took hold.
 #[derive(Clone, Debug)]
@@ -38,6 +38,10 @@ impl Axes {
         let t = (value - self.view.0) / (self.view.1 - self.view.0);
         // Far outside is as good as just outside, and keeps the numbers small.
         self.rect.left() + self.rect.width() * t.clamp(-10.0, 10.0)
+    }
+
+    fn span(&self) -> f32 {
+        self.view.1 - self.view.0
     }
 
     fn value(&self, x: f32) -> f32 {
@@ -429,7 +433,7 @@ impl TransferEditor {
             [(0.0, egui::Align2::LEFT_TOP), (0.5, egui::Align2::CENTER_TOP), (1.0, egui::Align2::RIGHT_TOP)]
         {
             let x = egui::lerp(plot.rect.x_range(), at);
-            let text = format_value(plot.value(x));
+            let text = format_in(plot.value(x), plot.span());
             ui.painter().text(pos2(x, row.top()), align, text, egui::FontId::proportional(10.0), ink.quiet);
         }
     }
@@ -438,7 +442,7 @@ impl TransferEditor {
     fn describe(&self, ui: &Ui, plot: Axes, response: &Response, strip: &Response) {
         response.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, "opacity over values"));
         let (level, window) = self.curve.level_and_window();
-        let text = format!("level {}, window {}", format_value(level), format_value(window));
+        let text = format!("level {}, window {}", format_in(level, window), format_in(window, window));
         strip.widget_info(|| WidgetInfo {
             current_text_value: Some(text.clone()),
             ..WidgetInfo::labeled(Role::Canvas, true, "window and level")
@@ -447,7 +451,7 @@ impl TransferEditor {
             let at = pos2(plot.x(end), strip.rect.center().y);
             let rect = Rect::from_center_size(at, vec2(5.0, STRIP_HEIGHT));
             let handle = ui.interact(rect, strip.id.with(name), Sense::hover());
-            let label = format!("{name} at {}", format_value(end));
+            let label = format!("{name} at {}", format_in(end, window));
             handle.widget_info(|| WidgetInfo::labeled(Role::Label, true, &label));
         }
         let count = self.curve.transfer.points.len();
@@ -459,7 +463,7 @@ impl TransferEditor {
             let label = format!(
                 "point {} of {count}: value {}, opacity {}",
                 index + 1,
-                format_value(value),
+                format_in(value, window),
                 format_value(opacity)
             );
             let is_selected = self.selected == Some(index);
@@ -476,7 +480,7 @@ impl TransferEditor {
                 let (opacity, share) = (self.curve.at(value).1, scale.share(value) * 100.0);
                 format!(
                     "value {}   opacity {}   {share:.2} % of voxels",
-                    format_value(value),
+                    format_in(value, plot.span()),
                     format_value(opacity)
                 )
             }

@@ -2,7 +2,7 @@
 
 use egui::{Event, Key, Modifiers, PointerButton, Pos2, vec2};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable;
+use egui_kittest::kittest::{NodeT, Queryable};
 use isinglass_formats::preset;
 
 use super::*;
@@ -240,6 +240,11 @@ fn presets_and_colour_maps_are_one_step_each() {
     click(&mut h, "undo");
     assert_eq!(h.state().given, preset("ct").unwrap());
     assert!(!h.state().editor.history.has().0);
+    // What reset and the shift refer to goes back and forth with it.
+    let can_reset = |h: &Harness<'_, Bench>| !h.get_by_label("reset").accesskit_node().is_disabled();
+    assert_eq!((&h.state().editor.preset, can_reset(&h)), (&preset("ct").unwrap(), false));
+    click(&mut h, "redo");
+    assert_eq!((&h.state().editor.preset, can_reset(&h)), (&preset("fluorescence").unwrap(), false));
 }
 
 #[test]
@@ -347,4 +352,40 @@ fn of_a_function_wider_than_the_volume_the_part_is_shown_that_the_volume_has() {
     h.state_mut().given = wide;
     h.run();
     assert_eq!(h.state().editor.view, Some((-1000.0, 6000.0)), "nothing of it: all there is");
+}
+
+#[test]
+fn who_goes_through_the_numbers_changes_none() {
+    let mut h = harness("ct");
+    h.state_mut().given.domain = Domain::Values(-123.456_78, 1_234.567_8);
+    h.run();
+    let at = point(&h, 2);
+    drag(&mut h, at, vec2(0.0, 0.0));
+    let before = h.state().given.clone();
+    for number in 0..5 {
+        for end in [Key::Tab, Key::Escape, Key::Enter] {
+            h.query_all_by_role(egui::Role::SpinButton).nth(number).unwrap().focus();
+            h.run();
+            press(&mut h, Modifiers::NONE, end);
+            assert_eq!((&h.state().given, h.state().edits), (&before, 0), "{number}, {end:?}");
+            h.get_by_label("window and level").focus();
+            h.run();
+        }
+    }
+}
+
+#[test]
+fn another_volume_is_shown_from_end_to_end_and_a_zoom_stays_with_its_own() {
+    let mut h = harness("ct");
+    let mut narrow = preset("ct").unwrap();
+    narrow.domain = Domain::Values(0.0, 100.0);
+    h.state_mut().given = narrow;
+    h.state_mut().editor.view = Some((40.0, 50.0));
+    h.run();
+    h.state_mut().editor.view = Some((40.0, 50.0));
+    h.run();
+    assert_eq!(h.state().editor.view, Some((40.0, 50.0)));
+    h.state_mut().scale.range = (20.0, 9000.0);
+    h.run();
+    assert_eq!(h.state().editor.view, Some((0.0, 9000.0)), "the function and the volume");
 }

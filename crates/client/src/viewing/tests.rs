@@ -168,6 +168,12 @@ fn the_first_frame_asked_for_is_small() {
     assert_eq!(moving.standing, Standing::Moving);
     v.source_mut().refused = None;
     assert_eq!(v.refresh(ms(400), at(5.0), picture, &BOUNDS).standing, Standing::Refining);
+    // The server's own picture is there still, but nobody stands behind it.
+    let number = v.source().asked.len() as u32;
+    v.source_mut().answer(number, ms(400), true);
+    assert_eq!(v.refresh(ms(410), at(5.0), picture, &BOUNDS).standing, Standing::Exact);
+    v.source_mut().refused = Some(ConnectError::Lost("gone".into()));
+    assert_eq!(v.refresh(ms(420), at(5.0), picture, &BOUNDS).standing, Standing::Offline);
 }
 
 #[test]

@@ -4,6 +4,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use super::*;
+use crate::look_panel;
 use crate::window_walk::{
     assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside, overlapping,
 };
@@ -99,6 +100,51 @@ fn nothing_lies_outside_a_small_screen_or_a_fine_one() {
 }
 
 #[test]
+fn panes_keep_clear_of_each_other_and_of_axes_and_scale() {
+    let long =
+        "Reconnecting; the last picture stays usable. Connection lost: the server says nothing any more.";
+    for (size, has_panel, has_parts) in [
+        ([1100.0, 760.0], true, true),
+        ([1100.0, 760.0], true, false),
+        ([1100.0, 760.0], false, true),
+        ([600.0, 400.0], true, false),
+        ([600.0, 400.0], false, false),
+    ] {
+        let mut w = window(size);
+        if has_parts {
+            give_parts(&mut w);
+        }
+        if has_panel {
+            open_panel(&mut w);
+        }
+        w.state_mut().viewing.source_mut().sleeps = true;
+        press(&mut w, Modifiers::NONE, Key::M);
+        w.state_mut().notice = Some((long.into(), Duration::from_secs(1000)));
+        rest(&mut w);
+        let case = format!("{size:?}, {has_panel}, {has_parts}");
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{case}");
+        let panes = ["overlay", "look", "look, folded", "older look", "parts", "banner"];
+        assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{case}");
+        let pane = |name| w.ctx.memory(|m| m.area_rect(egui::Id::unique(name)));
+        let open = {
+            let right = screen.right() - w.state().right_width().max(look_panel::FOLDED_WIDTH);
+            egui::Rect::from_x_y_ranges(right - 54.0..=right, 10.0..=48.0)
+        };
+        for name in ["overlay", "older look"] {
+            assert!(!pane(name).unwrap().intersects(open), "{name}, {case}");
+        }
+        // The harness leaves eight points around the picture.
+        let corner = w.get_by_label_contains("axes: ").rect();
+        let scale = egui::Rect::from_min_size(corner.right_bottom() - vec2(0.0, 64.0), vec2(180.0, 48.0));
+        for name in ["banner", "parts"] {
+            let is_clear = |rect: egui::Rect| !rect.intersects(corner) && !rect.intersects(scale);
+            assert!(pane(name).is_none_or(is_clear), "{name}, {case}");
+        }
+    }
+}
+
+#[test]
 fn all_keys_are_on_a_small_screen_at_once() {
     for (size, pixels_per_point) in SCREENS {
         let mut w = window_of(size, pixels_per_point);
@@ -117,6 +163,24 @@ fn all_keys_are_on_a_small_screen_at_once() {
                 assert!(!lines.is_empty(), "{label} is not on the pane at {pane:?} of {size:?}");
             }
         }
+    }
+}
+
+#[test]
+fn in_a_window_that_is_too_small_the_keys_are_broken_and_scrolled() {
+    for size in [[600.0, 400.0], [400.0, 300.0]] {
+        let mut w = window(size);
+        press(&mut w, Modifiers::NONE, Key::O);
+        press(&mut w, Modifiers::NONE, Key::H);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
+        assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
+        let pane = w.ctx.memory(|m| m.area_rect(egui::Id::unique("help"))).unwrap();
+        let texts = Bindings::default().lines().into_iter().map(|(_, text)| text);
+        let right = texts
+            .flat_map(|text| w.query_all_by_label(text).map(|n| n.rect().right()).max_by(f32::total_cmp));
+        let bar = w.ctx.global_style().spacing.scroll.bar_width;
+        assert!(right.fold(0.0, f32::max) <= pane.right() - bar, "the bar has its own place");
     }
 }
 

@@ -143,6 +143,15 @@ fn the_probe_shows_the_voxel_under_the_pointer() {
     assert_eq!(found.value, source.scene.volume.value_from_stored(source.scene.volume.stored_at(x, y, z)));
     assert!(w.query_by_label_contains(&format!("voxel {x}, {y}, {z}")).is_some());
     assert!(w.query_by_label(&format!("{}", found.value)).is_some());
+    // A dialog that a key opens takes its place at once.
+    for (modifiers, key) in [(Modifiers::NONE, Key::H), (Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S)] {
+        w.key_press_modifiers(modifiers, key);
+        w.run_steps(1);
+        assert!(w.query_by_label_contains("voxel ").is_none(), "{key:?}");
+        w.key_press_modifiers(modifiers, key);
+        rest(&mut w);
+        assert!(w.query_by_label_contains("voxel ").is_some(), "{key:?}");
+    }
     // Beside the volume nothing is under the pointer.
     w.event(Event::PointerMoved(egui::pos2(30.0, 440.0)));
     rest(&mut w);
