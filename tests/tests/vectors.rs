@@ -15,7 +15,8 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::{default_preset, iglf, load_transfer, open};
+use isinglass_formats::iglf::{self, Origin};
+use isinglass_formats::{default_preset, load_transfer, open};
 
 /// Name, and checksum of the frame.
 const VECTORS: [(&str, u64); 7] = [
@@ -181,7 +182,7 @@ fn make_missing_vectors() {
     ] {
         let path = path(name);
         if !path.exists() {
-            iglf::write(&path, &encode(&frame, &settings).unwrap(), None).unwrap();
+            iglf::write(&path, &encode(&frame, &settings).unwrap(), &Origin::default()).unwrap();
         }
     }
     let mut references = References::default();
@@ -205,7 +206,7 @@ fn make_missing_vectors() {
         if !path.exists() {
             let before = before.and(references.newest()).cloned();
             let (encoded, _) = blocks::encode(&frame, &settings, before.as_deref()).unwrap();
-            iglf::write(&path, &encoded, None).unwrap();
+            iglf::write(&path, &encoded, &Origin::default()).unwrap();
         }
         references.insert(read_with(name, &references).unwrap().1);
     }

@@ -2,15 +2,18 @@
 //! "Layered-frame payload").
 //!
 //! Little-endian: `IGLF`, version (`u16`), number of chunks (`u16`), from version 2 on the letters of the volume's axes (3
-//! bytes, zeros if it does not know them), then for each chunk its length (`u32`) and its bytes. Nothing follows.
+//! bytes, zeros if it does not know them), from version 3 on the box of what the frame was made of (6 × `f32`, the least corner first,
+//! zeros if it is not known), then for each chunk its length (`u32`) and its bytes. Nothing follows.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 
+use glam::Vec3;
 use isinglass_core::codec::{CodecError, EncodedFrame, HEADER_BYTES, MAX_CHUNK_BYTES, MAX_CHUNKS, decode};
 use isinglass_core::layer::LayeredFrame;
+use isinglass_core::space::Aabb;
 
 /// Why a layered frame could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -51,18 +54,27 @@ pub enum IglfError {
 pub struct StoredFrame {
     /// The frame.
     pub frame: LayeredFrame,
-    /// Where the volume's axes point, such as `RAS`, if that is known.
-    pub orientation: Option<String>,
+    /// What it was made of.
+    pub origin: Origin,
 }
 
-/// Writes a frame of a volume whose axes point to `orientation`, such as `RAS`. The file appears complete or, on an error, not at all; one that was there is replaced.
-pub fn write(path: &Path, encoded: &EncodedFrame, orientation: Option<&str>) -> Result<(), IglfError> {
+/// What a frame was made of, as far as it is known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Origin {
+    /// Where the volume's axes point, such as `RAS`.
+    pub orientation: Option<String>,
+    /// The box of the volume, or of what a clip box left of it.
+    pub bounds: Option<Aabb>,
+}
+
+/// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
+pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
     let mut temporary = OsString::from(path);
     temporary.push(format!(".{}.part", std::process::id()));
     let result = File::create(&temporary)
         .and_then(|mut file| {
-            file.write_all(&to_bytes(encoded, orientation))?;
+            file.write_all(&to_bytes(encoded, origin))?;
             file.sync_all()
         })
         .and_then(|()| fs::rename(&temporary, path));
@@ -75,10 +87,10 @@ pub fn write(path: &Path, encoded: &EncodedFrame, orientation: Option<&str>) -> 
 
 /// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
 pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
-    let (chunks, orientation) = read_parts(path)?;
+    let (chunks, origin) = read_parts(path)?;
     let frame =
         decode(&chunks).map_err(|cause| IglfError::Codec { path: path.display().to_string(), cause })?;
-    Ok(StoredFrame { frame, orientation })
+    Ok(StoredFrame { frame, origin })
 }
 
 /// Reads the chunks of a frame as they are, without looking into them.
@@ -97,15 +109,20 @@ fn read_parts(path: &Path) -> Result<Parts, IglfError> {
     })
 }
 
-fn to_bytes(encoded: &EncodedFrame, orientation: Option<&str>) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(encoded.num_bytes() + 4 * encoded.chunks.len() + 11);
+fn to_bytes(encoded: &EncodedFrame, origin: &Origin) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(encoded.num_bytes() + 4 * encoded.chunks.len() + 35);
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&VERSION.to_le_bytes());
     bytes.extend_from_slice(&(encoded.chunks.len() as u16).to_le_bytes());
-    let letters = orientation.and_then(|letters| <[u8; 3]>::try_from(letters.as_bytes()).ok());
     // What could not be read again is not known.
+    let letters =
+        origin.orientation.as_ref().and_then(|letters| <[u8; 3]>::try_from(letters.as_bytes()).ok());
     let letters = letters.filter(|letters| letters.iter().all(u8::is_ascii_uppercase));
     bytes.extend_from_slice(&letters.unwrap_or([0; 3]));
+    let bounds = origin.bounds.filter(is_box).unwrap_or(NO_BOX);
+    for corner in [bounds.min, bounds.max] {
+        corner.to_array().iter().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
+    }
     for chunk in &encoded.chunks {
         bytes.extend_from_slice(&(chunk.bytes.len() as u32).to_le_bytes());
         bytes.extend_from_slice(&chunk.bytes);
@@ -119,8 +136,13 @@ enum Problem {
     Malformed(String, String, String),
 }
 
-/// The chunks, and where the volume's axes point.
-type Parts = (Vec<Vec<u8>>, Option<String>);
+/// Whether a box is finite and not empty.
+fn is_box(bounds: &Aabb) -> bool {
+    bounds.min.is_finite() && bounds.max.is_finite() && bounds.min.cmplt(bounds.max).all()
+}
+
+/// The chunks, and what they were made of.
+type Parts = (Vec<Vec<u8>>, Origin);
 
 fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
     let magic: [u8; 4] = take(reader, "start of the file")?;
@@ -145,6 +167,15 @@ fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
             return Err(malformed("letters of the axes", format!("{letters:02x?}"), "capitals or zeros"));
         }
     };
+    let bounds = if version < 3 { NO_BOX } else { take_box(reader)? };
+    if bounds != NO_BOX && !is_box(&bounds) {
+        let found = format!("{} to {}", bounds.min, bounds.max);
+        return Err(malformed(
+            "box of the volume",
+            found,
+            "finite corners, the first below the second, or zeros",
+        ));
+    }
     let mut chunks = Vec::with_capacity(count);
     for number in 0..count {
         let what = format!("length of chunk {number}");
@@ -162,9 +193,20 @@ fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
         chunks.push(bytes);
     }
     match reader.read(&mut [0]).map_err(Problem::Io)? {
-        0 => Ok((chunks, orientation)),
+        0 => Ok((chunks, Origin { orientation, bounds: Some(bounds).filter(is_box) })),
         _ => Err(malformed("what follows the last chunk", "more bytes", "the end of the file")),
     }
+}
+
+fn take_box(reader: &mut impl Read) -> Result<Aabb, Problem> {
+    let mut corner = || {
+        let mut corner = Vec3::ZERO;
+        for i in 0..3 {
+            corner[i] = f32::from_le_bytes(take(reader, "box of the volume")?);
+        }
+        Ok(corner)
+    };
+    Ok(Aabb { min: corner()?, max: corner()? })
 }
 
 fn take<const N: usize>(reader: &mut impl Read, what: &str) -> Result<[u8; N], Problem> {
@@ -181,16 +223,15 @@ fn malformed(what: impl Into<String>, found: impl ToString, expected: impl ToStr
 }
 
 const MAGIC: [u8; 4] = *b"IGLF";
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
+const NO_BOX: Aabb = Aabb { min: Vec3::ZERO, max: Vec3::ZERO };
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::codec::{Settings, encode};
 
     use isinglass_core::layer::{FrameHeader, Segment};
-    use isinglass_core::space::Aabb;
 
     use super::*;
 
@@ -224,15 +265,21 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
         let encoded = encode(&frame(), &Settings::default()).unwrap();
-        write(&path, &encoded, None).unwrap();
-        assert_eq!(read(&path).unwrap().orientation, None);
-        write(&path, &encoded, Some("LPS")).unwrap();
-        let StoredFrame { frame: decoded, orientation } = read(&path).unwrap();
-        assert_eq!(orientation.as_deref(), Some("LPS"));
+        write(&path, &encoded, &Origin::default()).unwrap();
+        assert_eq!(read(&path).unwrap().origin, Origin::default());
+        let bounds = Aabb { min: Vec3::new(-1.0, -2.0, -3.5), max: Vec3::new(1.0, 0.5, 4.0) };
+        let known = Origin { orientation: Some("LPS".into()), bounds: Some(bounds) };
+        write(&path, &encoded, &known).unwrap();
+        let StoredFrame { frame: decoded, origin } = read(&path).unwrap();
+        assert_eq!(origin, known);
         // What the reader would refuse is not written.
         for letters in ["ras", "RA\u{0}", "R S", "é1", "RASL", ""] {
-            write(&path, &encoded, Some(letters)).unwrap();
-            assert_eq!(read(&path).unwrap().orientation, None, "{letters:?}");
+            write(&path, &encoded, &Origin { orientation: Some(letters.into()), bounds: None }).unwrap();
+            assert_eq!(read(&path).unwrap().origin, Origin::default(), "{letters:?}");
+        }
+        for bounds in [Aabb { max: bounds.min, ..bounds }, Aabb { max: Vec3::splat(f32::NAN), ..bounds }] {
+            write(&path, &encoded, &Origin { bounds: Some(bounds), orientation: None }).unwrap();
+            assert_eq!(read(&path).unwrap().origin, Origin::default(), "{bounds:?}");
         }
         assert_eq!(decoded.depth, frame().depth);
         assert_eq!(encode(&decoded, &Settings::default()).unwrap(), encoded);
@@ -240,16 +287,22 @@ mod tests {
     }
 
     #[test]
-    fn files_of_the_first_version_are_read() {
+    fn files_of_versions_before_are_read() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
-        let mut bytes = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), Some("RAS"));
+        let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+        let origin = Origin { orientation: Some("RAS".into()), bounds: Some(bounds) };
+        let mut bytes = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), &origin);
         fs::write(&path, &bytes).unwrap();
         let newest = read(&path).unwrap();
+        bytes[4] = 2;
+        bytes.drain(11..35);
+        fs::write(&path, &bytes).unwrap();
+        assert_eq!(read(&path).unwrap().origin, Origin { bounds: None, ..origin });
         bytes[4] = 1;
         bytes.drain(8..11);
         fs::write(&path, &bytes).unwrap();
-        assert_eq!(read(&path).unwrap(), StoredFrame { orientation: None, ..newest });
+        assert_eq!(read(&path).unwrap(), StoredFrame { origin: Origin::default(), ..newest });
     }
 
     #[test]
@@ -257,11 +310,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let encoded = encode(&frame(), &Settings::default()).unwrap();
         let missing = dir.path().join("no-such-directory").join("a.iglf");
-        assert!(matches!(write(&missing, &encoded, None), Err(IglfError::Io { .. })));
+        assert!(matches!(write(&missing, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
         // A directory in the place of the file cannot be replaced.
         let taken = dir.path().join("b.iglf");
         fs::create_dir(&taken).unwrap();
-        assert!(matches!(write(&taken, &encoded, None), Err(IglfError::Io { .. })));
+        assert!(matches!(write(&taken, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
@@ -270,26 +323,26 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
         assert!(matches!(read(&path), Err(IglfError::Io { .. })));
-        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), None);
-        for len in (0..good.len()).step_by(97).chain(0..15) {
+        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), &Origin::default());
+        for len in (0..good.len()).step_by(97).chain(0..39) {
             assert!(matches!(error(&path, &good[..len]), IglfError::Malformed { .. }), "{len}");
         }
         let mut longer = good.clone();
         longer.push(0);
         assert!(matches!(error(&path, &longer), IglfError::Malformed { .. }));
-        for (at, byte) in [(0, b'X'), (4, 9), (4, 0), (6, 0), (6, 200), (9, b'P'), (14, 0xff)] {
+        for (at, byte) in [(0, b'X'), (4, 9), (4, 0), (6, 0), (6, 200), (9, b'P'), (20, b'P'), (38, 0xff)] {
             let mut bytes = good.clone();
             bytes[at] = byte;
             assert!(matches!(error(&path, &bytes), IglfError::Malformed { .. }), "{at}");
         }
         let mut bytes = good.clone();
-        bytes[15] = b'X';
+        bytes[39] = b'X';
         assert!(matches!(error(&path, &bytes), IglfError::Codec { .. }));
         // One chunk fewer than the frame has.
         let mut encoded = encode(&frame(), &Settings::default()).unwrap();
         encoded.chunks.pop();
         assert!(matches!(
-            error(&path, &to_bytes(&encoded, None)),
+            error(&path, &to_bytes(&encoded, &Origin::default())),
             IglfError::Codec { cause: CodecError::Incomplete { .. }, .. }
         ));
     }

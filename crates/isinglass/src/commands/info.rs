@@ -11,7 +11,7 @@ use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, TileClass};
 use isinglass_core::volume::Histogram;
 use isinglass_formats::VolumeFacts;
-use isinglass_formats::iglf::{self, StoredFrame};
+use isinglass_formats::iglf::{self, Origin, StoredFrame};
 use serde_json::{Map, json};
 
 use crate::args::VolumeArgs;
@@ -45,7 +45,7 @@ fn is_stored_frame(path: &Path) -> bool {
 }
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {
-    let StoredFrame { frame, orientation } = iglf::read(path)?;
+    let StoredFrame { frame, origin: Origin { orientation, .. } } = iglf::read(path)?;
     let spent = FrameSpent::of(&iglf::read_chunks(path)?)?;
     let header = frame.header;
     let camera = header.camera;

@@ -6,12 +6,14 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use isinglass_bench::progress::note;
 use isinglass_bench::rivals::{Method, Views};
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_core::camera::Camera;
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::raycast::CastOptions;
-use isinglass_formats::iglf::{self, StoredFrame};
+use isinglass_core::mode::Mode;
+use isinglass_formats::iglf::{self, Origin, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
@@ -60,7 +62,7 @@ pub(crate) struct ReprojectArgs {
 }
 
 pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
-    let StoredFrame { frame, orientation } = iglf::read(&args.frame)?;
+    let StoredFrame { frame, origin: Origin { orientation, bounds } } = iglf::read(&args.frame)?;
     let header = frame.header;
     let mut intrinsics = header.camera.intrinsics;
     if let Some([width, height]) = args.size {
@@ -97,7 +99,13 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     let backend = args.backend.open()?;
     let options = CastOptions { clip, ..CastOptions::default() };
     let start = Instant::now();
-    let mut views = method.prepare(&backend, Arc::new(frame), &bounds_from_header(&header))?;
+    if bounds.is_none() && header.mode == Mode::Average {
+        note(
+            "note: a file of a version that does not know the volume's box: means are those over a larger one",
+        );
+    }
+    let bounds = bounds.unwrap_or_else(|| bounds_from_header(&header));
+    let mut views = method.prepare(&backend, Arc::new(frame), &bounds)?;
     let pictures = match &mut views {
         Views::Layers(reprojector) => plan.draw(|views| reprojector.raycast_mean_with(views, &options))?,
         rival => vec![rival.view(&camera)?],

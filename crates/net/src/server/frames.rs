@@ -266,9 +266,9 @@ const MAX_WAIT_SECONDS: f64 = 60.0;
 /// Bytes written at a time.
 const PIECE: usize = 16_000;
 /// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
-/// not widen the congestion window of those. At 300 ms and without a bandwidth limit it made no difference above the
-/// noise; more would queue in front of the next frame.
-const SLACK: u64 = 2 * PIECE as u64;
+/// not widen the congestion window of those. What waits is older than what could be made instead: with 32 kB frames are
+/// twice as old where packets are lost (docs/BENCHMARKS.md).
+const SLACK: u64 = 4_000;
 
 #[cfg(test)]
 mod tests {
