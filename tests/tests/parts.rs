@@ -45,9 +45,10 @@ fn volume(time: u32) -> Volume {
 
 fn parts(time: u32) -> Parts {
     Parts {
-        shown: Part { channel: Some(0), time: Some(time), level: Some(0), series: Some(0), region: None },
+        // Each time has another channel, whose numbers mean something else.
+        shown: Part { channel: Some(time), time: Some(time), level: Some(0), series: Some(0), region: None },
         whole_dims: [24; 3],
-        num_channels: 1,
+        num_channels: 3,
         num_times: 3,
         num_series: 1,
         ..Parts::default()

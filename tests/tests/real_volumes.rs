@@ -288,7 +288,13 @@ fn a_raw_file_reads_as_its_detached_header_says() {
 #[test]
 fn other_files_of_the_folder_are_named_when_refused() {
     let Some(folder) = data_dir() else { return };
-    for (file, kind) in [("README.md", "no header that is known"), ("licences", "a folder without slices")] {
+    let others = [
+        ("README.md", "no header that is known"),
+        ("licences", "a folder without slices"),
+        // Slices lie below, in folders of their own.
+        ("", "a folder of volumes"),
+    ];
+    for (file, kind) in others {
         let path = folder.join(file);
         let message = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
         assert!(message.contains(file) && message.contains(&format!("found {kind}, expected")), "{message}");

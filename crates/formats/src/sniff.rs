@@ -23,6 +23,11 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
+    /// Whether one such file is a volume by itself, as far as this tells.
+    pub(crate) fn is_whole_volume(self) -> bool {
+        matches!(self, Self::Nrrd | Self::Nifti | Self::MetaImage | Self::Npy | Self::Mrc | Self::Vti)
+    }
+
     /// What a file of this kind is called in a message.
     pub(crate) fn name(self) -> &'static str {
         match self {

@@ -170,12 +170,23 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
         tiff::sort_by_number(&mut slices);
         return Ok(Box::new(tiff::TiffFile::open(slices, path, options)?));
     }
-    let mut is_dicom = |file: &PathBuf| {
+    let mut has_others = false;
+    files.retain(|file| {
         let mut start = Vec::new();
         let read = File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start));
-        read.is_ok() && dicom::is_header(&start)
-    };
-    files.retain(&mut is_dicom);
+        let is_dicom = read.is_ok() && dicom::is_header(&start);
+        has_others |=
+            !is_dicom && file.parent() == Some(path) && sniff::kind_of(&start, file).is_whole_volume();
+        is_dicom
+    });
+    // A series that lies somewhere below is not what such a folder is opened for.
+    if has_others && files.iter().all(|file| file.parent() != Some(path)) {
+        return Err(FormatError::Unsupported {
+            path: shown(path),
+            found: "a folder of volumes",
+            expected: "one of them, or a folder of slices",
+        });
+    }
     if files.is_empty() {
         return Err(FormatError::Unsupported {
             path: shown(path),

@@ -113,8 +113,10 @@ fn bind_scene(
 fn table_words(scene: &march::Scene) -> Vec<f32> {
     let mut words: Vec<f32> =
         scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect();
-    let unused = Surface { x: 0.0, color: Vec3::ZERO, tau: 0.0 };
-    for Surface { x, color, tau } in scene.surfaces.iter().chain(std::iter::repeat(&unused)).take(MAX_ISOS) {
+    let unused = Surface { x: 0.0, stored: 0.0, color: Vec3::ZERO, tau: 0.0 };
+    for Surface { x, color, tau, .. } in
+        scene.surfaces.iter().chain(std::iter::repeat(&unused)).take(MAX_ISOS)
+    {
         words.extend([color.x, color.y, color.z, *tau, *x, 0.0, 0.0, 0.0]);
     }
     let key_limit = key_limit(scene.settings.mode, &scene.table);

@@ -179,7 +179,7 @@ fn illuminate(
         (shading, lighting) = (None, Lighting::default());
     }
     let region = clip.region(&volume.bounds());
-    let sheets = surfaces::sheets(surfaces, table);
+    let sheets = surfaces::sheets(surfaces);
     let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
     Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }

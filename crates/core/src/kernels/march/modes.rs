@@ -19,6 +19,8 @@ use crate::volume::{Bricks, Histogram, LIT_MAX, Occupancy, Volume};
 pub struct Surface {
     /// Position in the transfer function's domain, not clamped.
     pub x: f32,
+    /// The stored number.
+    pub stored: f32,
     /// Linear colour, not premultiplied: the transfer function's at that value.
     pub color: Vec3,
     /// Optical depth of a crossing.
@@ -45,7 +47,8 @@ pub(super) fn surfaces(
         let x = (x - f64::from(2.0 * f32::EPSILON) * (scaled.abs() + x.abs())) as f32;
         let (color, _) = transfer.at(x.clamp(0.0, 1.0));
         let tau = -(1.0 - iso.opacity.min(MAX_OPACITY)).ln();
-        Surface { x: x.clamp(-0.5 * FARTHEST, 0.5 * FARTHEST), color: color.into(), tau }
+        let x = x.clamp(-0.5 * FARTHEST, 0.5 * FARTHEST);
+        Surface { x, stored: stored as f32, color: color.into(), tau }
     });
     let mut surfaces: Vec<Surface> = each.filter(|s| s.tau > TAU_MIN).collect();
     surfaces.sort_by(|a, b| a.x.total_cmp(&b.x));

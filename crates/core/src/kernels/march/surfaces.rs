@@ -17,17 +17,14 @@ use crate::transfer::TransferTable;
 use crate::volume::{Sheet, Volume, has_lesser_bodies};
 
 /// The surfaces as light meets them.
-pub(super) fn sheets(surfaces: &[Surface], table: &TransferTable) -> Vec<Sheet> {
-    let each = surfaces.iter().map(|&Surface { x, tau, .. }| {
-        let stored = (f64::from(x) - f64::from(table.x_offset)) / f64::from(table.x_scale);
-        Sheet { stored: stored as f32, tau, is_opaque: tau > OPAQUE_TAU }
-    });
-    each.collect()
+pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
+    let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
+    surfaces.iter().map(sheet).collect()
 }
 
 /// Whether the bodies that opaque surfaces enclose in what is left of a volume lie among the lesser values.
 pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
-    let is_lesser = has_lesser_bodies(&sheets(surfaces, table), volume, &clip.region(&volume.bounds()));
+    let is_lesser = has_lesser_bodies(&sheets(surfaces), volume, &clip.region(&volume.bounds()));
     // Values, and with them positions, may fall where stored numbers rise.
     is_lesser.is_some_and(|is_lesser| is_lesser == (table.x_scale > 0.0))
 }
