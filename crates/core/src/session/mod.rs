@@ -11,4 +11,5 @@ pub mod admission;
 mod bucket;
 pub mod client;
 pub mod rate;
+mod round_trip;
 pub mod server;

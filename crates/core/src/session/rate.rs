@@ -3,6 +3,7 @@
 //! While the camera moves, frames in blocks get the quality whose bytes the link carries in the time that a frame may
 //! take, at most the one asked for. When it rests, the same frame goes out again finer, and then exactly.
 
+use super::round_trip::{LeastRtt, is_longer};
 use crate::codec::blocks::{self, RateControl};
 use crate::codec::{Coding, Settings};
 
@@ -130,7 +131,7 @@ impl Pilot {
 
     /// The link is like this now, on a clock that does not run backwards.
     pub fn handle_link(&mut self, now_micros: u64, link: LinkState) {
-        let least_rtt_micros = self.least_rtt.handle(now_micros, &link);
+        let least_rtt_micros = self.least_rtt.handle(now_micros, link.rtt_micros, link.least_rtt_micros);
         let link = LinkState { least_rtt_micros, ..link };
         let since = (now_micros.saturating_sub(self.looked_at_micros) as f64).min(MAX_GROWTH_MICROS);
         (self.link, self.looked_at_micros) = (Some(link), now_micros);
@@ -147,7 +148,7 @@ impl Pilot {
     pub fn bytes_per_second(&self) -> f64 {
         let link = self.link.map_or(f64::INFINITY, |link| {
             // A window without a queue is not all that the link carries: it grows when it is filled.
-            let open = if self.least_rtt.draining.is_some() {
+            let open = if self.least_rtt.is_draining() {
                 FILLING / 3.0
             } else if link.is_queueing() {
                 (FILLING - link.queue_seconds() / DRAINED_IN_SECONDS).max(FILLING / 3.0)
@@ -241,73 +242,6 @@ fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
 
-/// The least round trip of a link, until its way becomes longer for good. Taken for a queue for ever, what it takes longer would keep
-/// the window from being filled, and one that is not filled does not grow again after a loss. So where round trips stay longer, the link
-/// is drained for a moment: what is left then is no queue of ours.
-#[derive(Clone, Copy, Debug)]
-struct LeastRtt {
-    least_micros: Option<u64>,
-    /// Since when all have been longer, µs.
-    longer_since_micros: Option<u64>,
-    /// Until when the link is drained, and the least since it is, µs.
-    draining: Option<(u64, u64)>,
-    /// How long they may be longer before the link is drained.
-    patience_micros: u64,
-    seen_at_micros: u64,
-}
-
-impl Default for LeastRtt {
-    fn default() -> Self {
-        Self {
-            least_micros: None,
-            longer_since_micros: None,
-            draining: None,
-            patience_micros: PATIENCE_MICROS,
-            seen_at_micros: 0,
-        }
-    }
-}
-
-impl LeastRtt {
-    /// Takes a round trip into account, and returns the least, µs.
-    fn handle(&mut self, now_micros: u64, link: &LinkState) -> u64 {
-        let LinkState { rtt_micros, least_rtt_micros, .. } = *link;
-        // Nothing of ours queues during a pause.
-        let is_paused = now_micros.saturating_sub(self.seen_at_micros) > PATIENCE_MICROS;
-        self.seen_at_micros = now_micros;
-        let least = self.least_micros.unwrap_or(least_rtt_micros).min(rtt_micros);
-        self.least_micros = Some(least);
-        if is_paused || !is_longer(rtt_micros, least) {
-            if self.draining.take().is_some() {
-                // It was ours, and will be again.
-                self.patience_micros = (self.patience_micros * 2).min(MAX_PATIENCE_MICROS);
-            }
-            self.longer_since_micros = None;
-            return least;
-        }
-        let since = *self.longer_since_micros.get_or_insert(now_micros);
-        match &mut self.draining {
-            Some((until, longer)) => {
-                *longer = rtt_micros.min(*longer);
-                if now_micros >= *until {
-                    *self =
-                        Self { least_micros: Some(*longer), seen_at_micros: now_micros, ..Self::default() };
-                }
-            }
-            None if now_micros.saturating_sub(since) > self.patience_micros => {
-                self.draining = Some((now_micros + DRAINING_MICROS + 3 * rtt_micros, rtt_micros));
-            }
-            None => {}
-        }
-        self.least_micros.unwrap_or(least)
-    }
-}
-
-/// Whether a round trip is longer than the least by a queue, and not by jitter.
-fn is_longer(rtt_micros: u64, least_micros: u64) -> bool {
-    rtt_micros > least_micros + (least_micros / 4).max(QUEUE_MICROS)
-}
-
 /// A mean that forgets.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean(Option<f64>);
@@ -366,13 +300,6 @@ const OPENING: f64 = 2.0;
 /// twice as much from one frame to the next.
 const DOUBLED_IN_MICROS: f64 = 1e6;
 const MAX_GROWTH_MICROS: f64 = DOUBLED_IN_MICROS;
-/// Round trips may be longer for so long before the link is drained to tell why; at most for so long, where it was our queue before.
-const PATIENCE_MICROS: u64 = 5_000_000;
-const MAX_PATIENCE_MICROS: u64 = 60_000_000;
-/// A third of what the link carries drains a queue of a fifth of a second in so long.
-const DRAINING_MICROS: u64 = 300_000;
-/// Waits beyond the least round trip that are a queue and not jitter.
-const QUEUE_MICROS: u64 = 15_000;
 /// Clocks and threads do not tell shorter round trips.
 const MIN_RTT_MICROS: u64 = 500;
 
@@ -513,21 +440,6 @@ mod tests {
         );
         // Negative control: losses do tell.
         assert!(mean(340..350) < 0.5 * mean(100..150));
-        // A round trip is forgotten when all are longer, drained or not; not for a queue that drains, nor for a pause.
-        let second = 1_000_000;
-        let link = |rtt_micros| LinkState { window_bytes: 1, rtt_micros, least_rtt_micros: 10_000 };
-        let found = |trips: &[(u64, u64)]| {
-            let mut least = LeastRtt::default();
-            trips.iter().map(|&(at, rtt)| least.handle(at * second, &link(rtt))).last()
-        };
-        let longer = [(0, 10_000), (1, 90_000), (4, 80_000), (7, 95_000), (8, 90_000)];
-        assert_eq!(found(&longer[..4]), Some(10_000));
-        assert_eq!(found(&longer), Some(90_000));
-        let drains =
-            [(0, 10_000), (1, 90_000), (7, 90_000), (8, 20_000), (9, 90_000), (15, 90_000), (17, 90_000)];
-        assert_eq!(found(&drains), Some(10_000));
-        assert_eq!(found(&[(0, 90_000), (20, 90_000)]), Some(10_000));
-        assert_eq!(found(&[(0, 90_000), (1, 5_000), (2, 8_000)]), Some(5_000));
     }
 
     #[test]
