@@ -13,8 +13,9 @@ use glam::Vec3;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::Volume;
+use isinglass_core::transfer::Domain;
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{LoadState, Part, Parts};
 use isinglass_formats::load_transfer;
 use isinglass_net::Client;
@@ -59,7 +60,11 @@ impl Loader for Film {
     fn survey(&self, part: &Part, held: u64) -> Result<Survey, String> {
         assert!(held > 0, "the volume that is shown counts");
         match part.time {
-            Some(time @ 0..3) => Ok(Survey { parts: parts(time), bytes_needed: 4711 }),
+            Some(time @ 0..3) => {
+                let mut parts = parts(time);
+                parts.shown.channel = part.channel.or(parts.shown.channel);
+                Ok(Survey { parts, bytes_needed: 4711 })
+            }
             _ => Err("film: there is no such time".into()),
         }
     }
@@ -192,6 +197,27 @@ fn a_look_that_was_chosen_stays_over_a_change() {
     // And one can be taken back that the volume before came with.
     other.set_look(Look::new(load_transfer("shells").unwrap())).unwrap();
     until("the look", || other.look().filter(|(_, look)| look.transfer.name == "shells"));
+    stage.end();
+}
+
+#[test]
+fn a_look_that_nobody_chose_stays_over_times_and_gives_way_to_that_of_another_channel() {
+    let stage = stage(false);
+    let viewer = stage.viewer();
+    picture_of(&viewer, 0);
+    let name_and_domain = || {
+        let transfer = &viewer.look().unwrap().1.transfer;
+        (transfer.name.clone(), transfer.domain)
+    };
+    viewer.open_part(Some(Part { channel: Some(0), ..at(1).unwrap() }));
+    picture_of(&viewer, 1);
+    let first = volume(0);
+    let kept = load_transfer("shells").unwrap().at_values(&first, &Histogram::of(&first)).domain;
+    assert!(matches!(kept, Domain::Values(..)), "{kept:?}");
+    assert_eq!(name_and_domain(), ("shells".into(), kept));
+    viewer.open_part(at(2));
+    picture_of(&viewer, 2);
+    assert_eq!(name_and_domain(), ("cloud".into(), load_transfer("cloud").unwrap().domain));
     stage.end();
 }
 

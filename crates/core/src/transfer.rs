@@ -188,7 +188,8 @@ impl TransferFunction {
         match self.domain {
             Domain::Full => volume.value_range(),
             Domain::Values(a, b) => (a, b),
-            Domain::Percentiles(a, b) => match (histogram.percentile(a), histogram.percentile(b)) {
+            // What few voxels far away from all others have is no end of a domain.
+            Domain::Percentiles(a, b) => match (histogram.bulk_percentile(a), histogram.bulk_percentile(b)) {
                 // Nearly all voxels are the same: the others are what there is to see.
                 (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
                 between => between,

@@ -58,13 +58,13 @@ impl LocalServers for Locals {
     fn start(&self, volume: Volume, outline: &Outline, request: &LoadRequest) -> Result<LocalServer, String> {
         let one_line = |e: anyhow::Error| format!("{e:#}");
         let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let first = first.take_if(|first| first.source == request.source);
-        let transfer = first.as_ref().and_then(|first| first.look.tf.as_deref());
+        let named = first.as_ref().filter(|first| first.source == request.source);
+        let transfer = named.and_then(|first| first.look.tf.as_deref());
         let loader = FileLoader::new(request, transfer).map_err(one_line)?;
         let opened = loader.opened(Arc::new(volume), outline).map_err(one_line)?;
-        let look = match first {
+        let look = match named {
             Some(FirstLook { seen, look, lighting, layering, .. }) => {
-                seen.look_at(&opened, &look, lighting, &layering).map_err(one_line)?
+                seen.look_at(&opened, look, *lighting, layering).map_err(one_line)?
             }
             None => Look::new(opened.transfer),
         };
@@ -84,6 +84,8 @@ impl LocalServers for Locals {
             Ok::<_, String>((server, link))
         });
         let (server, link) = started?;
+        // Only once: opened again, it looks as suits it.
+        first.take_if(|first| first.source == request.source);
         Ok(LocalServer { link, server: Box::new(Running(Some((runtime, server)))) })
     }
 }

@@ -13,6 +13,7 @@ use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
+use isinglass_core::transfer::TransferFunction;
 use isinglass_core::wire::{LoadStatus, PoseRequest, ProbeRequest, VolumeChange};
 use isinglass_net::server::ControlSender;
 use isinglass_net::{Server, Session, SessionClosed};
@@ -85,6 +86,8 @@ struct Viewer {
     /// The volume that its frames are of.
     present: Arc<Present>,
     look: Arc<Look>,
+    /// The transfer function that suits the volume, which the look has unless somebody chose another.
+    usual: TransferFunction,
     version: LookVersion,
     mode: Mode,
     pilot: Pilot,
@@ -139,6 +142,7 @@ impl Viewer {
         let shots = Shots::new(house.generator.clone(), session.frames.clone(), session.control.clone());
         Self {
             look: Arc::new(session.greeting.look.clone()),
+            usual: session.greeting.look.transfer.clone(),
             session,
             house,
             present,
@@ -169,8 +173,7 @@ impl Viewer {
         let is_welcome = if Arc::ptr_eq(&self.session.greeting, &self.present.greeting) {
             self.tell_parts().await && (!self.is_new || self.tell_oddities().await)
         } else {
-            let greeted = self.session.greeting.look.clone();
-            self.turn_to_present(&greeted, None).await
+            self.turn_to_present(None).await
         };
         while is_welcome && self.wait_for_work().await {
             let Some(request) = *self.session.poses.borrow_and_update() else { continue };
@@ -196,7 +199,7 @@ impl Viewer {
             Ok(()) = self.house.present.changed() => {
                 let before = self.present.clone();
                 self.present = self.house.present.borrow_and_update().clone();
-                self.turn_to_present(&before.greeting.look, Some(&before)).await
+                self.turn_to_present(Some(&before)).await
             }
             request = self.session.requests.recv() => match request {
                 Some(request) => self.take(request).await,
@@ -221,14 +224,21 @@ impl Viewer {
     }
 
     /// The volume is another from now on. A look that nobody has chosen gives way to the one that suits it.
-    async fn turn_to_present(&mut self, usual_look: &Look, before: Option<&Present>) -> bool {
+    async fn turn_to_present(&mut self, before: Option<&Present>) -> bool {
         self.version = self.version.next();
+        let is_usual = self.look.transfer == self.usual;
         if let Some(before) = before.filter(|before| before.has_values_like(&self.present)) {
             // What has one value has one colour, now and later.
             self.look = Arc::new(before.lights.at_values(&self.look));
-        } else if self.look.transfer == usual_look.transfer {
-            let transfer = self.present.greeting.look.transfer.clone();
-            self.look = Arc::new(Look { transfer, ..(*self.look).clone() });
+        } else {
+            self.usual = self.present.greeting.look.transfer.clone();
+            if is_usual {
+                let transfer = self.usual.clone();
+                self.look = Arc::new(Look { transfer, ..(*self.look).clone() });
+            }
+        }
+        if is_usual {
+            self.usual = self.look.transfer.clone();
         }
         (self.answered, self.resting, self.sent) = (None, None, References::default());
         self.session.poses.mark_changed();

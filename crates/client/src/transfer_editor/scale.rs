@@ -2,6 +2,7 @@
 
 use isinglass_core::transfer::Domain;
 use isinglass_core::wire::VolumeDescription;
+use isinglass_core::wire::control::MAX_BINS;
 
 /// What is known of a volume's values.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,10 +56,12 @@ impl ValueScale {
             Domain::Full => self.range,
             Domain::Values(a, b) => apart((a, b)),
             Domain::Percentiles(a, b) => {
-                let (lo, hi) = (self.percentile(a), self.percentile(b));
-                // Nearly all voxels are the same: as the kernels read it.
-                let is_one = hi - lo <= self.span() / self.counts.len().max(1) as f32;
-                if is_one { self.bins } else { (lo, hi) }
+                let [lo, hi] = [a, b].map(|percent| self.percentile(percent).clamp(self.bins.0, self.bins.1));
+                let bin =
+                    |value: f32| ((value - self.bins.0) / self.span() * self.counts.len() as f32).floor();
+                // Nearly all voxels are the same, where a bin is one number: as the kernels read it.
+                let is_one = self.counts.len() < MAX_BINS && bin(lo) == bin(hi);
+                if is_one { self.bins } else { apart((lo, hi)) }
             }
         }
     }
@@ -128,7 +131,7 @@ pub(crate) fn format_in(value: f32, span: f32) -> String {
     let power = size.log10().floor() as i32;
     let wanted = if span > 0.0 { 3 - span.log10().floor() as i32 } else { -power };
     // Single precision has no more.
-    let wanted = wanted.min(7 - power);
+    let wanted = wanted.clamp(-power, 7 - power);
     let decimals = match size {
         // A large number that is told to the unit is written out.
         a if (1e6..1e9).contains(&a) && span > 0.0 && wanted >= 0 => 0,
@@ -173,7 +176,8 @@ mod tests {
         assert_eq!(s.domain(&Domain::Values(5.0, 6.0)), (5.0, 6.0));
         let far = ValueScale { range: (-100.0, 1e8), ..scale() };
         assert_eq!(far.domain(&Domain::Percentiles(70.0, 90.0)), (0.0, 200.0));
-        assert_eq!(far.domain(&Domain::Percentiles(0.0, 100.0)), (-100.0, 1e8));
+        assert_eq!(far.domain(&Domain::Percentiles(0.0, 100.0)), (-100.0, 300.0));
+        assert_eq!(far.domain(&Domain::Percentiles(10.0, 60.0)), (-100.0, 300.0), "one number");
         let constant = ValueScale { range: apart((7.0, 7.0)), bins: apart((7.0, 7.0)), counts: vec![5] };
         let (lo, hi) = constant.domain(&Domain::Percentiles(50.0, 50.0));
         assert!(lo < hi && lo.is_finite() && hi.is_finite());
@@ -222,7 +226,13 @@ mod tests {
         for value in [0.0, 113.25, -1000.0, 0.25, 12.0, 2.3456] {
             assert_eq!(format_in(value, 4000.0), format_value(value), "no more than is needed");
         }
-        for (value, span) in [(1.0, f32::NAN), (f32::INFINITY, 1.0), (1.0, f32::INFINITY), (1e-40, 1e-42)] {
+        for (value, span) in [
+            (1.0, f32::NAN),
+            (f32::INFINITY, 1.0),
+            (1.0, f32::INFINITY),
+            (1e-6, f32::INFINITY),
+            (1e-40, 1e-42),
+        ] {
             assert!(!format_in(value, span).is_empty());
         }
     }

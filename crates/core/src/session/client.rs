@@ -110,6 +110,8 @@ pub struct Session {
     coming: Option<FrameId>,
     /// Whether the newest base is of such a frame.
     is_predicting: bool,
+    /// One whose refinements are not waited for any more.
+    given_up: Option<FrameId>,
     newest_decoded: Option<FrameTimes>,
     ledger: VecDeque<FrameTimes>,
     decoded_at: VecDeque<u64>,
@@ -151,6 +153,7 @@ impl Session {
         self.assembling.clear();
         self.references.clear();
         self.coming = None;
+        self.given_up = None;
         self.newest_base = None;
         self.is_predicting = false;
     }
@@ -198,7 +201,7 @@ impl Session {
         if !is_sound {
             return Err(ChunkError::Place(place));
         }
-        if !self.wants(frame, place.prediction.is_some()) {
+        if !self.wants(frame, place.prediction.is_some()) || self.given_up == Some(frame) {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
@@ -296,7 +299,7 @@ impl Session {
     fn poll_newest(&mut self, now_micros: u64) -> Option<DecodeJob> {
         let frame = self.newest_base?;
         let is_held = self.hold_until().is_some_and(|until| now_micros < until);
-        let a = self.assembling.get_mut(&frame)?;
+        let a = self.assembling.get_mut(&frame).filter(|a| a.is_decoding || a.has_base())?;
         let is_last = a.has_all();
         if (a.is_decoding || is_held) && !is_last {
             return None;
@@ -315,15 +318,23 @@ impl Session {
     /// A frame that others may be predicted from, and that the newest one has overtaken.
     fn poll_late(&mut self) -> Option<DecodeJob> {
         let newest = self.newest_base?;
-        let is_begun = self.assembling.get(&newest).is_none_or(|a| a.is_decoding);
-        if self.is_predicting || self.coming.is_some() || !is_begun {
+        if self.is_predicting || self.coming.is_some() {
+            return None;
+        }
+        // A picture whose refinements are still to come is finished first, unless a newer one has come.
+        let is_finished = self.assembling.get(&newest).is_none_or(|a| {
+            a.is_decoding && self.assembling.last_key_value().is_some_and(|(last, _)| *last > newest)
+        });
+        if !is_finished {
             return None;
         }
         let is_ready = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
         let frame = self.assembling.range(..newest).find(|(_, a)| is_ready(a)).map(|(frame, _)| *frame)?;
         let late = self.assembling.remove(&frame)?;
         // Its refinements would come after another frame's chunks.
-        self.assembling.remove(&newest);
+        if self.assembling.remove(&newest).is_some() {
+            self.given_up = Some(newest);
+        }
         self.coming = Some(frame);
         Some(DecodeJob {
             connection: self.connection,

@@ -64,6 +64,11 @@ impl Histogram {
         self.range.1
     }
 
+    /// The same within the bins: few voxels far away from all others do not count.
+    pub fn bulk_percentile(&self, percent: f32) -> f32 {
+        self.percentile(percent).clamp(self.lo, self.hi)
+    }
+
     /// The value that parts the voxels best into lower and higher ones: the greatest variance between the two (Otsu 1979).
     pub fn parting_value(&self) -> f32 {
         parting_value(&self.counts, (self.lo, self.hi))
@@ -209,6 +214,8 @@ mod tests {
             let ends = [h.percentile(0.0), h.percentile(100.0)];
             let all = outlier.unwrap_or(500.0);
             assert_eq!(ends, [all.min(0.0), all.max(999.0)]);
+            let [lo, hi] = [0.0, 100.0].map(|percent| h.bulk_percentile(percent));
+            assert!(lo > -16_000.0 && hi < 16_000.0, "{outlier:?}: {lo} to {hi}");
             assert!((h.parting_value() - 500.0).abs() < 10.0, "{}", h.parting_value());
             assert_eq!(h.counts.iter().sum::<u64>(), 64_000);
             // Numbers that fall where values rise.

@@ -8,6 +8,7 @@ use clap::Args;
 use isinglass_bench::view::Orbit;
 use isinglass_core::codec::{Bound, Coding, EncodedFrame, Misfit, Settings, blocks};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::mode::Mode;
 use isinglass_formats::iglf::{self, Origin};
 use serde_json::json;
 
@@ -61,7 +62,9 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
-    let left = opened.scene.region().bounds;
+    // A mean behind a plane is over a way that no box has.
+    let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
+    let left = (!is_askew).then(|| opened.scene.region().bounds);
     let mut renderer = backend.renderer(opened.scene)?;
     let start = Instant::now();
     let frame = renderer.generate(FrameHeader::alone(camera, look.k), look.layering)?;
@@ -69,7 +72,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let start = Instant::now();
     let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
-    iglf::write(&args.output, &encoded, &Origin { orientation, bounds: Some(left) })?;
+    iglf::write(&args.output, &encoded, &Origin { orientation, bounds: left })?;
     if args.json {
         print_json(&json!({
             "output": args.output.display().to_string(),

@@ -101,7 +101,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     let start = Instant::now();
     if bounds.is_none() && header.mode == Mode::Average {
         note(
-            "note: a file of a version that does not know the volume's box: means are those over a larger one",
+            "note: the file does not know the box that its means are over; from elsewhere they are taken over a larger one",
         );
     }
     let bounds = bounds.unwrap_or_else(|| bounds_from_header(&header));

@@ -270,6 +270,40 @@ fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
     assert_eq!(decode(&mut s), Some((8, true)));
 }
 
+/// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the late one.
+#[test]
+fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let chunk =
+        |s: &mut Session, frame: u32, index: u16, num_chunks: u16, prediction: Option<Option<u32>>| {
+            let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
+            let place = ChunkPlace { num_chunks, num_base_chunks: 1, prediction, ..place(frame, index) };
+            s.handle_chunk(0, 0, place, vec![]).unwrap();
+        };
+    let decode = |s: &mut Session| {
+        let job = s.poll_decode(1_000_000)?;
+        s.handle_decoded(0, job.connection, job.frame, job.is_last);
+        Some((job.frame.0, job.is_first, job.is_last))
+    };
+    chunk(&mut s, 1, 0, 1, Some(None));
+    chunk(&mut s, 3, 0, 2, None);
+    assert_eq!([decode(&mut s), decode(&mut s)], [Some((1, true, true)), Some((3, true, false))]);
+    chunk(&mut s, 2, 0, 1, Some(Some(1)));
+    assert_eq!(decode(&mut s), None);
+    chunk(&mut s, 3, 1, 2, None);
+    assert_eq!([decode(&mut s), decode(&mut s)], [Some((3, false, true)), Some((2, true, true))]);
+    // The same, and 6 is there.
+    chunk(&mut s, 5, 0, 2, None);
+    assert_eq!(decode(&mut s), Some((5, true, false)));
+    chunk(&mut s, 4, 0, 1, Some(Some(2)));
+    chunk(&mut s, 6, 0, 1, Some(Some(4)));
+    assert_eq!(decode(&mut s), Some((4, true, true)));
+    // What refines 5 is no picture by itself.
+    chunk(&mut s, 5, 1, 2, None);
+    assert_eq!([decode(&mut s), decode(&mut s)], [Some((6, true, true)), None]);
+}
+
 /// While a lost packet is sent again, as many frames come as may be predicted from each other. None of them is lost.
 #[test]
 fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
