@@ -96,6 +96,8 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
     var row = clamp(i32(floor(p_across)), 0, size[across] - 1);
     var num_left = 0;
+    // Nearness that counts as none.
+    var bias = 0.0;
     var enter = at(line, 0.0);
     var is_done = false;
     loop {
@@ -110,6 +112,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
                 let row_out = p_across + d_across * border.t - 0.5;
                 if (is_whole || is_occupied(column, row_in, row_out, enter.depth, border.depth, along, size[across])) {
                     num_left = num;
+                    bias = nearer_bias(*acc);
                 } else {
                     column += columns.step * num;
                     row = select(row, i32(floor(row_out + 0.5)), is_nearest);
@@ -126,7 +129,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
                 let first = floor(at_across);
                 let first_row = select(i32(first), row, is_nearest);
                 let lists = clamp(vec2i(first_row, first_row + 1), vec2i(0), vec2i(size[across] - 1));
-                let fraction = select(at_across - first, 0.0, is_nearest);
+                let fraction = select(saturate((at_across - first - bias) / (1.0 - 2.0 * bias)), 0.0, is_nearest);
                 met.lists = vec2u(column * strides.x + lists * strides.y);
                 met.nearness = vec2f(1.0 - fraction, fraction);
                 met.lo = min(enter.depth, leave.depth);
@@ -156,6 +159,12 @@ fn walk(line: Line, acc: ptr<function, Over>) {
             return;
         }
     }
+}
+
+// Nearness to one of two lists that counts as none: the more, the less is seen of what comes (line.rs).
+fn nearer_bias(acc: Over) -> f32 {
+    let bias = min(NEARER_SHARE / (acc.transmittance * acc.transmittance), MOST_NEARER);
+    return select(0.0, bias, compositing() == BY_OVER);
 }
 
 // Of a projection an Over holds what is collected: colour, and in the place of transmittance the greatest key, 0 for nothing.
@@ -388,6 +397,9 @@ const MIN_CROSSING: f32 = 1e-2;
 const KEY_FULL: f32 = 0.9995;
 // A list with less weight than this is left out.
 const MIN_NEARNESS: f32 = 1e-3;
+// Nearness that counts as none where all is seen, and at most.
+const NEARER_SHARE: f32 = 0.005;
+const MOST_NEARER: f32 = 0.48;
 // A row must win by so many pixels.
 const AXIS_BIAS: f32 = 1e-2;
 // A line that moves less than this many pixels in all crosses no border worth a division.

@@ -10,6 +10,7 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::PoseId;
 use isinglass_core::image_error::{ImageError, compare};
+use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::look::Look;
@@ -330,5 +331,34 @@ fn a_frame_for_a_rest_that_is_over_is_given_up() {
     assert!(client.ledger().iter().all(|t| t.pose != resting), "the frame at rest was made to its end");
     // The control: where the camera stays, it is.
     assert_eq!(frame_for(&client, client.set_pose(pose(0.1), large)).frame.header.camera.intrinsics, large);
+    runtime.block_on(server.close());
+}
+
+/// Frames of two minutes each are asked for by viewers that leave at once: nobody else waits for them.
+#[test]
+fn what_a_viewer_that_has_left_asked_for_is_not_made() {
+    let runtime = runtime();
+    let server = runtime.block_on(serve(Builtin::Cloud));
+    let connect = || {
+        let link = runtime.block_on(server.mint_link(None)).unwrap();
+        Client::connect(&link, ClientOptions::default()).unwrap()
+    };
+    let bounds = Builtin::Cloud.volume(48).bounds();
+    let pose = Pose::orbit(Vec3::ZERO, 0.0, 0.3, bounds.radius() * SIZE.fit_distance());
+    let slow = Look { layering: Layering::Homogeneity, k: 15, ..look(Builtin::Cloud) };
+    for _ in 0..3 {
+        let leaving = connect();
+        let small = frame_for(&leaving, leaving.set_pose(pose, SIZE)).frame.header.look;
+        leaving.set_look(slow.clone()).unwrap();
+        let is_slow = |frame: Arc<ReceivedFrame>| frame.frame.header.look > small;
+        while !leaving.latest_frame().is_some_and(is_slow) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        leaving.set_pose(pose, Intrinsics { width: 1600, height: 1200, ..SIZE });
+        // Long enough for it to be asked for, which otherwise takes a few milliseconds.
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let staying = connect();
+    frame_for(&staying, staying.set_pose(pose, SIZE));
     runtime.block_on(server.close());
 }

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use isinglass_core::kernels::layering::{Layering, all_samples};
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::mode::Mode;
 use isinglass_gpu::Renderer;
 
 use crate::error::BenchError;
@@ -36,6 +37,14 @@ impl Rule {
             Self::Layering(Layering::SingleDepth(_)) => vec![1],
             Self::Layering(_) => ks.to_vec(),
             Self::AllSamples => vec![u8::MAX],
+        }
+    }
+
+    /// The rule that stands for this one in a mode.
+    fn in_mode(self, mode: Mode) -> Self {
+        match self {
+            Self::Layering(layering) if mode.is_projection() => Self::Layering(layering.of_projection()),
+            _ => self,
         }
     }
 
@@ -107,15 +116,17 @@ impl FromStr for MethodChoice {
     }
 }
 
-/// Every rule with the methods that are given its frames, each once. Those that come with a rule of their own are
+/// Every rule with the methods that are given its frames, each once; rules that are one in a mode are one here.
+/// Those that come with a rule of their own are
 /// given that rule's frames only.
-pub fn methods_by_rule(rules: &[Rule], methods: &[MethodChoice]) -> Vec<(Rule, Vec<Method>)> {
+pub fn methods_by_rule(rules: &[Rule], methods: &[MethodChoice], mode: Mode) -> Vec<(Rule, Vec<Method>)> {
     let mut of_rules: Vec<(Rule, Vec<Method>)> = Vec::new();
     let all = rules.iter().flat_map(|rule| {
         methods.iter().filter(|choice| choice.rule.is_none()).map(|choice| (*rule, choice.method))
     });
     let own = methods.iter().filter_map(|choice| Some((choice.rule?, choice.method)));
     for (rule, method) in all.chain(own) {
+        let rule = rule.in_mode(mode);
         match of_rules.iter_mut().find(|(r, _)| *r == rule) {
             Some((_, methods)) if methods.contains(&method) => {}
             Some((_, methods)) => methods.push(method),
@@ -175,7 +186,18 @@ mod tests {
             (Rule::Layering(Layering::Slabs), vec![Method::Layers, Method::SlabsMesh]),
             ("single-depth".parse().unwrap(), vec![Method::PointWarp]),
         ];
-        assert_eq!(methods_by_rule(&rules, &methods), expected);
+        assert_eq!(methods_by_rule(&rules, &methods, Mode::Composite), expected);
+    }
+
+    #[test]
+    fn rules_that_make_the_same_frames_in_a_mode_are_measured_once() {
+        let rules = ["homogeneity", "equal-length", "slabs", "visibility-merge"].map(|r| r.parse().unwrap());
+        let names = |mode| {
+            let all = methods_by_rule(&rules, &[MethodChoice::default()], mode);
+            all.into_iter().map(|(rule, _)| rule.name()).collect::<Vec<_>>()
+        };
+        assert_eq!(names(Mode::Average), ["visibility-merge", "equal-length"]);
+        assert_eq!(names(Mode::Composite).len(), 4);
     }
 
     #[test]

@@ -14,6 +14,7 @@ use crate::demo::{DemoOptions, Report, run_headless};
 use crate::error::BenchError;
 use crate::progress::note;
 use crate::scenes::SceneSource;
+use crate::subject::{Subject, SubjectConditions};
 
 /// `METHOD[@RULE][:no-prediction]`: a method, the rule by which the server makes its frames, and whether frames are
 /// asked for from where the camera will be.
@@ -76,16 +77,15 @@ pub struct LatencyReport {
 /// What holds for all rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct LatencyConditions {
-    /// Version of this program.
-    pub version: &'static str,
-    /// Columns and rows.
-    pub size: [u32; 2],
-    /// Vertical field of view, degrees.
-    pub fov_deg: f32,
+    /// What holds for any table of pictures; there are no turns here.
+    #[serde(flatten)]
+    pub subject: SubjectConditions,
+    /// Where the kernels of server and viewer ran, as it was asked for.
+    pub backend: String,
     /// Pictures shown in a second.
     pub refresh_hz: f32,
-    /// Threads of the CPU.
-    pub threads: usize,
+    /// Whether a recorded path was played in place of the orbit, whose speed then counts for nothing.
+    pub plays_path: bool,
 }
 
 /// One run.
@@ -115,7 +115,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
         for &rtt in &options.rtts {
             for &degrees_per_second in &options.degrees_per_second {
                 for &method in &options.methods {
-                    let rtt_ms = rtt.as_millis();
+                    let rtt_ms = rtt.as_secs_f64() * 1e3;
                     let name = format!("{}-{rtt_ms}ms-{degrees_per_second}-{method}", scene.name);
                     note(&format!("{}/{num_runs}: {name}", rows.len() + 1));
                     let demo = demo_of(&options.demo, scene, method, degrees_per_second, rtt);
@@ -135,13 +135,29 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     }
     let demo = &options.demo;
     let conditions = LatencyConditions {
-        version: env!("CARGO_PKG_VERSION"),
-        size: [demo.intrinsics.width, demo.intrinsics.height],
-        fov_deg: demo.intrinsics.fov_y().to_degrees(),
+        subject: subject_of(options).conditions(rayon::current_num_threads()),
+        backend: demo.backend.to_string(),
         refresh_hz: demo.refresh_hz,
-        threads: rayon::current_num_threads(),
+        plays_path: demo.path.is_some(),
     };
     Ok(LatencyReport { conditions, rows })
+}
+
+/// What is looked at.
+fn subject_of(options: &LatencyOptions) -> Subject {
+    let demo = &options.demo;
+    Subject {
+        scenes: options.scenes.clone(),
+        transfer: demo.transfer.clone(),
+        ks: vec![demo.k],
+        angles_degrees: vec![],
+        orbit: demo.orbit,
+        intrinsics: demo.intrinsics,
+        shaded: demo.shaded,
+        mode: demo.mode,
+        isos: demo.isos,
+        clip: demo.clip,
+    }
 }
 
 fn demo_of(
@@ -157,7 +173,10 @@ fn demo_of(
     };
     let predicts = demo.foresight.predicts && !method.never_predicts;
     DemoOptions {
-        source: scene.source.clone(),
+        source: scene.volume.source.clone(),
+        raw: scene.volume.raw,
+        selection: scene.volume.selection,
+        spacing: scene.volume.spacing,
         layering,
         method: method.choice.method,
         foresight: Foresight { predicts, ..demo.foresight },
@@ -222,7 +241,7 @@ mod tests {
     fn a_method_is_played_as_it_is_named() {
         let demo = |method: &str| {
             let method: LatencyMethod = method.parse().unwrap();
-            let scene = SceneSource { name: "a".into(), source: "builtin:cubus@16".into() };
+            let scene = SceneSource::new("a", "builtin:cubus@16");
             demo_of(&DemoOptions::default(), &scene, method, 60.0, Duration::from_millis(100))
         };
         let ours = demo("layers");

@@ -33,6 +33,21 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
     written.map_err(io)
 }
 
+/// Whether [`write_whole`] can make its file, tried before work that would be lost otherwise.
+pub fn check_writable(path: &Path) -> Result<(), BenchError> {
+    let io = BenchError::io(path);
+    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => Err(io(io::ErrorKind::IsADirectory.into())),
+        Ok(found) if !found.is_file() => Ok(()),
+        _ => {
+            let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+            let temporary = temporary_beside(path);
+            fs::File::create(&temporary).and_then(|_| fs::remove_file(&temporary)).map_err(io)
+        }
+    }
+}
+
 /// Ends the process when no file is being written, so that nothing half written is left.
 pub fn exit_between_writes(code: i32) -> ! {
     let _none_is_written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);

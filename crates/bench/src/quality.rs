@@ -17,7 +17,7 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
-use isinglass_gpu::Backend;
+use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use crate::choices::{MethodChoice, Rule, methods_by_rule, reconstruction_name};
@@ -38,12 +38,21 @@ pub struct QualityOptions {
     pub methods: Vec<MethodChoice>,
     /// How the ray cast reads lists.
     pub reconstructions: Vec<Reconstruction>,
+    /// Where the kernels run.
+    pub backend: BackendChoice,
     /// Frame size: columns and rows of lists. The field of view is that of the pictures.
     pub frame_intrinsics: Intrinsics,
     /// How frames are encoded.
     pub codec: codec::Settings,
     /// Whether frames are also measured as they are after encoding and decoding.
     pub measures_wire: bool,
+}
+
+impl QualityOptions {
+    /// The rules that make frames of the subject's mode, with their methods.
+    fn of_rules(&self) -> Vec<(Rule, Vec<Method>)> {
+        methods_by_rule(&self.rules, &self.methods, self.subject.mode)
+    }
 }
 
 /// The whole result.
@@ -61,6 +70,8 @@ pub struct Conditions {
     /// What holds for any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
+    /// Where the kernels ran.
+    pub backend: String,
     /// Columns and rows of lists.
     pub frame_size: [u32; 2],
     /// Bits of a colour channel on the wire.
@@ -112,8 +123,8 @@ pub struct QualityRow {
 
 /// Measures. Takes minutes for the default scenes on the CPU.
 pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
-    let backend = Backend::open(options.subject.backend)?;
-    let of_rules = methods_by_rule(&options.rules, &options.methods);
+    let backend = Backend::open(options.backend)?;
+    let of_rules = options.of_rules();
     let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.subject.ks).len()).sum();
     let mut progress = Progress::new("quality", (options.subject.scenes.len() * (1 + frames)) as u64);
     let mut rows = Vec::new();
@@ -194,7 +205,8 @@ pub fn timed<T>(mut body: impl FnMut() -> Result<T, BenchError>) -> Result<(T, f
 
 fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
     Conditions {
-        subject: options.subject.conditions(backend, rayon::current_num_threads()),
+        subject: options.subject.conditions(rayon::current_num_threads()),
+        backend: backend.description(),
         frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
         color_bits: options.codec.color_bits,
         background: "#000000",
@@ -211,9 +223,9 @@ fn measure_scene(
     progress.begin(&format!("{}: opening", source.name));
     let opened = options.subject.open(source)?;
     let bounds = opened.scene.volume.bounds();
+    let orbit = options.subject.orbit(&opened.scene.volume);
     let mut renderer = backend.renderer(opened.scene)?;
-    let camera_at =
-        |degrees: f32| options.subject.orbit.turned(degrees).camera(options.subject.intrinsics, &bounds);
+    let camera_at = |degrees: f32| orbit.turned(degrees).camera(options.subject.intrinsics, &bounds);
 
     // The truth, by the bits of the angle.
     let mut truth = BTreeMap::new();
@@ -238,9 +250,9 @@ fn measure_scene(
     }
 
     let truth = Truth { camera_at: &camera_at, pictures: &truth, bounds: &bounds };
-    for (rule, methods) in methods_by_rule(&options.rules, &options.methods) {
+    for (rule, methods) in options.of_rules() {
         for k in rule.ks(&options.subject.ks) {
-            let camera = options.subject.orbit.camera(options.frame_intrinsics, &bounds);
+            let camera = orbit.camera(options.frame_intrinsics, &bounds);
             let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, FrameHeader::alone(camera, k)))?;
             let made = Made::new(options, rule, k, frame, generate_ms)?;
             for &method in methods.iter().filter(|m| **m != Method::LastImage) {

@@ -6,17 +6,31 @@ use std::sync::Arc;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::{FormatError, OpenOptions, default_transfer, load_transfer, open};
+use isinglass_formats::{
+    FormatError, OpenOptions, VolumeSource, default_transfer, load_transfer, open, outline,
+};
 
 use crate::error::BenchError;
 
 /// A scene that can be measured.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SceneSource {
     /// Short name in tables.
     pub name: String,
-    /// What [`isinglass_formats::open`] opens.
-    pub source: String,
+    /// The volume.
+    pub volume: VolumeSource,
+}
+
+impl SceneSource {
+    /// All of `source`, which is what [`isinglass_formats::open`] opens.
+    pub fn new(name: impl Into<String>, source: impl Into<String>) -> Self {
+        Self { name: name.into(), volume: VolumeSource::new(source) }
+    }
+
+    /// Reads what the file says of itself, so that what cannot be opened is refused before anything is measured.
+    pub fn check(&self) -> Result<(), FormatError> {
+        outline(&self.volume.source, &self.volume.options()).map(|_| ())
+    }
 }
 
 /// A volume made ready, and the transfer function it is seen with.
@@ -29,7 +43,7 @@ pub struct OpenedScene {
 }
 
 /// Which scenes there are to measure, and which of those asked for are not here.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
     /// To measure.
     pub scenes: Vec<SceneSource>,
@@ -55,22 +69,22 @@ pub fn open_scene(
     Ok(OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer })
 }
 
-/// The scenes called `names`; all if there are no names. A name is one of [`names`], or a volume as on the command
-/// line (`builtin:cloud@64` or a path). Scanned volumes come from `folder`.
+/// The scenes called `names`, each once; all if there are no names, but for scanned volumes that are not here. A name is
+/// one of [`names`], or a volume as on the command line (`builtin:cloud@64` or a path). Scanned volumes come from `folder`.
 pub fn select(names_asked: &[String], folder: Option<&Path>) -> Result<Selection, BenchError> {
     let mut selection = Selection::default();
     let all: Vec<String> = names().map(str::to_owned).collect();
     let asked = if names_asked.is_empty() { &all[..] } else { names_asked };
-    for name in asked {
+    for name in distinct(asked.iter().cloned()) {
+        let name = &name;
         if let Some(known) = BUILTINS.iter().find(|n| *n == name) {
-            let (name, source) = ((*known).to_owned(), format!("builtin:{known}"));
-            selection.scenes.push(SceneSource { name, source });
+            selection.scenes.push(SceneSource::new(*known, format!("builtin:{known}")));
         } else if let Some(known) = FILES.iter().find(|n| *n == name) {
             let found = folder.map(|f| f.join(format!("{known}.nrrd"))).filter(|p| p.is_file());
             match (found, folder) {
-                (Some(path), _) => selection
-                    .scenes
-                    .push(SceneSource { name: (*known).to_owned(), source: path.display().to_string() }),
+                (Some(path), _) => {
+                    selection.scenes.push(SceneSource::new(*known, path.display().to_string()));
+                }
                 (None, Some(folder)) => {
                     selection.skipped.push(format!("{known}: no {known}.nrrd in {}", folder.display()));
                 }
@@ -78,17 +92,28 @@ pub fn select(names_asked: &[String], folder: Option<&Path>) -> Result<Selection
                     .skipped
                     .push(format!("{known}: no folder of volumes; name one with {DATA_VARIABLE}")),
             }
-        } else if name.starts_with("builtin:") || Path::new(name).is_file() {
-            selection.scenes.push(SceneSource { name: name.clone(), source: name.clone() });
+        } else if name.starts_with("builtin:") || Path::new(name).exists() {
+            selection.scenes.push(SceneSource::new(name, name));
         } else {
-            let expected = format!("{}, a built-in volume or a file", all.join(", "));
+            let expected = format!("{}, a built-in volume, a file or a folder", all.join(", "));
             return Err(BenchError::UnknownScene { found: name.clone(), expected });
         }
     }
-    if selection.scenes.is_empty() {
+    if selection.scenes.is_empty() || !(names_asked.is_empty() || selection.skipped.is_empty()) {
         return Err(BenchError::NoScene(selection.skipped.join("; ")));
     }
     Ok(selection)
+}
+
+/// Every item once, where it comes first.
+pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut all = Vec::new();
+    for item in items {
+        if !all.contains(&item) {
+            all.push(item);
+        }
+    }
+    all
 }
 
 /// The names of all scenes.
@@ -125,10 +150,23 @@ mod tests {
         std::fs::write(empty.join("bonsai.nrrd"), b"").unwrap();
         let selection = select(&["bonsai".into(), "cloud".into()], Some(&empty)).unwrap();
         assert_eq!(selection.scenes.len(), 2);
+        // A scene that is named must be there, a folder is a volume, and what is named twice is measured once.
+        let missing = select(&["engine".into(), "cloud".into()], Some(&empty)).unwrap_err().to_string();
+        assert!(missing.contains("no engine.nrrd"), "{missing}");
+        let folder = empty.display().to_string();
+        let names = ["cloud".into(), folder.clone(), "cloud".into()];
+        let selection = select(&names, None).unwrap();
+        let found: Vec<&str> = selection.scenes.iter().map(|s| &s.volume.source[..]).collect();
+        assert_eq!(found, ["builtin:cloud", &folder]);
         std::fs::remove_dir_all(&empty).unwrap();
         let unknown = select(&["bonzai".into()], None).unwrap_err().to_string();
         assert!(unknown.contains("bonzai") && unknown.contains("mouse_brain"), "{unknown}");
         assert!(matches!(select(&["bonsai".into()], None), Err(BenchError::NoScene(_))));
+        for (source, is_sound) in
+            [("builtin:shells@16", true), ("builtin:shels", false), ("no such file", false)]
+        {
+            assert_eq!(SceneSource::new("a", source).check().is_ok(), is_sound, "{source}");
+        }
     }
 
     #[test]

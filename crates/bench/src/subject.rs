@@ -1,11 +1,10 @@
-//! What tables of quality and of codecs look at and from where, and how a report says so.
+//! What tables of quality, speed and codecs look at and from where, and how a report says so.
 
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::mode::{Isos, Mode};
-use isinglass_formats::OpenOptions;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_core::volume::Volume;
 use serde::Serialize;
 
 use crate::error::BenchError;
@@ -36,8 +35,6 @@ pub struct Subject {
     pub isos: Isos,
     /// What of the volumes is looked at.
     pub clip: Clip,
-    /// Where the kernels run.
-    pub backend: BackendChoice,
 }
 
 impl Subject {
@@ -45,11 +42,16 @@ impl Subject {
     pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
         let (clip, mode, isos) = (self.clip, self.mode, self.isos);
         let settings = MarchSettings { clip, mode, isos, ..march_settings(self.shaded) };
-        Ok(open_scene(&source.source, self.transfer.as_deref(), settings, &OpenOptions::default())?)
+        Ok(open_scene(&source.volume.source, self.transfer.as_deref(), settings, &source.volume.options())?)
+    }
+
+    /// The generating camera's place around a volume, upright as that is for `render` and the viewer.
+    pub(crate) fn orbit(&self, volume: &Volume) -> Orbit {
+        self.orbit.upright(volume.info.orientation.as_deref())
     }
 
     /// What holds for all of its rows.
-    pub(crate) fn conditions(&self, backend: &Backend, threads: usize) -> SubjectConditions {
+    pub(crate) fn conditions(&self, threads: usize) -> SubjectConditions {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii, .. } = self.orbit;
         SubjectConditions {
@@ -59,9 +61,10 @@ impl Subject {
             orbit_deg: [azimuth_degrees, elevation_degrees],
             distance_radii: distance_in_radii.unwrap_or_else(|| self.intrinsics.fit_distance()),
             angles_deg: self.angles_degrees.clone(),
-            backend: backend.description(),
+            transfer: self.transfer.clone(),
             shading: self.shaded,
             mode: self.mode.name(),
+            isos: self.isos,
             clip: self.clip,
             threads,
         }
@@ -83,14 +86,48 @@ pub struct SubjectConditions {
     pub distance_radii: f32,
     /// Turns, degrees.
     pub angles_deg: Vec<f32>,
-    /// Where the kernels ran.
-    pub backend: String,
+    /// Preset or file of all scenes; none: the one that suits each.
+    pub transfer: Option<String>,
     /// What a pixel told of its ray.
     pub mode: &'static str,
+    /// The surfaces of mode `iso`.
+    pub isos: Isos,
     /// What of the volumes was looked at.
     pub clip: Clip,
     /// Whether gradients shade.
     pub shading: bool,
     /// Threads of the CPU.
     pub threads: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use isinglass_core::volume::procedural::Builtin;
+
+    use super::*;
+
+    #[test]
+    fn the_orbit_is_upright_as_it_is_for_render() {
+        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
+        let subject = Subject {
+            scenes: vec![],
+            transfer: None,
+            ks: vec![],
+            angles_degrees: vec![],
+            orbit: Orbit::default(),
+            intrinsics,
+            shaded: true,
+            mode: Mode::default(),
+            isos: Isos::default(),
+            clip: Clip::default(),
+        };
+        let mut volume = Builtin::Cubus.volume(8);
+        assert_eq!(subject.orbit(&volume), subject.orbit);
+        volume.info.orientation = Some("RAS".into());
+        let bounds = volume.bounds();
+        let pose = |orbit: Orbit| orbit.pose(&intrinsics, &bounds);
+        let upright = pose(subject.orbit(&volume));
+        assert_eq!(upright, pose(Orbit::default().upright(Some("RAS"))));
+        assert_ne!(upright, pose(Orbit::default()));
+    }
 }

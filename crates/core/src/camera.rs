@@ -56,9 +56,10 @@ impl Pose {
         self.world_from_view * Vec3::NEG_Z
     }
 
-    /// Whether all numbers are finite and the rotation is a rotation.
+    /// Whether all numbers are finite and bounded and the rotation is a rotation.
     pub fn is_valid(&self) -> bool {
         self.eye.is_finite()
+            && self.eye.abs().max_element() <= MAX_COORDINATE
             && self.world_from_view.is_finite()
             && (self.world_from_view.length_squared() - 1.0).abs() < 1e-3
     }
@@ -276,7 +277,7 @@ impl Camera {
             && i.projection.is_valid()
             && self.near > 0.0
             && self.far > self.near
-            && self.far.is_finite()
+            && self.far <= MAX_DEPTH
     }
 }
 
@@ -385,6 +386,10 @@ impl Basis {
 
 /// Heights of orthographic pictures, world units: so that their squares times those of pixels are single-precision numbers.
 const HEIGHTS: std::ops::RangeInclusive<f32> = 1e-16..=1e15;
+/// Farthest an eye may be from the origin: squares of it are still finite single-precision numbers.
+const MAX_COORDINATE: f32 = 1e15;
+/// Farthest depth that a camera may see.
+const MAX_DEPTH: f32 = 1e16;
 /// Largest picture side that is accepted from anyone.
 pub const MAX_SIDE: u32 = 8192;
 

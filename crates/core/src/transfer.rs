@@ -212,6 +212,8 @@ impl TransferFunction {
         let medium = |x: f32| -> [f64; 4] {
             let (c, opacity) = self.at(x);
             let sigma = -f64::from(1.0 - opacity.min(MAX_OPACITY)).ln() / f64::from(unit_length);
+            // Beyond any use, and products of it stay numbers.
+            let sigma = sigma.min(MAX_EXTINCTION);
             [sigma * f64::from(c[0]), sigma * f64::from(c[1]), sigma * f64::from(c[2]), sigma]
         };
         integrated(medium, x_map)
@@ -281,6 +283,9 @@ pub const TABLE_BINS: usize = 1024;
 pub const MAX_POINTS: usize = 256;
 /// An opacity of one has no extinction; this is what it is read as (design, trap 4).
 pub const MAX_OPACITY: f32 = 0.9999;
+/// The extinction of all matter is at most this, per unit of length. The thinnest matter that any microscope shows has
+/// some 1e10 (a unit of a metre), and over the longest ray that can be (1e16) the optical depth stays finite.
+const MAX_EXTINCTION: f64 = 1e20;
 /// Midpoint evaluations a bin when integrating.
 const SUBDIVISIONS: usize = 8;
 

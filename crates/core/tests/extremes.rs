@@ -14,6 +14,7 @@ use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Volume, VolumeError, VolumeInfo, Voxels};
 
 fn scene(voxels: [f32; 8], domain: Domain, spacing: f32) -> Scene {
@@ -33,17 +34,19 @@ fn is_finite(picture: &Picture) -> bool {
 /// All kernels, the codec between them. Returns the rendered picture.
 fn through_everything(scene: &Scene, pose: Pose) -> Picture {
     let bounds = scene.volume.bounds();
-    let camera = Camera::new(pose, Intrinsics::perspective(20, 20, 0.7), &bounds);
+    let camera = Camera::new(pose, Intrinsics::perspective(64, 64, 0.7), &bounds);
     assert!(camera.is_valid(), "{camera:?}");
     let picture = render(scene, &camera);
     assert!(is_finite(&picture), "{pose:?}");
     for layering in Layering::ALL {
-        let made = generate(scene, FrameHeader::alone(camera, 3), layering);
-        made.validate().unwrap();
-        let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();
-        let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes).collect();
-        let decoded = codec::decode(&chunks).unwrap();
-        assert!(is_finite(&raycast(&decoded, &bounds, &camera)), "{layering} {pose:?}");
+        for k in [1, 3] {
+            let made = generate(scene, FrameHeader::alone(camera, k), layering);
+            made.validate().unwrap();
+            let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();
+            let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes).collect();
+            let decoded = codec::decode(&chunks).unwrap();
+            assert!(is_finite(&raycast(&decoded, &bounds, &camera)), "{layering} {k} {pose:?}");
+        }
     }
     picture
 }
@@ -65,6 +68,30 @@ fn voxels_of_any_size_are_pictures() {
             }
         }
     }
+}
+
+/// A file of a transfer function may name any thickness.
+#[test]
+fn matter_of_any_extinction_is_a_picture() {
+    let of = |world| {
+        let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.2], opacity: x };
+        let (name, unit_length) = ("ramp".into(), UnitLength::World(world));
+        let transfer =
+            TransferFunction { name, domain: Domain::Full, unit_length, points: vec![p(0.0), p(1.0)] };
+        let volume = Arc::new(Builtin::Cubus.volume(16));
+        let distance = volume.bounds().radius() * 4.0;
+        let scene = Scene::new(volume, &transfer, MarchSettings::default());
+        through_everything(&scene, Pose::orbit(Vec3::ZERO, 0.4, 0.3, distance))
+    };
+    let opaque = of(1e-10);
+    for world in [1e-44, 1e-38, 1e-30, 1e-20] {
+        let pixels = of(world).pixels;
+        let pairs = pixels.iter().flatten().zip(opaque.pixels.iter().flatten());
+        let greatest = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(greatest < 1e-3, "{world}: {greatest}");
+    }
+    // The control: what is thin is seen through.
+    assert!(of(1e3).pixels.iter().all(|p| p[3] < 0.5));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use glam::Vec3;
 use crate::loading::LoadRequest;
 use crate::raw::RawShape;
 use crate::select::Selection;
+use crate::source::OpenOptions;
 
 /// See the module.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +24,12 @@ impl VolumeSource {
     /// All of `source`, as its file says.
     pub fn new(source: impl Into<String>) -> Self {
         Self { source: source.into(), raw: None, selection: Selection::default(), spacing: None }
+    }
+
+    /// How to open it.
+    pub fn options(&self) -> OpenOptions<'static> {
+        let &Self { raw, selection, spacing, .. } = self;
+        OpenOptions { raw, selection, spacing, ..OpenOptions::default() }
     }
 
     /// Whether all of its numbers are.

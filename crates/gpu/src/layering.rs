@@ -184,6 +184,9 @@ impl FrameTarget {
         let mut head = Vec::new();
         self.readback.read(gpu, encoder(gpu), [(&self.budget, BUDGET_JOINS as usize)], [&mut head])?;
         let threshold = head.get(BUDGET_THRESHOLD).map_or(0.0, |&bits| f32::from_bits(bits));
+        if threshold.is_nan() || threshold >= f32::MAX {
+            return Err(GpuError::Frame(format!("more than {} segments at any threshold", self.capacity)));
+        }
         let raised = (threshold * 2.0).clamp(THRESHOLD_LEAST, f32::MAX);
         gpu.queue().write_buffer(&self.budget, BUDGET_THRESHOLD as u64 * 4, bytemuck::bytes_of(&raised));
         Ok(())

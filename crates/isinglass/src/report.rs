@@ -42,7 +42,7 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
     let text = error.to_string();
     let cause = text.split("\n\n").next().unwrap_or_default();
     let cause = cause.strip_prefix("error: ").unwrap_or(cause);
-    note(&format!("isinglass: {}; see --help", one_line(cause)));
+    note(&format!("isinglass: {}; see --help", without_tokens(&one_line(cause))));
     ExitCode::from(USAGE)
 }
 
@@ -57,8 +57,21 @@ pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
         let separator = if line.is_empty() { "isinglass: " } else { ": " };
         let _ = write!(line, "{separator}{cause}");
     }
-    note(&one_line(&line));
+    note(&without_tokens(&one_line(&line)));
     ExitCode::FAILURE
+}
+
+/// A line in which links, which may have been given where something else belongs, keep their secret: it may go to a log that
+/// others read.
+fn without_tokens(line: &str) -> String {
+    let mut parts = line.split(TOKEN);
+    let mut shown = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let rest = part.trim_start_matches(|c: char| c.is_ascii_hexdigit());
+        let hidden = if rest.len() < part.len() { "…" } else { "" };
+        shown.extend([TOKEN, hidden, rest]);
+    }
+    shown
 }
 
 /// Sends the log to standard error: what is at least at `level`, or what `RUST_LOG` names.
@@ -72,5 +85,7 @@ pub(crate) fn start_log(level: &str) {
         .try_init();
 }
 
+/// What stands in front of a link's secret.
+const TOKEN: &str = "token=";
 /// Exit code for bad usage.
 const USAGE: u8 = 2;

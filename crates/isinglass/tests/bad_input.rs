@@ -6,7 +6,7 @@
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, UdpSocket};
 use std::process::{Child, Stdio};
 use std::time::Duration;
@@ -231,6 +231,13 @@ fn without_a_display_the_viewer_says_so() {
     let bench = Bench::new();
     let link = link_to(9);
     bench.fails(&format!("view {link}"), 1, &["display", "doctor"]);
+    // A link may come by standard input; what is none is told of.
+    for (text, words) in [(&*link, &["display"][..]), ("hello", &["standard input", "not an isinglass link"])]
+    {
+        let mut child = bench.command("view -").stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+        assert_failed(text, &child.wait_with_output().unwrap(), 1, words);
+    }
     // What is wrong with a command is told first.
     for (line, words) in [
         (&*format!("view {link} --tf ct"), &["--tf", "give them to `serve`"][..]),
@@ -239,6 +246,24 @@ fn without_a_display_the_viewer_says_so() {
         ("view builtin:cloud --mode mip --iso 3", &["--iso", "expected --mode iso"]),
     ] {
         bench.fails(line, 1, words);
+    }
+}
+
+/// A link where something else belongs is told of without its secret.
+#[test]
+fn no_error_repeats_the_secret_of_a_link() {
+    let bench = Bench::new();
+    let link = link_to(9);
+    for (line, status) in [
+        (format!("serve {link}"), 1),
+        (format!("render {link} -o a.png"), 1),
+        (format!("layers cloud --k {link}"), 2),
+        (format!("view builtin:cloud {link}"), 2),
+    ] {
+        let output = bench.command(&line).output().unwrap();
+        assert_failed(&line, &output, status, &["token=…"]);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!error.contains("0a0a"), "{error}");
     }
 }
 

@@ -487,19 +487,26 @@ impl Viewer {
             header,
             wish.clone()
         ));
+        // Without a viewer nobody waits: an order that is dropped is taken out of the queue.
+        let mut poses = self.session.poses.clone();
+        let mut over = pin!(async move { while poses.changed().await.is_ok() {} });
         // Never twice in a row: a viewer that is slow to ask would get no frame at all.
         let mut is_watching = !self.has_given_up;
         loop {
             tokio::select! {
                 biased;
                 generated = &mut generating => return generated,
-                changed = self.session.poses.changed(), if is_watching => {
+                () = &mut over => {
+                    wish.give_up();
+                    return None;
+                }
+                _ = self.session.poses.changed(), if is_watching => {
                     is_watching = false;
                     let newest = *self.session.poses.borrow();
                     // Smaller frames are asked for while something changes, if only the look.
                     let size = |of: &PoseRequest| of.intrinsics.num_pixels();
                     let is_outdated = |n: PoseRequest| n.pose != request.pose || size(&n) < size(request);
-                    if (changed.is_err() || newest.is_some_and(is_outdated)) && asked_at.elapsed() >= LONG_REST {
+                    if newest.is_some_and(is_outdated) && asked_at.elapsed() >= LONG_REST {
                         wish.give_up();
                     }
                     // It has yet to be answered.

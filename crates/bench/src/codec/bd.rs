@@ -49,6 +49,12 @@ pub enum BdError {
         /// Those on the front.
         found: usize,
     },
+    /// They share hardly any quality.
+    #[error("little: {shared:.2} dB are shared, expected at least {LEAST_OVERLAP_DB}")]
+    LittleOverlap {
+        /// What they share, decibels.
+        shared: f64,
+    },
     /// They share no quality. A finer test can still be the better one, if its least bytes are fewer than the anchor's most.
     #[error("{} everywhere: {:.1} to {:.1} dB from {least:.0} bytes, anchor {:.1} to {:.1} dB up to {most:.0} bytes",
         if test[0] >= anchor[1] { "finer" } else { "coarser" }, test[0], test[1], anchor[0], anchor[1])]
@@ -69,7 +75,11 @@ pub fn bd_rate(anchor: &[RatePoint], test: &[RatePoint]) -> Result<BdRate, BdErr
     let (anchor, test) = (Curve::new(anchor)?, Curve::new(test)?);
     let (a, b) = (anchor.range(), test.range());
     let range_db = [a[0].max(b[0]), a[1].min(b[1])];
-    if range_db[1] - range_db[0] < LEAST_OVERLAP_DB {
+    let shared = range_db[1] - range_db[0];
+    if (f64::EPSILON..LEAST_OVERLAP_DB).contains(&shared) {
+        return Err(BdError::LittleOverlap { shared });
+    }
+    if shared < LEAST_OVERLAP_DB {
         let bytes = |log_rate: Option<&f64>| log_rate.map_or(0.0, |r| 10f64.powf(*r));
         let (least, most) = (bytes(test.log_rate.first()), bytes(anchor.log_rate.last()));
         return Err(BdError::NoOverlap { anchor: a, test: b, least, most });
@@ -180,9 +190,9 @@ fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
 /// Quality of a picture without any difference: below a millionth DSSIM is rounding.
 pub const BEST_DB: f64 = 60.0;
 /// Points that make a curve.
-pub const MIN_POINTS: usize = 2;
-/// Ranges that are shared by less are not shared.
-const LEAST_OVERLAP_DB: f64 = 1e-6;
+pub const MIN_POINTS: usize = 3;
+/// What curves share by less says nothing of them.
+pub const LEAST_OVERLAP_DB: f64 = 0.5;
 
 #[cfg(test)]
 mod tests {
@@ -244,15 +254,21 @@ mod tests {
     #[test]
     fn what_shares_no_quality_is_refused() {
         let low = curve(|q| 1e3 * 1.2f64.powf(q), &[10.0, 12.0, 14.0]);
-        let high = curve(|q| 1e3 * 1.2f64.powf(q), &[15.0, 20.0]);
+        let high = curve(|q| 1e3 * 1.2f64.powf(q), &[15.0, 20.0, 25.0]);
         let refused = bd_rate(&low, &high).unwrap_err();
         assert!(matches!(refused, BdError::NoOverlap { .. }));
         assert!(refused.to_string().contains("finer everywhere"), "{refused}");
+        let barely = curve(|q| 1e3 * 1.2f64.powf(q), &[13.8, 16.0, 20.0]);
+        let refused = bd_rate(&low, &barely).unwrap_err();
+        assert!(
+            matches!(refused, BdError::LittleOverlap { .. }) && refused.to_string().contains("0.20 dB"),
+            "{refused}"
+        );
         assert!(bd_rate(&high, &low).unwrap_err().to_string().contains("coarser everywhere"));
         assert_eq!(bd_rate(&low, &high[..1]), Err(BdError::Points { found: 1 }));
         assert_eq!(bd_rate(&[], &high), Err(BdError::Points { found: 0 }));
-        // Two perfect pictures are one point.
-        let perfect = [1.0, 2.0].map(|bytes| RatePoint { bytes, dssim: 0.0 });
+        // Perfect pictures are one point.
+        let perfect = [1.0, 2.0, 3.0].map(|bytes| RatePoint { bytes, dssim: 0.0 });
         assert_eq!(bd_rate(&low, &perfect), Err(BdError::Points { found: 1 }));
     }
 }

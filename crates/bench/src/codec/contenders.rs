@@ -35,6 +35,15 @@ impl Contender {
             Way::Product(_) | Way::Raw(_) => Layering::default(),
         }
     }
+
+    /// Whether it codes frames of projections, whose lists need not be in the order of their depth.
+    pub(crate) fn takes_projections(&self) -> bool {
+        match &self.way {
+            Way::Product(settings) => settings.iter().all(|(_, coding)| matches!(coding, Coding::Exact(_))),
+            Way::Raw(_) => true,
+            Way::Planes(..) => false,
+        }
+    }
 }
 
 /// Every codec of this build; blocks are made for each of the turns.

@@ -22,6 +22,7 @@ use super::raw::Compressor;
 use super::search::{Height, climb};
 use crate::error::BenchError;
 use crate::quality::black_srgb8;
+use crate::view::Orbit;
 
 /// What is left of the picture after one turn of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -71,6 +72,8 @@ pub(crate) fn distortion_of(
 pub(crate) struct Judge<'a> {
     pub(crate) backend: &'a Backend,
     pub(crate) bounds: Aabb,
+    /// The generating camera's place.
+    pub(crate) orbit: Orbit,
     pub(crate) truths: Vec<Truth>,
     /// Coding is timed on its one thread.
     pub(crate) pool: &'a ThreadPool,

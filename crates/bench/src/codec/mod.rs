@@ -39,7 +39,7 @@ use std::collections::BTreeMap;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
-use isinglass_gpu::Backend;
+use isinglass_gpu::{Backend, BackendChoice};
 use rayon::ThreadPool;
 use serde::Serialize;
 
@@ -47,7 +47,7 @@ use self::bd::{RatePoint, bd_rate, front};
 use self::contenders::{AS_PUBLISHED, Contender, PUBLISHED};
 use self::measure::{Judge, Measured};
 use crate::error::BenchError;
-use crate::progress::Progress;
+use crate::progress::{Progress, note};
 use crate::quality::black_srgb8;
 use crate::scenes::SceneSource;
 use crate::subject::{Subject, SubjectConditions};
@@ -65,8 +65,11 @@ pub struct CodecOptions {
     pub subject: Subject,
     /// Names out of [`codec_names`]; none: all.
     pub codecs: Vec<String>,
-    /// The codec that others are compared with; none: JPEG 2000 as published where it is measured.
+    /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where that is
+    /// measured, or else [`FALLBACK_ANCHOR`].
     pub anchor: Option<String>,
+    /// Where frames are made and looked at.
+    pub backend: BackendChoice,
     /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
     /// are as published, and for a moving camera, where frames are as large as pictures.
     pub list_scales: Vec<f32>,
@@ -121,6 +124,8 @@ pub struct Conditions {
     /// What holds for any table of pictures; the threads are those that code.
     #[serde(flatten)]
     pub subject: SubjectConditions,
+    /// Where frames were made and looked at.
+    pub backend: String,
     /// Clock of the processor by which cycles are counted, megahertz; none where the system does not tell.
     pub clock_mhz: Option<f64>,
     /// The codec that others are compared with.
@@ -230,14 +235,16 @@ pub fn codec_names() -> Vec<&'static str> {
 
 /// Measures. Takes minutes a scene.
 pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
-    let contenders = contenders::select(&options.codecs, &options.turns_deg)?;
-    let anchor = anchor(options, &contenders)?;
-    let backend = Backend::open(options.subject.backend)?;
+    let contenders = contenders_of(options)?;
+    let anchor = anchor(options, &contenders);
+    let backend = Backend::open(options.backend)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(THREADS)
         .build()
         .map_err(|e| BenchError::Rival { codec: "threads", cause: e.to_string() })?;
-    let steps = 1 + options.subject.ks.len() * (1 + contenders.len());
+    let frames = options.sequence.as_ref().map_or(0, |sequence| sequence.frames as usize);
+    let rounds = options.times.as_ref().map_or(0, |times| times.rounds as usize);
+    let steps = 1 + options.subject.ks.len() * (1 + contenders.len() + frames + rounds);
     let mut progress = Progress::new("codec", (options.subject.scenes.len() * steps) as u64);
     let mut run = Run {
         options,
@@ -259,7 +266,8 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
     let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
     let bd_means = means(&bd_rates);
     let conditions = Conditions {
-        subject: options.subject.conditions(&backend, THREADS),
+        subject: options.subject.conditions(THREADS),
+        backend: backend.description(),
         clock_mhz,
         anchor: anchor.map(str::to_owned),
     };
@@ -267,15 +275,41 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
     Ok(CodecReport { conditions, uncoded, points, bd_rates, bd_means, sequences, sequence_gains, times })
 }
 
-/// The anchor's name, which must be measured.
-fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Result<Option<&'static str>, BenchError> {
-    let wanted = options.anchor.as_deref().unwrap_or(PUBLISHED);
-    let found = contenders.iter().map(|c| c.name).find(|name| *name == wanted);
-    if found.is_none() && options.anchor.is_some() {
-        let names: Vec<&str> = contenders.iter().map(|c| c.name).collect();
-        return Err(BenchError::UnknownCodec { found: wanted.to_owned(), expected: names.join(", ") });
+/// The codecs that are asked for and the anchor. Those that cannot code the frames are left out with a note, or refused
+/// where they were named.
+fn contenders_of(options: &CodecOptions) -> Result<Vec<Contender>, BenchError> {
+    // An unknown name is refused even if all are measured.
+    let anchor: Vec<String> = options.anchor.iter().cloned().collect();
+    contenders::select(&anchor, &[None])?;
+    let is_all = options.codecs.is_empty();
+    let names = if is_all { vec![] } else { [&options.codecs[..], &anchor].concat() };
+    let mut contenders = contenders::select(&names, &options.turns_deg)?;
+    let mut leave_out = |is_fit: &dyn Fn(&Contender) -> bool, cause: String| {
+        let unfit: Vec<&str> = contenders.iter().filter(|c| !is_fit(c)).map(|c| c.name).collect();
+        match unfit.first() {
+            Some(&codec) if !is_all => return Err(BenchError::Rival { codec, cause }),
+            Some(_) => note(&format!("left out: {}: {cause}", unfit.join(", "))),
+            None => {}
+        }
+        contenders.retain(is_fit);
+        Ok(())
+    };
+    let mode = options.subject.mode;
+    if mode.is_projection() {
+        leave_out(&Contender::takes_projections, format!("codes no frames of mode {mode}"))?;
     }
-    Ok(found)
+    let takes_any = |c: &Contender| options.frame_intrinsics().any(|lists| options.takes(c, lists));
+    leave_out(&takes_any, "wants as many lists as pixels, expected 1 among the list scales".to_owned())?;
+    Ok(contenders)
+}
+
+/// The name of what others are compared with; none if it is not measured.
+fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Option<&'static str> {
+    let wanted = match &options.anchor {
+        Some(wanted) => vec![&wanted[..]],
+        None => vec![PUBLISHED, FALLBACK_ANCHOR],
+    };
+    wanted.iter().find_map(|wanted| contenders.iter().map(|c| c.name).find(|name| name == wanted))
 }
 
 /// What is there so far.
@@ -297,18 +331,19 @@ impl Run<'_> {
         progress.begin(&format!("{}: opening", source.name));
         let opened = options.subject.open(source)?;
         let bounds = opened.scene.volume.bounds();
+        let orbit = options.subject.orbit(&opened.scene.volume);
         let mut renderer = self.backend.renderer(opened.scene)?;
         let mut truths = Vec::with_capacity(options.subject.angles_degrees.len());
         for &angle in &options.subject.angles_degrees {
-            let camera = options.subject.orbit.turned(angle).camera(options.subject.intrinsics, &bounds);
+            let camera = orbit.turned(angle).camera(options.subject.intrinsics, &bounds);
             truths.push((angle, camera, black_srgb8(&renderer.render(&camera)?)));
         }
-        let judge = Judge { backend: self.backend, bounds, truths, pool: self.pool };
+        let judge = Judge { backend: self.backend, bounds, orbit, truths, pool: self.pool };
         progress.advance(1, &format!("{}: truth rendered", source.name));
         for &k in &options.subject.ks {
             let mut frames: Vec<(Layering, LayeredFrame)> = Vec::new();
             for intrinsics in options.frame_intrinsics() {
-                let camera = options.subject.orbit.camera(intrinsics, &bounds);
+                let camera = orbit.camera(intrinsics, &bounds);
                 for contender in self.contenders.iter().filter(|c| options.takes(c, intrinsics)) {
                     let layering = contender.layering();
                     let is_made = |(of, frame): &(Layering, LayeredFrame)| {
@@ -492,6 +527,8 @@ fn means(rows: &[BdRow]) -> Vec<BdMean> {
     means
 }
 
+/// What others are compared with in a build without [`PUBLISHED`].
+const FALLBACK_ANCHOR: &str = "blocks-planes";
 /// Frames a second that rates are given for.
 const FRAME_RATE_HZ: f64 = 30.0;
 /// That code: of the codecs of others not all can use more.

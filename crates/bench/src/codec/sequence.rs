@@ -4,6 +4,9 @@
 //! before. AV1 is given the planes as one video each, every picture of which may refer to those before it and waits for
 //! none behind it.
 
+#[cfg(feature = "rivals")]
+mod video;
+
 use isinglass_core::camera::Camera;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, Coding};
@@ -145,8 +148,18 @@ pub(super) struct Scene<'a> {
 
 /// Codes frames one after another.
 trait Coder {
-    /// The next frame, number `i`. If it `is_kept`, what is decoded is wanted.
-    fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError>;
+    /// The next frame, number `i`. If it `is_kept`, what is decoded is wanted: now, or later if the coder lags.
+    fn push(
+        &mut self,
+        i: u32,
+        frame: &LayeredFrame,
+        is_kept: bool,
+    ) -> Result<Option<LayeredFrame>, BenchError>;
+
+    /// Whether decoded frames come in the end only.
+    fn lags(&self) -> bool {
+        false
+    }
 
     /// All of it.
     fn finish(self: Box<Self>) -> Result<CodedSequence, BenchError>;
@@ -157,6 +170,28 @@ struct Candidate<'a> {
     settings: String,
     is_predicted: bool,
     coder: Box<dyn Coder + 'a>,
+    seen: Seen,
+}
+
+/// Means over the compared frames so far.
+#[derive(Default)]
+struct Seen {
+    num: f64,
+    distortion: Vec<Distortion>,
+}
+
+impl Seen {
+    fn add(&mut self, of_frame: Vec<Distortion>) {
+        self.num += 1.0;
+        if self.distortion.is_empty() {
+            self.distortion = of_frame;
+            return;
+        }
+        for (mean, one) in self.distortion.iter_mut().zip(of_frame) {
+            mean.dssim += (one.dssim - mean.dssim) / self.num;
+            mean.psnr_db += (one.psnr_db - mean.psnr_db) / self.num;
+        }
+    }
 }
 
 /// Of frames that are compared, by number, see [`Judge::truths`].
@@ -165,6 +200,7 @@ type Truths = BTreeMap<u32, Vec<Truth>>;
 #[derive(Default)]
 struct CodedSequence {
     bytes: Vec<usize>,
+    /// What a coder that lags decodes.
     kept: BTreeMap<u32, LayeredFrame>,
     /// Times of every frame if they are taken, and of decoding those kept.
     encode_ms: Vec<f64>,
@@ -185,15 +221,16 @@ pub(super) fn measure(
     }
     let sequence = scene.sequence;
     let camera_at = |i: u32, angle: f32| -> Camera {
-        let orbit = scene.options.subject.orbit.turned(sequence.turn(i) + angle);
+        let orbit = scene.judge.orbit.turned(sequence.turn(i) + angle);
         orbit.camera(scene.options.subject.intrinsics, &scene.judge.bounds)
     };
+    let lags = coders.iter().any(|(_, candidate)| candidate.coder.lags());
     let mut truths: Truths = BTreeMap::new();
     for i in 0..sequence.frames {
         progress
-            .advance(0, &format!("{}: K = {}, frame {i} of {}", scene.source.name, scene.k, sequence.frames));
+            .advance(1, &format!("{}: K = {}, frame {i} of {}", scene.source.name, scene.k, sequence.frames));
         let camera = camera_at(i, 0.0);
-        let is_kept = sequence.is_compared(i);
+        let is_kept = sequence.is_compared(i) && sequence.is_moving(i);
         if is_kept {
             for &angle in &scene.options.subject.angles_degrees {
                 let camera = camera_at(i, angle);
@@ -202,7 +239,7 @@ pub(super) fn measure(
             }
         }
         let mut frames: Vec<(_, LayeredFrame)> = Vec::new();
-        for (contender, Candidate { coder, .. }) in &mut coders {
+        for (contender, Candidate { coder, seen, .. }) in &mut coders {
             let layering = contender.layering();
             if frames.iter().all(|(of, _)| *of != layering) {
                 // A frame is referred to by its number.
@@ -210,8 +247,15 @@ pub(super) fn measure(
                 frames.push((layering, renderer.generate(header, layering)?));
             }
             if let Some((_, frame)) = frames.iter().find(|(of, _)| *of == layering) {
-                coder.push(i, frame, is_kept)?;
+                let decoded = coder.push(i, frame, is_kept)?;
+                if let (Some(decoded), Some(truths)) = (decoded, truths.get(&i)) {
+                    seen.add(distortion_of(scene.judge.backend, &scene.judge.bounds, truths, decoded)?);
+                }
             }
+        }
+        if !lags {
+            // Pictures of all frames would be gigabytes.
+            truths.clear();
         }
     }
     let mut rows: Vec<SequenceRow> = Vec::with_capacity(coders.len());
@@ -226,27 +270,17 @@ pub(super) fn measure(
 fn row(
     scene: &Scene<'_>,
     contender: &Contender,
-    Candidate { settings, is_predicted, coder }: Candidate<'_>,
+    Candidate { settings, is_predicted, coder, mut seen }: Candidate<'_>,
     before: Option<&SequenceRow>,
     truths: &Truths,
 ) -> Result<SequenceRow, BenchError> {
     let sequence = scene.sequence;
     let coded = coder.finish()?;
-    let mut distortion: Vec<Distortion> = Vec::new();
-    let mut num = 0.0;
     for (i, frame) in coded.kept {
-        let Some(truths) = truths.get(&i).filter(|_| sequence.is_moving(i)) else { continue };
-        let of_frame = distortion_of(scene.judge.backend, &scene.judge.bounds, truths, frame)?;
-        num += 1.0;
-        if distortion.is_empty() {
-            distortion = of_frame;
-            continue;
-        }
-        for (mean, one) in distortion.iter_mut().zip(of_frame) {
-            mean.dssim += (one.dssim - mean.dssim) / num;
-            mean.psnr_db += (one.psnr_db - mean.psnr_db) / num;
-        }
+        let Some(truths) = truths.get(&i) else { continue };
+        seen.add(distortion_of(scene.judge.backend, &scene.judge.bounds, truths, frame)?);
     }
+    let distortion = seen.distortion;
     let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len().max(1) as f64;
     let mean_if_any = |all: &[f64]| (!all.is_empty()).then(|| mean(all));
     let of = |all: &[f64], is_wanted: &dyn Fn(u32) -> bool| -> Vec<f64> {
@@ -323,6 +357,7 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
         settings,
         is_predicted: false,
         coder: Box::new(Alone { contender, judge, at, coded: CodedSequence::default() }),
+        seen: Seen::default(),
     };
     match &contender.way {
         Way::Product(settings) => {
@@ -334,7 +369,7 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
             for (name, coding) in settings.iter().filter(|(_, coding)| is_taken(coding)) {
                 for (is_predicted, settings) in [(false, name.clone()), (true, format!("{name}, inter"))] {
                     let coder = Box::new(InBlocks::new(*coding, is_predicted, judge.pool));
-                    all.push(Candidate { settings, is_predicted, coder });
+                    all.push(Candidate { settings, is_predicted, coder, seen: Seen::default() });
                 }
             }
             if all.is_empty() {
@@ -351,7 +386,8 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
             #[cfg(feature = "rivals")]
             if contender.name == super::contenders::AVIF {
                 let coder = Box::new(video::Video::new(middle));
-                let video = Candidate { settings: "middle, inter".to_owned(), is_predicted: true, coder };
+                let settings = "middle, inter".to_owned();
+                let video = Candidate { settings, is_predicted: true, coder, seen: Seen::default() };
                 return vec![of_planes, video];
             }
             vec![of_planes]
@@ -369,13 +405,15 @@ struct Alone<'a> {
 }
 
 impl Coder for Alone<'_> {
-    fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
+    fn push(
+        &mut self,
+        _: u32,
+        frame: &LayeredFrame,
+        is_kept: bool,
+    ) -> Result<Option<LayeredFrame>, BenchError> {
         let (bytes, decoded) = self.judge.code(self.contender, frame, self.at)?;
         self.coded.bytes.push(bytes);
-        if is_kept {
-            self.coded.kept.insert(i, decoded);
-        }
-        Ok(())
+        Ok(is_kept.then_some(decoded))
     }
 
     fn finish(self: Box<Self>) -> Result<CodedSequence, BenchError> {
@@ -401,119 +439,33 @@ impl<'a> InBlocks<'a> {
 }
 
 impl Coder for InBlocks<'_> {
-    fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
+    fn push(
+        &mut self,
+        _: u32,
+        frame: &LayeredFrame,
+        is_kept: bool,
+    ) -> Result<Option<LayeredFrame>, BenchError> {
         let before = self.references.newest().filter(|_| self.is_predicted).cloned();
         let encode = || timed(|| Ok(self.coding.encode(frame, before.as_deref())?));
         let ((encoded, reference), ms) = self.pool.install(encode)?;
         self.coded.bytes.push(encoded.num_bytes());
         self.coded.encode_ms.push(ms);
+        let mut kept = None;
         if is_kept {
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
             let decode = || timed(|| Ok(codec::assemble(&chunks, &self.references)?.to_frame()));
             let (decoded, ms) = self.pool.install(decode)?;
-            self.coded.kept.insert(i, decoded);
+            kept = Some(decoded);
             self.coded.decode_ms.push(ms);
         }
         if let Some(reference) = reference {
             self.references.insert(reference);
         }
-        Ok(())
+        Ok(kept)
     }
 
     fn finish(self: Box<Self>) -> Result<CodedSequence, BenchError> {
         Ok(self.coded)
-    }
-}
-
-#[cfg(feature = "rivals")]
-mod video {
-    use super::super::av1::{Av1, Kind, Picture, QUANTIZERS, Stream};
-    use super::super::contenders::{AVIF_SPEED, ladder};
-    use super::super::layout::{Layout, Part};
-    use super::super::raster::{ImageCodec, Raster};
-    use super::*;
-
-    /// Planes as videos.
-    pub(super) struct Video {
-        codec: Av1,
-        at: [usize; 3],
-        /// By part and plane.
-        streams: [Vec<Stream>; 3],
-        /// Planes of kept frames, by frame.
-        planes: BTreeMap<u32, Kept>,
-        bytes: Vec<usize>,
-    }
-
-    struct Kept {
-        header: FrameHeader,
-        parts: [Vec<Option<Raster>>; 3],
-    }
-
-    impl Video {
-        /// Settings of the parts as in a search.
-        pub(super) fn new(at: [usize; 3]) -> Self {
-            Self {
-                codec: Av1 { speed: AVIF_SPEED },
-                at,
-                streams: Default::default(),
-                planes: BTreeMap::new(),
-                bytes: Vec::new(),
-            }
-        }
-
-        fn take(&mut self, part: usize, plane: usize, pictures: Vec<Picture>) {
-            for picture in pictures {
-                let i = picture.index as usize;
-                if let Some(bytes) = self.bytes.get_mut(i) {
-                    *bytes += picture.bytes;
-                }
-                if let Some(kept) = self.planes.get_mut(&(i as u32)) {
-                    kept.parts[part][plane] = picture.decoded;
-                }
-            }
-        }
-    }
-
-    impl Coder for Video {
-        fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool) -> Result<(), BenchError> {
-            self.bytes.push(0);
-            for (p, part) in Part::ALL.into_iter().enumerate() {
-                let (divisor, level) = ladder(Layout::Weighted, part, QUANTIZERS.len(), false)[self.at[p]];
-                let rasters = Layout::Weighted.split(frame, part, self.codec.max_bits(), divisor);
-                if self.streams[p].is_empty() {
-                    let open = |r| Stream::new(r, AVIF_SPEED, QUANTIZERS[level], Kind::Sequence);
-                    self.streams[p] = rasters.iter().map(open).collect::<Result<_, _>>()?;
-                }
-                if is_kept {
-                    let none = || std::array::from_fn(|_| Vec::new());
-                    let kept = Kept { header: frame.header, parts: none() };
-                    self.planes.entry(i).or_insert(kept).parts[p] = vec![None; rasters.len()];
-                }
-                for (plane, raster) in rasters.iter().enumerate() {
-                    let pictures = self.streams[p][plane].push(raster)?;
-                    self.take(p, plane, pictures);
-                }
-            }
-            Ok(())
-        }
-
-        fn finish(mut self: Box<Self>) -> Result<CodedSequence, BenchError> {
-            for part in 0..3 {
-                for plane in 0..self.streams[part].len() {
-                    let pictures = self.streams[part][plane].finish()?;
-                    self.take(part, plane, pictures);
-                }
-            }
-            let mut kept = BTreeMap::new();
-            for (i, frame) in self.planes {
-                let parts: Option<Vec<Vec<Raster>>> =
-                    frame.parts.into_iter().map(|planes| planes.into_iter().collect()).collect();
-                if let Some([color, opacity, depth]) = parts.as_deref() {
-                    kept.insert(i, Layout::Weighted.join(frame.header, color, opacity, depth));
-                }
-            }
-            Ok(CodedSequence { bytes: self.bytes, kept, ..CodedSequence::default() })
-        }
     }
 }
 

@@ -48,6 +48,9 @@ pub fn table(report: &CodecReport) -> String {
     let clock =
         report.conditions.clock_mhz.map_or_else(String::new, |mhz| format!(", cycles at {mhz:.0} MHz"));
     text += &format!("\ntimes are those of {threads}{clock}\n");
+    if report.conditions.anchor.is_none() {
+        text += "\nno BD-rates: no codec is measured that others are compared with; --anchor names one\n";
+    }
     if let Some(anchor) = &report.conditions.anchor {
         text += &format!(
             "\nBD-rate over DSSIM against {anchor}, percent of bytes at the same picture; mid: in the middle of both curves\n{:<12} {:>4} {:<18}{}{}\n",

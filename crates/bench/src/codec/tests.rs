@@ -24,7 +24,7 @@ pub(super) fn frame(layering: Layering, k: u8) -> LayeredFrame {
 
 fn options(codecs: &[&str]) -> CodecOptions {
     let subject = Subject {
-        scenes: vec![SceneSource { name: "shells".into(), source: "builtin:shells@32".into() }],
+        scenes: vec![SceneSource::new("shells", "builtin:shells@32")],
         transfer: None,
         ks: vec![2, 4],
         angles_degrees: vec![0.0, 10.0],
@@ -34,12 +34,12 @@ fn options(codecs: &[&str]) -> CodecOptions {
         mode: Default::default(),
         isos: Default::default(),
         clip: Default::default(),
-        backend: BackendChoice::Cpu,
     };
     CodecOptions {
         subject,
         codecs: codecs.iter().map(|c| (*c).to_owned()).collect(),
         anchor: Some(codecs[0].to_owned()),
+        backend: BackendChoice::Cpu,
         list_scales: vec![1.0],
         turns_deg: vec![None],
         sequence: Some(SequenceOptions { degrees_per_second: 30.0, frames: 5, stops: true, compared: 2 }),
@@ -121,10 +121,61 @@ fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves()
 }
 
 #[test]
-fn an_anchor_that_is_not_measured_is_refused() {
-    let options = CodecOptions { anchor: Some("webp".into()), ..options(&["exact", "raw-zstd"]) };
-    let error = run(&options).unwrap_err().to_string();
+fn an_anchor_is_measured_in_any_case_and_one_that_is_none_refused() {
+    let anchored = |anchor: Option<&str>, codecs: &[&str]| {
+        let options = CodecOptions { anchor: anchor.map(str::to_owned), ..options(codecs) };
+        let names = contenders_of(&options)?.iter().map(|c| c.name).collect::<Vec<_>>();
+        Ok::<_, BenchError>((names, super::anchor(&options, &contenders_of(&options)?)))
+    };
+    assert_eq!(
+        anchored(Some("raw-zstd"), &["exact"]).unwrap(),
+        (vec!["exact", "raw-zstd"], Some("raw-zstd"))
+    );
+    let planes = ["blocks", "blocks-planes"];
+    assert_eq!(anchored(None, &planes).unwrap(), (planes.to_vec(), Some("blocks-planes")));
+    assert_eq!(anchored(None, &["exact"]).unwrap().1, None);
+    let error = anchored(Some("webp"), &["exact"]).unwrap_err().to_string();
     assert!(error.contains("webp") && error.contains("raw-zstd"), "{error}");
+}
+
+#[test]
+fn projections_are_left_to_codecs_that_take_them() {
+    let mut options = CodecOptions { codecs: vec![], anchor: None, ..options(&["exact"]) };
+    options.subject.mode = isinglass_core::mode::Mode::Mip;
+    let names = |options: &CodecOptions| {
+        contenders_of(options).map(|all| all.iter().map(|c| c.name).collect::<Vec<_>>())
+    };
+    let taken = names(&options).unwrap();
+    assert!(taken.starts_with(&["exact", "raw-zstd"]) && !taken.contains(&"blocks"), "{taken:?}");
+    options.codecs = vec!["blocks".into()];
+    let refused = names(&options).unwrap_err().to_string();
+    assert!(refused.contains("blocks") && refused.contains("mip"), "{refused}");
+    options.subject.mode = Default::default();
+    assert_eq!(names(&options).unwrap(), ["blocks"]);
+    options.codecs = vec!["png-published".into()];
+    options.list_scales = vec![0.5];
+    assert!(names(&options).is_err());
+}
+
+#[test]
+fn a_plot_tells_apart_all_lines_and_shows_a_single_point() {
+    let mut options = CodecOptions { sequence: None, ..options(&["raw-zstd"]) };
+    options.subject.ks = vec![4];
+    let mut report = run(&options).unwrap();
+    let point = report.points[0].clone();
+    const NAMES: [&str; 12] = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l"];
+    report.points.extend(NAMES.map(|codec| Point { codec, ..point.clone() }));
+    let plot = svg(&report).unwrap();
+    for name in NAMES {
+        assert!(plot.contains(&format!("{name}, K = 4")), "{name}");
+    }
+    let centers: Vec<&str> = plot.split("cx=\"").skip(1).map(|s| s.split('"').next().unwrap()).collect();
+    let (left, right) = (80, 530);
+    assert!(!centers.is_empty());
+    for center in centers {
+        let x = center.parse::<i32>().unwrap() % 560;
+        assert!((left..right).contains(&x), "a lone point lies at the edge: {x}");
+    }
 }
 
 #[test]

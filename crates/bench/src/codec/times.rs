@@ -66,7 +66,7 @@ pub(super) fn measure(
 ) -> Result<Vec<TimeRow>, BenchError> {
     let mut frames = Vec::with_capacity(FRAMES as usize);
     for i in 0..FRAMES {
-        let turned = options.subject.orbit.turned((i as f64 * DEGREES_PER_SECOND / FRAME_RATE_HZ) as f32);
+        let turned = judge.orbit.turned((i as f64 * DEGREES_PER_SECOND / FRAME_RATE_HZ) as f32);
         let camera = turned.camera(options.subject.intrinsics, &judge.bounds);
         // A frame is referred to by its number.
         let header = FrameHeader { frame: FrameId(i + 1), ..FrameHeader::alone(camera, k) };
@@ -80,7 +80,7 @@ pub(super) fn measure(
     let mut rows: Vec<TimeRow> = Vec::new();
     for round in 0..wanted.rounds {
         progress.advance(
-            0,
+            1,
             &format!("{}: K = {k}, times, round {} of {}", source.name, round + 1, wanted.rounds),
         );
         let mut at = 0;

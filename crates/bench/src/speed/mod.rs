@@ -8,29 +8,23 @@
 mod targets;
 mod tasks;
 
-use isinglass_core::camera::Intrinsics;
-use isinglass_core::clip::Clip;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
-use isinglass_core::mode::{Isos, Mode};
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use crate::choices::MethodChoice;
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::scenes::SceneSource;
-use crate::view::Orbit;
+use crate::subject::{Subject, SubjectConditions};
 
 pub use targets::TargetRow;
 
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct SpeedOptions {
-    /// The scenes, see [`crate::scenes::select`].
-    pub scenes: Vec<SceneSource>,
-    /// Preset or file for all scenes; none: the one that suits each.
-    pub transfer: Option<String>,
+    /// What is looked at; the novel views are turned by its angles.
+    pub subject: Subject,
     /// Backends to compare.
     pub backends: Vec<BackendChoice>,
     /// Layering rules.
@@ -39,24 +33,8 @@ pub struct SpeedOptions {
     pub methods: Vec<MethodChoice>,
     /// How the ray cast reads lists.
     pub reconstructions: Vec<Reconstruction>,
-    /// List lengths.
-    pub ks: Vec<u8>,
-    /// The generating camera.
-    pub orbit: Orbit,
-    /// The novel views are turned by so much azimuth.
-    pub angles_degrees: Vec<f32>,
-    /// Picture size, field of view.
-    pub intrinsics: Intrinsics,
     /// Frame sizes: columns and rows of lists.
     pub frame_sizes: Vec<[u32; 2]>,
-    /// Whether gradients shade.
-    pub shaded: bool,
-    /// What a pixel tells of its ray.
-    pub mode: Mode,
-    /// The surfaces of [`Mode::Iso`].
-    pub isos: Isos,
-    /// What of the volumes is looked at.
-    pub clip: Clip,
     /// Rounds of which the least time counts, after one that does not.
     pub repeats: u32,
     /// Frame rates to be held by a coarser cast.
@@ -78,18 +56,13 @@ pub struct SpeedReport {
 /// What holds for all rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpeedConditions {
-    /// Version of this program.
-    pub version: &'static str,
-    /// Columns and rows of the pictures.
-    pub size: [u32; 2],
-    /// Whether gradients shade.
-    pub shading: bool,
+    /// What holds for any table of pictures.
+    #[serde(flatten)]
+    pub subject: SubjectConditions,
     /// Rounds that count.
     pub repeats: u32,
     /// What of them is told.
     pub statistic: &'static str,
-    /// Threads of the CPU.
-    pub threads: usize,
 }
 
 /// Milliseconds, with the way of results back to the CPU; those called `gpu`: of the passes alone by the device's own
@@ -102,6 +75,8 @@ pub struct SpeedRow {
     pub dims: [u32; 3],
     /// Where the kernels ran.
     pub backend: String,
+    /// Where the novel view was made: rival methods run on the CPU.
+    pub view_backend: String,
     /// Layering rule, or the rival method that drew the novel view.
     pub method: String,
     /// Rule of the frame.
@@ -167,10 +142,10 @@ pub struct SpeedRow {
 /// Measures.
 pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
     let (mut rows, mut targets) = (Vec::new(), Vec::new());
-    let num_runs = options.backends.len() * options.scenes.len();
+    let num_runs = options.backends.len() * options.subject.scenes.len();
     for &choice in &options.backends {
         let backend = Backend::open(choice)?;
-        for source in &options.scenes {
+        for source in &options.subject.scenes {
             // A step for each round and one for the preparation, and one for the targets.
             let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
             progress.begin(&format!("{} on {}", source.name, backend.description()));
@@ -189,12 +164,9 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
         }
     }
     let conditions = SpeedConditions {
-        version: env!("CARGO_PKG_VERSION"),
-        size: [options.intrinsics.width, options.intrinsics.height],
-        shading: options.shaded,
+        subject: options.subject.conditions(rayon::current_num_threads()),
         repeats: options.repeats,
         statistic: "least of the rounds; all tasks of a scene and backend take turns",
-        threads: rayon::current_num_threads(),
     };
     Ok(SpeedReport { conditions, rows, targets })
 }
@@ -247,7 +219,11 @@ pub fn table(report: &SpeedReport) -> String {
             r.fps,
             r.ssim,
             r.bytes,
-            r.backend
+            if r.view_backend == r.backend {
+                r.backend.clone()
+            } else {
+                format!("{}; view: {}", r.backend, r.view_backend)
+            }
         );
     }
     if !report.targets.is_empty() {

@@ -8,20 +8,19 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::codec;
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::empty_space::EmptySpace;
-use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_formats::OpenOptions;
 use isinglass_gpu::{Backend, Renderer};
 
 use super::{SpeedOptions, SpeedRow};
 use crate::choices::{Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
-use crate::quality::{black_srgb8, march_settings};
+use crate::quality::black_srgb8;
 use crate::rivals::{Method, Views};
-use crate::scenes::{SceneSource, open_scene};
+use crate::scenes::SceneSource;
+use crate::view::Orbit;
 
 /// Everything that takes turns.
 pub(super) struct Tasks<'a> {
@@ -29,6 +28,7 @@ pub(super) struct Tasks<'a> {
     pub(super) options: &'a SpeedOptions,
     bounds: Aabb,
     dims: [u32; 3],
+    orbit: Orbit,
     renderer: Renderer,
     /// Turned cameras, as many as angles.
     pub(super) turned: Vec<Camera>,
@@ -49,6 +49,12 @@ pub(super) struct MadeFrame {
 impl MadeFrame {
     pub(super) fn k(&self) -> u8 {
         self.header.k
+    }
+
+    /// Columns and rows of lists.
+    pub(super) fn size(&self) -> [u32; 2] {
+        let intrinsics = self.header.camera.intrinsics;
+        [intrinsics.width, intrinsics.height]
     }
 }
 
@@ -99,23 +105,19 @@ impl<'a> Tasks<'a> {
         options: &'a SpeedOptions,
         source: &SceneSource,
     ) -> Result<Self, BenchError> {
-        let (clip, mode, isos) = (options.clip, options.mode, options.isos);
-        let settings = MarchSettings { clip, mode, isos, ..march_settings(options.shaded) };
-        let transfer = options.transfer.as_deref();
-        let opened = open_scene(&source.source, transfer, settings, &OpenOptions::default())?;
+        let subject = &options.subject;
+        let opened = subject.open(source)?;
+        let orbit = subject.orbit(&opened.scene.volume);
         let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());
         let mut renderer = backend.renderer(opened.scene)?;
-        let turned: Vec<Camera> = options
-            .angles_degrees
-            .iter()
-            .map(|&a| options.orbit.turned(a).camera(options.intrinsics, &bounds))
-            .collect();
+        let turned = |&angle: &f32| orbit.turned(angle).camera(subject.intrinsics, &bounds);
+        let turned: Vec<Camera> = subject.angles_degrees.iter().map(turned).collect();
         let (mut frames, mut views) = (Vec::new(), Vec::new());
         let rules: Vec<Rule> = options.layerings.iter().map(|&l| Rule::Layering(l)).collect();
         for &[width, height] in &options.frame_sizes {
-            let camera = options.orbit.camera(Intrinsics { width, height, ..options.intrinsics }, &bounds);
-            for (rule, methods) in methods_by_rule(&rules, &options.methods) {
-                for k in rule.ks(&options.ks) {
+            let camera = orbit.camera(Intrinsics { width, height, ..subject.intrinsics }, &bounds);
+            for (rule, methods) in methods_by_rule(&rules, &options.methods, subject.mode) {
+                for k in rule.ks(&subject.ks) {
                     let header = FrameHeader::alone(camera, k);
                     let frame = rule.generate(&mut renderer, header)?;
                     let encoded = codec::encode(&frame, &codec::Settings::default())?;
@@ -133,6 +135,7 @@ impl<'a> Tasks<'a> {
             options,
             bounds,
             dims,
+            orbit,
             renderer,
             turned,
             frames,
@@ -189,11 +192,12 @@ impl<'a> Tasks<'a> {
 
     fn run(&mut self, task: Task) -> Result<Time, BenchError> {
         let backend = self.backend;
-        let Self { renderer, turned, frames, views, options, bounds, .. } = self;
+        let Self { renderer, orbit, turned, frames, views, options, bounds, .. } = self;
         match task {
             Task::Render(angle) => timed(backend, || Ok(renderer.render(&turned[angle])?)),
             Task::Through([width, height]) => {
-                let camera = options.orbit.camera(Intrinsics { width, height, ..options.intrinsics }, bounds);
+                let intrinsics = Intrinsics { width, height, ..options.subject.intrinsics };
+                let camera = orbit.camera(intrinsics, bounds);
                 timed(backend, || Ok(renderer.render_through(&camera)?))
             }
             Task::Generate(i) => {
@@ -214,7 +218,9 @@ impl<'a> Tasks<'a> {
                     skips_empty_space,
                     ..CastOptions::default()
                 };
-                timed(backend, || views[i].views.view_with(&turned[angle], &cast))
+                timed(view_backend(backend, views[i].method), || {
+                    views[i].views.view_with(&turned[angle], &cast)
+                })
             }
         }
     }
@@ -268,8 +274,7 @@ impl<'a> Tasks<'a> {
         let shown = self.views[i].views.view_with(&self.turned[angle], &cast)?;
         let error = error_between(&shown, truth)?;
         let made = &self.frames[of];
-        let size = made.header.camera.intrinsics;
-        let frame_size = [size.width, size.height];
+        let frame_size = made.size();
         // Every task has run; an infinite time would show a mistake.
         let time =
             |task: Task| self.least.get(&task).copied().unwrap_or(Time { wall: f64::INFINITY, gpu: None });
@@ -282,12 +287,13 @@ impl<'a> Tasks<'a> {
             scene: source.name.clone(),
             dims: self.dims,
             backend: self.backend.description(),
+            view_backend: view_backend(self.backend, method).description(),
             method: method.name_on(made.rule).to_owned(),
             layering: made.rule.name(),
             reconstruction: reconstruction.map(reconstruction_name),
             k: made.k(),
             frame_size,
-            angle_deg: self.options.angles_degrees[angle],
+            angle_deg: self.options.subject.angles_degrees[angle],
             render_ms: render.wall,
             render_gpu_ms: render.gpu,
             render_through_ms: through.wall,
@@ -303,9 +309,9 @@ impl<'a> Tasks<'a> {
             novel_view_no_grid_gpu_ms: no_grid.and_then(|t| t.gpu),
             fps: 1e3 / view.best(),
             render_fps: 1e3 / render.best(),
-            view_over_render: view.best() / render.best(),
-            generate_over_through: generate.best() / through.best(),
-            grid_gain: no_grid.map(|t| 1.0 - view.best() / t.best()),
+            view_over_render: ratio(view, render),
+            generate_over_through: ratio(generate, through),
+            grid_gain: no_grid.map(|t| 1.0 - ratio(view, t)),
             empty_share: EmptySpace::new(&made.frame).empty_share(),
             ssim: error.ssim,
             dssim: error.dssim,
@@ -314,6 +320,16 @@ impl<'a> Tasks<'a> {
             segments_total: made.frame.num_segments(),
         })
     }
+}
+
+/// Where a method makes its views: only the ray cast runs on GPUs.
+fn view_backend(backend: &Backend, method: Method) -> &Backend {
+    if method == Method::Layers { backend } else { &Backend::Cpu }
+}
+
+/// One time in units of another: by the device's clock where both have it.
+fn ratio(of: Time, to: Time) -> f64 {
+    of.gpu.zip(to.gpu).map_or(of.wall / to.wall, |(of, to)| of / to)
 }
 
 /// Two pictures of one size on black.

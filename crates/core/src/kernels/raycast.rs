@@ -335,7 +335,8 @@ impl Raycaster {
             if !options.skips_empty_space
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
-                let stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                let mut stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                stretch.prefer_nearer(sum.transmittance());
                 // The lists that may have a segment there.
                 let mut num_met = 0;
                 let mut met = [Met::default(); 2 * LANES];

@@ -116,7 +116,7 @@ impl PoseRequest {
         let side = 1..=MAX_SIDE;
         if self.id.0 == 0 {
             Err(PoseError::Field("id"))
-        } else if !self.pose.is_valid() || self.pose.eye.abs().max_element() > MAX_COORDINATE {
+        } else if !self.pose.is_valid() {
             Err(PoseError::Value("pose"))
         } else if !side.contains(&i.width) || !side.contains(&i.height) {
             Err(PoseError::Value("size"))
@@ -134,8 +134,6 @@ impl PoseRequest {
 pub const POSE_BYTES: usize = 56;
 /// As far as two directions can be apart.
 pub const MAX_SHOWN_TURN_DEG: u8 = 180;
-/// Farthest an eye may be from the origin: squares of it are still finite single-precision numbers.
-const MAX_COORDINATE: f32 = 1e15;
 /// First byte of a pose datagram.
 const KIND: u8 = 1;
 

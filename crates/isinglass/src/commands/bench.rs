@@ -11,8 +11,9 @@ use clap::{Args, Subcommand};
 use isinglass_bench::choices::{MethodChoice, Rule, parse_reconstruction};
 use isinglass_bench::demo::DemoOptions;
 use isinglass_bench::latency::LatencyMethod;
-use isinglass_bench::output::{exit_between_writes, write_whole};
+use isinglass_bench::output::{check_writable, exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
+use isinglass_bench::scenes::distinct;
 use isinglass_bench::subject::Subject;
 use isinglass_bench::view::Orbit;
 use isinglass_bench::{codec as codecs, latency, quality, scenes, speed};
@@ -22,13 +23,14 @@ use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::look::DEFAULT_K;
+use isinglass_formats::VolumeSource;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PathArgs, PlanArgs, Switch, parse_duration,
-    parse_fov, parse_k, parse_output, parse_size,
+    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
+    Switch, parse_duration, parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -53,8 +55,8 @@ enum Table {
 /// What all tables have in common.
 #[derive(Args)]
 struct CommonArgs {
-    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a volume or a built-in volume
-    /// [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
+    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
+    /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
     #[arg(value_name = "SCENE", help_heading = None::<&'static str>)]
     scenes: Vec<String>,
     /// Columns and rows of pictures, and of frames if nothing else is said
@@ -63,7 +65,7 @@ struct CommonArgs {
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
     fov: f32,
-    /// Generating camera: azimuth and elevation in degrees, distance in radii
+    /// Generating camera: azimuth and elevation in degrees, distance in radii, as for render
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     /// As JSON
@@ -75,6 +77,10 @@ struct CommonArgs {
     // Last: what follows would be listed under their headings.
     #[command(flatten)]
     look: LookArgs,
+    #[command(flatten)]
+    part: PartArgs,
+    #[command(flatten)]
+    raw: RawArgs,
 }
 
 impl CommonArgs {
@@ -88,32 +94,45 @@ impl CommonArgs {
         for skipped in &selection.skipped {
             note(&format!("skipped {skipped}"));
         }
-        Ok(selection.scenes)
+        let mut scenes = selection.scenes;
+        for scene in &mut scenes {
+            let (raw, selection, spacing) = (self.raw.shape(), self.part.selection(), self.part.spacing);
+            scene.volume = VolumeSource { raw, selection, spacing, ..scene.volume.clone() };
+            // What cannot be opened is refused before hours of measuring.
+            scene.check()?;
+        }
+        Ok(scenes)
     }
 
     /// What is looked at.
-    fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>, backend: BackendChoice) -> Result<Subject> {
+    fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         let (mode, isos) = self.look.mode()?;
         Ok(Subject {
             scenes: self.select()?,
             transfer: self.look.tf.clone(),
-            ks,
-            angles_degrees,
+            ks: distinct(ks),
+            angles_degrees: distinct(angles_degrees),
             orbit: self.orbit,
             intrinsics: self.intrinsics(),
             shaded: self.look.is_shaded(),
             mode,
             isos,
             clip: self.look.clip.clip(),
-            backend,
         })
     }
 
+    /// Refuses a file that cannot be written to.
+    fn check_output(&self) -> Result<()> {
+        self.output.iter().try_for_each(|path| Ok(check_writable(path)?))
+    }
+
+    /// Prints, then writes: what was measured is not lost with a file.
     fn publish(&self, report: &impl Serialize, table: &str) -> Result<()> {
+        let printed = if self.json { print_json(report) } else { print(table) };
         if let Some(path) = &self.output {
             write_whole(path, (serde_json::to_string_pretty(report)? + "\n").as_bytes())?;
         }
-        if self.json { print_json(report) } else { print(table) }
+        printed
     }
 }
 
@@ -226,7 +245,8 @@ struct CodecArgs {
     /// and avifdec are installed [default: all]
     #[arg(long, value_name = "CODEC", value_delimiter = ',')]
     codec: Vec<String>,
-    /// The codec that others are compared with by BD-rate [default: jpeg2000-published, if it is measured]
+    /// The codec that others are compared with by BD-rate [default: jpeg2000-published in a build
+    /// with --features rivals, or else blocks-planes]
     #[arg(long, value_name = "CODEC")]
     anchor: Option<String>,
     /// Most segments a pixel, or for rules with a budget their mean, between commas
@@ -307,12 +327,14 @@ fn exit_on_interrupt() -> Result<()> {
 
 fn run_quality(args: QualityArgs) -> Result<()> {
     let common = args.common;
+    common.check_output()?;
     let [width, height] = args.frame_size.unwrap_or(common.size);
     let report = quality::run(&quality::QualityOptions {
-        subject: common.subject(args.cast.k, args.angles, args.backend.backend)?,
+        subject: common.subject(args.cast.k, args.angles)?,
         rules: args.layering,
         methods: args.cast.method,
-        reconstructions: args.cast.reconstruction,
+        reconstructions: distinct(args.cast.reconstruction),
+        backend: args.backend.backend,
         frame_intrinsics: Intrinsics { width, height, ..common.intrinsics() },
         codec: codec::Settings::default(),
         measures_wire: args.wire == Switch::On,
@@ -326,45 +348,44 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         bail!("--method {choice}: no codec takes such frames, expected a rule that `layers` knows");
     }
     // First: what is refused opens no device.
-    let scenes = common.select()?;
-    let mut backends = args.backend;
+    common.check_output()?;
+    let subject = common.subject(args.cast.k, args.angles)?;
+    let mut backends = distinct(args.backend);
     if backends.is_empty() {
         backends.push(BackendChoice::Cpu);
         if let Ok(Backend::Gpu(_)) = Backend::open(BackendChoice::Gpu) {
             backends.push(BackendChoice::Gpu);
         }
     }
-    let (mode, isos) = common.look.mode()?;
+    let frame_sizes = if args.frame_size.is_empty() { vec![common.size] } else { args.frame_size };
     let report = speed::run(&speed::SpeedOptions {
-        scenes,
-        transfer: common.look.tf.clone(),
+        subject,
         backends,
         layerings: args.layering,
         methods: args.cast.method,
-        reconstructions: args.cast.reconstruction,
-        ks: args.cast.k,
-        orbit: common.orbit,
-        angles_degrees: args.angles,
-        intrinsics: common.intrinsics(),
-        frame_sizes: if args.frame_size.is_empty() { vec![common.size] } else { args.frame_size },
-        shaded: common.look.is_shaded(),
-        mode,
-        isos,
-        clip: common.look.clip.clip(),
+        reconstructions: distinct(args.cast.reconstruction),
+        frame_sizes: distinct(frame_sizes),
         repeats: args.repeats,
-        target_fps: args.target_fps,
+        target_fps: distinct(args.target_fps),
     })?;
     common.publish(&report, &speed::table(&report))
 }
 
 fn run_latency(args: LatencyArgs) -> Result<()> {
     let common = args.common;
+    common.check_output()?;
+    let path = args.path.read()?;
+    let mut speeds = distinct(args.speed);
+    if path.is_some() && speeds.len() > 1 {
+        note("a path is played as it was recorded, at its own speed");
+        speeds.truncate(1);
+    }
     let (mode, isos) = common.look.mode()?;
     let report = latency::run(&latency::LatencyOptions {
         scenes: common.select()?,
-        methods: args.method,
-        degrees_per_second: args.speed,
-        rtts: args.rtt,
+        methods: distinct(args.method),
+        degrees_per_second: speeds,
+        rtts: distinct(args.rtt),
         out: args.out,
         demo: DemoOptions {
             transfer: common.look.tf.clone(),
@@ -375,7 +396,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             layering: args.layering.layering,
             k: args.layering.k,
             orbit: common.orbit,
-            path: args.path.read()?,
+            path,
             foresight: args.foresight.foresight(),
             intrinsics: common.intrinsics(),
             backend: args.backend.backend,
@@ -390,12 +411,20 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
 
 fn run_codec(args: CodecArgs) -> Result<()> {
     let common = args.common;
+    common.check_output()?;
+    if let Some(plot) = &args.plot {
+        if common.output.as_ref() == Some(plot) {
+            bail!("--plot and --output: expected two files, found {} twice", plot.display());
+        }
+        check_writable(plot)?;
+    }
     let report = codecs::run(&codecs::CodecOptions {
-        subject: common.subject(args.k, args.angles, args.backend.backend)?,
+        subject: common.subject(args.k, args.angles)?,
         codecs: args.codec,
         anchor: args.anchor,
-        list_scales: args.list_scale,
-        turns_deg: args.seen_at.into_iter().map(|SeenAt(turn_deg)| turn_deg).collect(),
+        backend: args.backend.backend,
+        list_scales: distinct(args.list_scale),
+        turns_deg: distinct(args.seen_at.into_iter().map(|SeenAt(turn_deg)| turn_deg)),
         sequence: args.turn.map(|degrees_per_second| codecs::SequenceOptions {
             degrees_per_second,
             frames: args.frames,
@@ -403,12 +432,13 @@ fn run_codec(args: CodecArgs) -> Result<()> {
             compared: args.compared,
         }),
         times: (!args.threads.is_empty())
-            .then_some(codecs::TimeOptions { threads: args.threads, rounds: args.repeats }),
+            .then_some(codecs::TimeOptions { threads: distinct(args.threads), rounds: args.repeats }),
     })?;
-    if let Some(path) = &args.plot {
-        write_whole(path, codecs::svg(&report)?.as_bytes())?;
+    common.publish(&report, &codecs::table(&report))?;
+    match &args.plot {
+        Some(path) => Ok(write_whole(path, codecs::svg(&report)?.as_bytes())?),
+        None => Ok(()),
     }
-    common.publish(&report, &codecs::table(&report))
 }
 
 /// As many as a large machine has.

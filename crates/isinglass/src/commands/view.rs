@@ -1,5 +1,6 @@
 //! `view`: the viewer on a server's link, on a volume of this machine, or with a page to choose one.
 
+use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -28,8 +29,8 @@ use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
-    /// The link that `serve` printed, quoted in a shell; or a volume of this machine, as for `serve` [default: a page to choose
-    /// one]
+    /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the list of
+    /// processes; or a volume of this machine, as for `serve` [default: a page to choose one]
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]
@@ -77,17 +78,22 @@ pub(crate) struct ViewerArgs {
 enum Target {
     Server(Link),
     Volume(String),
+    Input,
 }
 
 /// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away later, and
 /// whatever is chosen in the window, is told there.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
-    let of_link = match &args.target {
+    let target = match args.target {
+        Some(Target::Input) => Some(Target::Server(read_link(io::stdin().lock())?)),
+        target => target,
+    };
+    let of_link = match &target {
         Some(Target::Server(link)) => link.state.as_deref(),
-        Some(Target::Volume(_)) | None => None,
+        _ => None,
     };
     let seen = args.state.read_or(of_link, given)?;
-    let target = match (args.target, seen.link()) {
+    let target = match (target, seen.link()) {
         (None, Some(link)) => Some(Target::Server(link.context("the link of the state's volume")?)),
         (target, _) => target,
     };
@@ -148,7 +154,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
             Some(seen.volume(&volume)?.volume_source()?.request(limit))
         }
-        None => None,
+        Some(Target::Input) | None => None,
     };
     match request {
         Some(request) => {
@@ -203,8 +209,18 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     Ok((client, waker))
 }
 
+/// The link in the first line of a text.
+fn read_link(text: impl BufRead) -> Result<Link> {
+    let mut line = String::new();
+    text.take(LONGEST_LINK).read_line(&mut line).context("standard input")?;
+    line.trim().parse().context("standard input")
+}
+
 /// Whatever is no volume is read as a link, and told so.
 fn parse_target(text: &str) -> Result<Target, String> {
+    if text == "-" {
+        return Ok(Target::Input);
+    }
     if text.contains("://") {
         return text.parse().map(Target::Server).map_err(|e: LinkError| e.to_string());
     }
@@ -216,5 +232,7 @@ fn parse_target(text: &str) -> Result<Target, String> {
     ))
 }
 
+/// Bytes of standard input that are read for one: a state that it names is bounded by itself.
+const LONGEST_LINK: u64 = 1 << 20;
 /// Longer than QUIC tries by itself on a slow link.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(15);

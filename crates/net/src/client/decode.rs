@@ -1,10 +1,12 @@
 //! The decoding thread: takes the newest frame that can be shown, decodes its chunks in parallel and puts it up.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use isinglass_core::codec::blocks::References;
+use isinglass_core::codec::blocks::{Reference, References};
 use isinglass_core::codec::{self, Assembly, CodecError};
+use isinglass_core::layer::LayeredFrame;
 use isinglass_core::session::client::DecodeJob;
 
 use super::{ReceivedFrame, Shared};
@@ -24,24 +26,29 @@ pub(super) fn run(shared: &Shared) {
         if job.is_first {
             assembly = None;
         }
-        match decode(&mut assembly, &job, &references) {
-            Ok(()) => {}
-            Err(e) => {
-                shared.note_broken_chunk(format!("frame {} cannot be decoded: {e}", job.frame));
+        // Even a defect costs a frame only, and not all those to come.
+        let attempt = catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references)));
+        let decoded = match attempt {
+            Ok(decoded) => decoded.map_err(|e| e.to_string()),
+            Err(_) => Err("the decoder has failed".into()),
+        };
+        let decoded = match decoded {
+            Ok(decoded) => decoded,
+            Err(problem) => {
+                shared.note_broken_chunk(format!("frame {} cannot be decoded: {problem}", job.frame));
                 shared.session().handle_broken(job.connection, job.frame);
                 assembly = None;
                 continue;
             }
-        }
-        let Some(assembly) = &assembly else { continue };
-        let (frame, reference) = assembly.to_frame_and_reference();
+        };
+        let Some(Decoded { frame, reference, is_exact }) = decoded else { continue };
         if let Some(reference) = reference {
             references.insert(reference);
         }
         let now = shared.clock.now_micros();
         let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
         let Some(times) = times else { continue };
-        let (is_complete, is_exact) = (job.is_last, assembly.is_exact());
+        let is_complete = job.is_last;
         let received = ReceivedFrame { frame, is_complete, is_exact, times };
         shared.frame.store(Some(Arc::new(received)));
         tracing::trace!(is_complete = job.is_last, "decoded");
@@ -66,14 +73,25 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
     }
 }
 
-/// Adds the job's chunks to the frame, or begins it.
+/// A frame as far as it is there.
+struct Decoded {
+    frame: LayeredFrame,
+    /// If it is all there, and others may be predicted from it.
+    reference: Option<Arc<Reference>>,
+    is_exact: bool,
+}
+
+/// Adds the job's chunks to the frame, or begins it. `None` if there are none.
 fn decode(
     assembly: &mut Option<Assembly>,
     job: &DecodeJob,
     references: &References,
-) -> Result<(), CodecError> {
+) -> Result<Option<Decoded>, CodecError> {
     for chunk in codec::decode_chunks(&job.chunks, references)? {
         assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
     }
-    Ok(())
+    Ok(assembly.as_ref().map(|assembly| {
+        let (frame, reference) = assembly.to_frame_and_reference();
+        Decoded { frame, reference, is_exact: assembly.is_exact() }
+    }))
 }

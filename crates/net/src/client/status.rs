@@ -103,6 +103,8 @@ impl StatusBoard {
         loop {
             let status = self.read();
             match &status.state {
+                // Others are at the door at this moment; it is knocked at again.
+                State::Connecting { problem: Some(ConnectError::Busy), .. } if Instant::now() < deadline => {}
                 State::Connecting { problem: Some(problem), .. } | State::Refused(problem) => {
                     return Err(problem.clone());
                 }

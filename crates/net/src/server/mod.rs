@@ -2,6 +2,7 @@
 
 mod frames;
 mod session;
+mod strangers;
 
 use std::collections::HashMap;
 use std::io;
@@ -16,13 +17,16 @@ use isinglass_core::session::admission::{Admission, ViewerId};
 use isinglass_core::session::server::{CONTROL_PRIORITY, MAX_POSES_PER_SECOND, violation};
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, SendStream, TokioRuntime};
-use tokio::sync::{Notify, Semaphore, mpsc};
+use tokio::sync::{Notify, mpsc};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
 use crate::link::Link;
 use crate::transport;
+
+use strangers::{MAX_STRANGERS, Strangers};
 
 pub use frames::FrameSender;
 pub use session::{ControlSender, Session, SessionClosed};
@@ -88,7 +92,7 @@ struct Shared {
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     /// Connections that have not said who they are.
-    strangers: Semaphore,
+    strangers: Arc<Strangers>,
     /// Told when a place is given back.
     left: Arc<Notify>,
 }
@@ -130,7 +134,7 @@ impl Server {
             options,
             greeting: Mutex::new(greeting.into()),
             doors: Mutex::default(),
-            strangers: Semaphore::new(MAX_STRANGERS),
+            strangers: Arc::default(),
             left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
@@ -225,17 +229,19 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<Shared>, sessions: mpsc::Sen
         let sessions = sessions.clone();
         tokio::spawn(
             async move {
-                let Ok(stranger) = shared.strangers.try_acquire() else {
-                    tracing::warn!("too many connections at once");
+                let Some(mut seat) = shared.strangers.enter(remote.ip(), Instant::now()) else {
                     return incoming.refuse();
                 };
-                match tokio::time::timeout(2 * transport::AUTH_DEADLINE, admit(&shared, incoming)).await {
-                    Ok(Some(admitted)) => {
-                        drop(stranger);
-                        session::run(admitted, sessions).await;
+                let admitted = tokio::select! {
+                    admitted = admit(&shared, incoming) => admitted,
+                    () = seat.is_lost() => return tracing::info!("no hello yet, and others want to come in"),
+                    () = tokio::time::sleep(2 * transport::AUTH_DEADLINE) => {
+                        return tracing::info!("no hello within {:?}", 2 * transport::AUTH_DEADLINE);
                     }
-                    Ok(None) => {}
-                    Err(_) => tracing::info!("no hello within {:?}", 2 * transport::AUTH_DEADLINE),
+                };
+                drop(seat);
+                if let Some(admitted) = admitted {
+                    session::run(admitted, sessions).await;
                 }
             }
             .instrument(tracing::info_span!("connection", %remote)),
@@ -388,8 +394,6 @@ impl Drop for CloseUnlessKept {
     }
 }
 
-/// Connections in handshake or before their hello.
-const MAX_STRANGERS: usize = 64;
 /// Sessions that wait for [`Server::accept`].
 const MAX_UNACCEPTED: usize = 16;
 /// How long a refused client may take to read why.

@@ -45,6 +45,14 @@ pub(super) struct Block {
 }
 
 impl Band {
+    /// Memory that its contents take.
+    pub(super) fn num_bytes(&self) -> usize {
+        size_of_val(&*self.blocks)
+            + size_of_val(&*self.planes)
+            + size_of_val(&*self.ends)
+            + size_of_val(&*self.cells)
+    }
+
     /// A band without blocks yet.
     pub(super) fn new(across: usize) -> Self {
         Self { across, ..Self::default() }

@@ -51,7 +51,7 @@ pub(super) use chunk::{BlocksAssembly, decode};
 pub use chunk::{BlocksChunk, reference_named};
 pub(super) use meter::spent;
 pub use rate::{MAX_ENCODES, RateControl, encode_within};
-pub use reference::{MAX_REFERENCES, Reference, References};
+pub use reference::{MAX_REFERENCE_BYTES, MAX_REFERENCES, Reference, References};
 pub use steps::{MAX_QUALITY, MAX_TURN_DEG};
 
 /// How to encode.

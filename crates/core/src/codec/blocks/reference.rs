@@ -60,6 +60,11 @@ impl Reference {
         self.header.frame
     }
 
+    /// Memory that it takes, the same for who has encoded it and who has decoded it.
+    fn num_bytes(&self) -> usize {
+        self.bands.iter().map(|band| band.num_bytes()).sum()
+    }
+
     /// The band and the number in it of the block at column `x` and row `y` of blocks.
     pub(super) fn block(&self, x: i32, y: i32) -> Option<(&Band, usize)> {
         let &(band, row) = self.rows.get(usize::try_from(y).ok()?)?;
@@ -90,24 +95,36 @@ impl Reference {
     }
 }
 
-/// The last frames that a receiver has decoded, for those that name them.
+/// The last frames that a receiver has decoded, or a sender has sent, for those that name them.
 #[derive(Clone, Debug, Default)]
 pub struct References {
     newest_last: VecDeque<Arc<Reference>>,
+    num_bytes: usize,
+    /// The last frames that were added, also those whose memory is needed for newer ones.
+    frames: VecDeque<FrameId>,
 }
 
 impl References {
-    /// Adds one; the oldest gives way.
+    /// Adds one. The oldest give way, beyond [`MAX_REFERENCES`] of them or [`MAX_REFERENCE_BYTES`]; the newest stays. A
+    /// receiver has added no more than its sender, so it still has what that still has.
     pub fn insert(&mut self, reference: Arc<Reference>) {
-        if self.newest_last.len() == MAX_REFERENCES {
-            self.newest_last.pop_front();
+        if self.frames.len() == MAX_REFERENCES {
+            self.frames.pop_front();
         }
+        self.frames.push_back(reference.frame());
+        self.num_bytes += reference.num_bytes();
         self.newest_last.push_back(reference);
+        let is_over =
+            |kept: &Self| kept.newest_last.len() > MAX_REFERENCES || kept.num_bytes > MAX_REFERENCE_BYTES;
+        while is_over(self) && self.newest_last.len() > 1 {
+            let oldest = self.newest_last.pop_front();
+            self.num_bytes -= oldest.map_or(0, |reference| reference.num_bytes());
+        }
     }
 
     /// Forgets all.
     pub fn clear(&mut self) {
-        self.newest_last.clear();
+        *self = Self::default();
     }
 
     /// The frame, if it is there.
@@ -119,7 +136,7 @@ impl References {
     /// newest, which will arrive; but where many are on their way, or one may be lost, the one it is known to have, if
     /// that can be predicted from.
     pub fn next(&self, decoded: FrameId) -> Option<&Arc<Reference>> {
-        let ahead = self.newest_last.iter().rev().take_while(|r| r.frame() > decoded).count();
+        let ahead = self.frames.iter().rev().take_while(|&&frame| frame > decoded).count();
         if ahead <= MAX_AHEAD { self.newest() } else { self.get(decoded) }
     }
 
@@ -362,6 +379,9 @@ impl Between {
 
 /// Frames that are kept: a frame names none that is older.
 pub const MAX_REFERENCES: usize = 12;
+/// Memory of the frames that are kept: twelve of 1280×720 with K = 8, or three of 1920×1080 that are full of matter. Where
+/// fewer fit, a frame that is lost costs a frame without a reference.
+pub const MAX_REFERENCE_BYTES: usize = 512 << 20;
 /// Frames that may be named although the receiver is not known to have them: at 30 a second a third of one, and so the
 /// longest that a lost one is missed.
 const MAX_AHEAD: usize = 10;

@@ -333,6 +333,47 @@ fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
     assert_eq!(assemble(&bytes(&encoded), &references).unwrap().to_frame(), decoded.to_frame());
 }
 
+/// Large frames leave room for fewer, and both sides agree on which; who has lost one is not sent what it cannot use.
+#[test]
+fn references_are_bounded_in_bytes() {
+    let header = made(&scene(Builtin::Cloud), 1, 64, 64, 0.0).header;
+    let num_cells = MAX_REFERENCE_BYTES / 3 / size_of::<band::Cell>();
+    let mut band = band::Band::new(1);
+    band.cells = vec![band::Cell::default(); num_cells];
+    let band = Arc::new(band);
+    let of = |id| {
+        let header = FrameHeader { frame: FrameId(id), ..header };
+        Arc::new(Reference::new(header, None, vec![band.clone()]))
+    };
+    let (mut sender, mut receiver) = (References::default(), References::default());
+    for id in 1..=20 {
+        sender.insert(of(id));
+        // It has lost some.
+        if id % 4 != 0 {
+            receiver.insert(of(id));
+        }
+        let kept = |references: &References| {
+            (1..=id).filter(|&i| references.get(FrameId(i)).is_some()).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(&sender).len(), id.min(3) as usize);
+        assert!(kept(&sender).iter().all(|i| i % 4 == 0 || kept(&receiver).contains(i)));
+    }
+    assert_eq!(sender.next(FrameId(12)).map(|r| r.frame()), Some(FrameId(20)));
+    assert!(sender.next(FrameId(9)).is_none(), "eleven are ahead of what it has, which is not kept");
+    sender.clear();
+    assert!(sender.next(FrameId(20)).is_none());
+    // One alone is kept whatever it takes.
+    let large = |id| {
+        let header = FrameHeader { frame: FrameId(id), ..header };
+        Arc::new(Reference::new(header, None, vec![band.clone(); 4]))
+    };
+    for id in 1..=3 {
+        sender.insert(large(id));
+        assert_eq!(sender.newest().map(|r| r.frame()), Some(FrameId(id)));
+        assert!(sender.get(FrameId(id - 1)).is_none());
+    }
+}
+
 #[test]
 fn damaged_bytes_never_do_more_than_fail() {
     let scene = scene(Builtin::Shells);

@@ -127,7 +127,7 @@ impl Sample {
         let budget = self.num_lists * k as u32;
         let mut left = self.num_pieces;
         let mut bin = 0;
-        while left > budget {
+        while left > budget && bin < self.joins.len() {
             left -= self.joins[bin];
             bin += 1;
         }

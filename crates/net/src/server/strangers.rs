@@ -1,0 +1,173 @@
+//! Connections that have not said who they are: not many at once, few of them from one place, and who takes long gives way.
+
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use tokio::time::Instant;
+
+/// The room in front of the doors.
+#[derive(Debug, Default)]
+pub(super) struct Strangers {
+    room: Mutex<Room>,
+}
+
+#[derive(Debug, Default)]
+struct Room {
+    /// In the order in which they came.
+    seats: Vec<Occupied>,
+    next: u64,
+    /// Turned away since this was last logged, and when that was.
+    num_turned_away: u32,
+    logged_at: Option<Instant>,
+}
+
+#[derive(Debug)]
+struct Occupied {
+    number: u64,
+    from: IpAddr,
+    since: Instant,
+    /// Dropped when another takes the seat.
+    _stays: oneshot::Sender<()>,
+}
+
+/// A seat in the room, given back when dropped.
+#[derive(Debug)]
+pub(super) struct Seat {
+    strangers: Arc<Strangers>,
+    number: u64,
+    stays: oneshot::Receiver<()>,
+}
+
+impl Strangers {
+    /// A seat for a connection from an address. Where there is none, whoever of the same place, or of all if the room is
+    /// full, came first gives way, once it has had the time that a hello takes. `None` if all have come just now.
+    pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
+        let from = place_of(from);
+        let mut room = self.room();
+        let is_of_place = |seat: &Occupied| seat.from == from;
+        let num_of_place = room.seats.iter().filter(|seat| is_of_place(seat)).count();
+        let is_crowded = num_of_place >= MAX_OF_PLACE && !from.is_loopback();
+        if is_crowded || room.seats.len() >= MAX_STRANGERS {
+            let first = room.seats.iter().position(|seat| !is_crowded || is_of_place(seat));
+            let tired = first.filter(|&i| now.duration_since(room.seats[i].since) >= PATIENCE);
+            let Some(tired) = tired else {
+                room.turn_away(now);
+                return None;
+            };
+            room.seats.remove(tired);
+        }
+        let (sender, stays) = oneshot::channel();
+        let number = room.next;
+        room.next += 1;
+        room.seats.push(Occupied { number, from, since: now, _stays: sender });
+        Some(Seat { strangers: self.clone(), number, stays })
+    }
+
+    fn room(&self) -> MutexGuard<'_, Room> {
+        // Changed in single steps that cannot fail half-way.
+        self.room.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Room {
+    /// A flood of connections is not to become one of lines.
+    fn turn_away(&mut self, now: Instant) {
+        self.num_turned_away += 1;
+        if self.logged_at.is_none_or(|at| now.duration_since(at) >= LOG_PERIOD) {
+            tracing::warn!("too many connections at once: {} turned away", self.num_turned_away);
+            (self.num_turned_away, self.logged_at) = (0, Some(now));
+        }
+    }
+}
+
+impl Seat {
+    /// Returns when another has taken the seat.
+    pub(super) async fn is_lost(&mut self) {
+        // Nothing is ever sent.
+        let _ = (&mut self.stays).await;
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.strangers.room().seats.retain(|seat| seat.number != self.number);
+    }
+}
+
+/// What one owner of addresses has: a whole network of 64 bits in IPv6.
+fn place_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(six) if !six.is_loopback() => {
+            IpAddr::V6(Ipv6Addr::from_bits(six.to_bits() & !u128::from(u64::MAX)))
+        }
+        other => other,
+    }
+}
+
+/// Connections in handshake or before their hello.
+pub(super) const MAX_STRANGERS: usize = 64;
+/// Of these, from one place: an office behind one address may have eight viewers connect in the same second.
+const MAX_OF_PLACE: usize = 8;
+/// How long nobody is sent away: a hello is there a round trip after the handshake, which takes two.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Time between two lines of the log.
+const LOG_PERIOD: Duration = Duration::from_secs(10);
+
+#[cfg(test)]
+mod tests {
+    use std::future::Future;
+    use std::pin::pin;
+    use std::task::{Context, Poll, Waker};
+
+    use super::*;
+
+    fn is_lost(seat: &mut Seat) -> bool {
+        pin!(seat.is_lost()).poll(&mut Context::from_waker(Waker::noop())) == Poll::Ready(())
+    }
+
+    fn four(last: usize) -> IpAddr {
+        IpAddr::from([203, 0, (last >> 8) as u8, last as u8])
+    }
+
+    #[test]
+    fn who_holds_seats_keeps_nobody_out() {
+        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
+        let mut seats: Vec<_> = (0..MAX_STRANGERS).map(|i| room.enter(four(i), start).unwrap()).collect();
+        assert!(room.enter(four(999), start).is_none(), "nobody is sent away at once");
+        let late = start + PATIENCE;
+        let mut guest = room.enter(four(999), late).unwrap();
+        assert!(is_lost(&mut seats[0]) && !is_lost(&mut seats[1]) && !is_lost(&mut guest));
+        // The seats of those that have left are free at once.
+        seats.truncate(10);
+        assert!(room.enter(four(1000), start).is_some());
+        assert_eq!(room.room().seats.len(), 10, "one lost its seat, one came and left, and one stays");
+    }
+
+    #[test]
+    fn one_place_has_few_seats_and_others_keep_theirs() {
+        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
+        let mut other = room.enter(four(1), start).unwrap();
+        let of_net = |i: u128| IpAddr::from(Ipv6Addr::from_bits((0x2001_0db8 << 96) + i));
+        let mut seats: Vec<_> =
+            (0..MAX_OF_PLACE).map(|i| room.enter(of_net(i as u128), start).unwrap()).collect();
+        assert!(room.enter(of_net(77), start).is_none());
+        assert!(room.enter(of_net(1 << 64), start).is_some(), "another network");
+        let _guest = room.enter(of_net(77), start + PATIENCE).unwrap();
+        assert!(is_lost(&mut seats[0]) && !is_lost(&mut seats[1]) && !is_lost(&mut other));
+        // Whoever comes through a tunnel is of this machine, like everybody else there.
+        let local: Vec<_> = (0..2 * MAX_OF_PLACE).map(|_| room.enter([127, 0, 0, 1].into(), start)).collect();
+        assert!(local.iter().all(Option::is_some));
+    }
+
+    #[test]
+    fn a_flood_is_told_of_once_in_a_while() {
+        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
+        let _seats: Vec<_> = (0..MAX_STRANGERS).map(|i| room.enter(four(i), start).unwrap()).collect();
+        for _ in 0..100 {
+            assert!(room.enter(four(999), start).is_none());
+        }
+        assert_eq!(room.room().num_turned_away, 99, "the first was logged, and no other");
+    }
+}
