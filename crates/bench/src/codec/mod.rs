@@ -66,7 +66,7 @@ pub struct CodecOptions {
     /// Names out of [`codec_names`]; none: all.
     pub codecs: Vec<String>,
     /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where that is
-    /// measured, or else [`FALLBACK_ANCHOR`].
+    /// measured, or else `blocks-planes`.
     pub anchor: Option<String>,
     /// Where frames are made and looked at.
     pub backend: BackendChoice,
