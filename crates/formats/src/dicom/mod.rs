@@ -1,8 +1,11 @@
 //! DICOM: the series of a folder, or the frames of one file. Slices are sorted by their position along the normal; the frame is
 //! LPS in millimetres.
 
+mod divide;
 mod element;
 mod frame;
+mod gaps;
+mod keys;
 mod pixels;
 mod series;
 mod tags;
@@ -54,7 +57,7 @@ impl DicomFiles {
         for (i, file) in files.iter().enumerate() {
             options.check_cancelled(path)?;
             match Slices::read(open_file(file)?, i) {
-                Ok(slices) => found.push(slices),
+                Ok(stacks) => found.extend(stacks),
                 Err(e) => {
                     num_other += 1;
                     let problem = match e.kind() {
