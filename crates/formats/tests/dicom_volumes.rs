@@ -281,3 +281,72 @@ fn frames_are_divided_by_their_own_dimensions_echoes_and_types() {
         assert_eq!(part(folder.path(), Some(1), None).0, [3.0, 4.0, 5.0]);
     }
 }
+
+#[test]
+fn what_lies_beside_slices_changes_nothing() {
+    let series = folder(&(0..3).map(|k| slice(3.0 * f64::from(k), k as u16, &[])).collect::<Vec<_>>());
+    let put = |name: &str, bytes: &[u8]| {
+        let path = series.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    };
+    put("shot.tif", b"II*\0\x08\0\0\0");
+    put("shot.png", b"\x89PNG\r\n\x1a\n");
+    put("facts.json", b"{\"Modality\": \"MR\"}");
+    put(".DS_Store", b"\0\0\0\x01Bud1");
+    // What is hidden may look like a slice.
+    put("._IM0001", &slice(9.0, 9, &[]));
+    put(".trash/IM0001", &slice(9.0, 9, &[]));
+    assert_eq!(outline_of(series.path()).format, "DICOM, plain");
+    assert_eq!(part(series.path(), None, None), (vec![0.0, 1.0, 2.0], vec![]));
+
+    // One slice of a series beside pages is a stray one.
+    let pages = TempDir::new().unwrap();
+    for name in ["a.tif", "b.tif"] {
+        let page = fs::File::create(pages.path().join(name)).unwrap();
+        let mut encoder = tiff::encoder::TiffEncoder::new(page).unwrap();
+        encoder.write_image::<tiff::encoder::colortype::Gray8>(2, 2, &[7; 4]).unwrap();
+    }
+    fs::write(pages.path().join("IM0001"), slice(0.0, 0, &[])).unwrap();
+    assert_eq!(outline_of(pages.path()).dims, [2, 2, 2]);
+}
+
+#[test]
+fn gaps_and_blocks_are_told() {
+    let at = |places: &[f64]| {
+        let slices: Vec<_> = places.iter().enumerate().map(|(i, z)| slice(*z, i as u16, &[])).collect();
+        let folder = folder(&slices);
+        (outline_of(folder.path()).spacing[2], part(folder.path(), None, None).1)
+    };
+    // Positions that scanners rounded to a fiftieth of a millimetre.
+    assert_eq!(at(&[0.0, 3.0, 6.02, 9.0, 12.0]), (3.0, vec![]));
+    let missing = vec!["1 slice is missing, after slice 3; the gap is not shown".to_owned()];
+    assert_eq!(at(&[0.0, 3.0, 6.0, 12.0, 15.0]), (3.0, missing));
+    let (distance, said) = at(&[0.0, 3.0, 6.0, 80.5, 83.5, 86.5]);
+    assert_eq!(distance, 3.0);
+    assert!(
+        said[0].starts_with("the slices lie in 2 separate blocks of 3 and 3 slices, up to 74.5 mm"),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn mosaics_and_codings_that_are_not_read_are_told() {
+    let kind = text(IMAGE_TYPE, "CS", "ORIGINAL\\PRIMARY\\M\\ND\\MOSAIC");
+    let mosaics = folder(&times(1, |_, _| vec![kind.clone()]));
+    let expected =
+        "the pictures are mosaics of slices (MOSAIC), which are shown as they are, not as a volume";
+    assert_eq!(part(mosaics.path(), None, None).1, [expected]);
+
+    let extended = |bits: u16| {
+        let stored = element((0x0028, 0x0101), "US", &bits.to_le_bytes());
+        let path = folder(&[file("1.2.840.10008.1.2.4.51", vec![stored], &[0])]);
+        outline(path.path().to_str().unwrap(), &options(None, None)).unwrap_err().to_string()
+    };
+    let expected = r#"DICOM: pixels are coded as JPEG Extended of 12 bits (transfer syntax "1.2.840.10008.1.2.4.51"), expected at most 8 bits in it"#;
+    let e = extended(12);
+    assert!(e.ends_with(expected), "{e}");
+    // Eight bits are read, if they are packed.
+    let e = extended(8);
+    assert!(e.ends_with("JPEG pixels are not in fragments"), "{e}");
+}

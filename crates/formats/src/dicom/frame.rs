@@ -39,6 +39,13 @@ impl Shape {
         let samples = set.fields.short(tags::SAMPLES_PER_PIXEL).unwrap_or(1);
         let photometric = set.fields.text(tags::PHOTOMETRIC).unwrap_or_default();
         let coding = Coding::of(&set.syntax)?;
+        // The decoder knows the extended process for 8 bits alone.
+        if set.syntax == JPEG_EXTENDED && bits_stored > 8 {
+            return Err(format!(
+                "pixels are coded as JPEG Extended of {bits_stored} bits (transfer syntax {}), expected at most 8 bits in it",
+                quoted(&set.syntax)
+            ));
+        }
         let is_known = match samples {
             1 => !photometric.starts_with("PALETTE"),
             3 => photometric == "RGB" && coding != Coding::Jpeg,
@@ -370,6 +377,8 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
     Err(invalid(format!("{} fragments for {num_frames} frames and no table of offsets", list.len())))
 }
 
+/// Transfer syntax of JPEG with loss, of 8 or 12 bits.
+const JPEG_EXTENDED: &str = "1.2.840.10008.1.2.4.51";
 /// Frames of one file.
 const MAX_FRAMES: f64 = 65_536.0;
 const MAX_FRAGMENTS: usize = 1 << 18;
