@@ -153,7 +153,8 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
     })
 }
 
-/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files, or else DICOM files in it and the folders below.
+/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files if they are more than the DICOM files beside them, or
+/// else DICOM files in it and the folders below.
 fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));

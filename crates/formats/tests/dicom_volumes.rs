@@ -222,6 +222,17 @@ fn frames_of_several_directions_are_series() {
     assert_eq!(part(both.path(), Some(0), None).0, [0.0, 1.0, 2.0]);
     let second = outline(both.path().to_str().unwrap(), &options(Some(1), None)).unwrap();
     assert_eq!((second.dims, second.spacing), ([2, 2, 2], [1.0, 4.0, 1.0]));
+
+    // Three slices across each other, opened as the file they are in.
+    let planes = [AXIAL, CORONAL, [0.0, 1.0, 0.0, 0.0, 0.0, -1.0]];
+    let scout = enhanced(&planes.map(|plane| frame([0.0; 3], plane, vec![])));
+    let (values, said) =
+        part(&fs::read_dir(scout.path()).unwrap().next().unwrap().unwrap().path(), None, None);
+    assert_eq!(values, [0.0]);
+    let choice =
+        r#"the file has 3 series, of which the largest is shown: 7 "made", axial: MR, 1 slices of 2×2"#;
+    assert!(said.iter().any(|w| w == choice), "{said:?}");
+    assert!(!said.iter().any(|w| w.contains("its folder is a series")), "{said:?}");
 }
 
 #[test]

@@ -22,13 +22,13 @@ pub(super) fn by_kind(frames: Vec<Frame>, places: &[usize]) -> Vec<(Option<Strin
     let types: Vec<&str> = frames.iter().map(|f| f.keys.image_type.as_deref().unwrap_or_default()).collect();
     if let Some((kinds, of)) = kinds(&types, places) {
         // The first picture that was taken, which is the magnitude as a rule, comes first.
-        let number = |kind: usize| {
-            let of_kind = frames.iter().zip(&of).filter(|(_, k)| **k == kind);
-            of_kind.map(|(f, _)| f.order[2]).min_by(f64::total_cmp).unwrap_or_default()
-        };
+        let mut first = vec![f64::INFINITY; kinds.len()];
+        for (frame, kind) in frames.iter().zip(&of) {
+            first[*kind] = first[*kind].min(frame.order[2]);
+        }
         let words = own_words(&kinds);
         let mut order: Vec<usize> = (0..kinds.len()).collect();
-        order.sort_by(|a, b| number(*a).total_cmp(&number(*b)));
+        order.sort_by(|a, b| first[*a].total_cmp(&first[*b]));
         return split(frames, &of, &order, &words);
     }
     for (key, unit) in [(Key::EchoNumber, ""), (Key::EchoTime, " ms")] {

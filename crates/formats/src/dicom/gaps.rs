@@ -14,42 +14,35 @@ pub(super) fn slice_distance(
     sorted.sort_by(f64::total_cmp);
     let median = sorted[(sorted.len() - 1) / 2];
     let mut warn = |text: String| warnings.push((WarningKind::Geometry, text));
-    // Slices before each gap that parts blocks.
-    let parting = |(i, gap): (usize, &f64)| (*gap > BLOCK_GAP * median).then_some(i + 1);
-    let ends: Vec<usize> = gaps.iter().enumerate().filter_map(parting).collect();
-    let edges: Vec<usize> = [&[0], &ends[..], &[places.len()]].concat();
-    let sizes: Vec<usize> = edges.windows(2).map(|w| w[1] - w[0]).collect();
-    // Slices here and there are uneven ones, not blocks.
-    let are_blocks = !ends.is_empty() && (sizes.iter().all(|n| *n > 1) || 4 * ends.len() <= gaps.len());
-    let is_inner = |i: usize| !are_blocks || !ends.contains(&(i + 1));
-    if are_blocks {
-        let widest = ends.iter().map(|i| gaps[i - 1]).fold(0.0, f64::max);
-        let (num_blocks, sizes, gap) = (sizes.len(), listed(&sizes), the_gaps(ends.len()));
+    // Slices before each gap that parts blocks, slices before each that lacks some, and all other gaps.
+    let (mut ends, mut missing, mut even) = (vec![0], Vec::new(), Vec::new());
+    let (mut widest, mut num_missing) = (0.0f64, 0.0);
+    for (i, gap) in gaps.iter().enumerate() {
+        let steps = (gap / median).round();
+        if *gap > BLOCK_GAP * median {
+            ends.push(i + 1);
+            widest = widest.max(*gap);
+        } else if steps >= 2.0 && (gap / median - steps).abs() < 0.2 {
+            missing.push(i + 1);
+            num_missing += steps - 1.0;
+        } else {
+            even.push(*gap);
+        }
+    }
+    ends.push(places.len());
+    let distance = even.iter().sum::<f64>() / even.len() as f64;
+    let sizes: Vec<usize> = ends.windows(2).map(|w| w[1] - w[0]).collect();
+    if sizes.len() > 1 {
+        let (num_blocks, sizes, gap) = (sizes.len(), listed(&sizes), the_gaps(sizes.len() - 1));
         warn(format!(
             "the slices lie in {num_blocks} separate blocks of {sizes} slices, up to {widest:.1} mm apart; {gap} not shown"
         ));
     }
-    let missing: Vec<(usize, f64)> = gaps
-        .iter()
-        .enumerate()
-        .filter(|(i, _)| is_inner(*i))
-        .map(|(i, gap)| (i, (gap / median).round() - 1.0))
-        .filter(|(i, n)| *n >= 1.0 && (gaps[*i] / median - n - 1.0).abs() < 0.2)
-        .collect();
-    let even: Vec<f64> = gaps
-        .iter()
-        .enumerate()
-        .filter(|(i, _)| is_inner(*i) && !missing.iter().any(|m| m.0 == *i))
-        .map(|(_, gap)| *gap)
-        .collect();
-    let distance = even.iter().sum::<f64>() / even.len() as f64;
     if !missing.is_empty() {
-        let count = missing.iter().map(|m| m.1).sum::<f64>();
-        let after = listed(&missing.iter().map(|m| m.0 + 1).collect::<Vec<_>>());
-        let are = if count == 1.0 { "slice is" } else { "slices are" };
+        let are = if num_missing == 1.0 { "slice is" } else { "slices are" };
         let slices = if missing.len() == 1 { "slice" } else { "slices" };
-        let gap = the_gaps(missing.len());
-        warn(format!("{count} {are} missing, after {slices} {after}; {gap} not shown"));
+        let (after, gap) = (listed(&missing), the_gaps(missing.len()));
+        warn(format!("{num_missing} {are} missing, after {slices} {after}; {gap} not shown"));
     }
     let (least, greatest) =
         even.iter().fold((f64::INFINITY, 0.0f64), |(lo, hi), gap| (lo.min(*gap), hi.max(*gap)));
@@ -141,10 +134,8 @@ mod tests {
         assert_eq!(distance, 2.0);
         let expected = "the slices lie in 2 separate blocks of 4 and 3 slices, up to 71.3 mm apart; the gap is not shown";
         assert_eq!(said, [expected]);
-        // One slice far from a long stack parts it too, one of three is uneven.
-        let mut long = vec![2.0; 9];
-        long.push(33.0);
-        assert_eq!(of_gaps(&long).0, 2.0);
-        assert_eq!(of_gaps(&[2.0, 33.0]).0, 17.5);
+        // One slice far from the others is a block, too.
+        let (distance, said) = of_gaps(&[324.0, 2.0, 2.0]);
+        assert_eq!((distance, said.len()), (2.0, 1), "{said:?}");
     }
 }
