@@ -153,7 +153,8 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
     })
 }
 
-/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files, or else DICOM files in it and the folders below.
+/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files if they are more than the DICOM files beside them, or
+/// else DICOM files in it and the folders below.
 fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
@@ -166,15 +167,18 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
         file.parent() == Some(path) && (end.eq_ignore_ascii_case("tif") || end.eq_ignore_ascii_case("tiff"))
     };
     let mut slices: Vec<PathBuf> = files.iter().filter(|f| is_tiff(f)).cloned().collect();
-    if !slices.is_empty() {
+    let is_dicom = |file: &Path| read_start(file).is_some_and(|start| dicom::is_header(&start));
+    // A picture beside the slices of a series is none of them.
+    let num_dicom =
+        || files.iter().filter(|f| f.parent() == Some(path) && !is_tiff(f) && is_dicom(f)).count();
+    if !slices.is_empty() && num_dicom() < slices.len() {
         tiff::sort_by_number(&mut slices);
         return Ok(Box::new(tiff::TiffFile::open(slices, path, options)?));
     }
     let mut has_others = false;
     files.retain(|file| {
-        let mut start = Vec::new();
-        let read = File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start));
-        let is_dicom = read.is_ok() && dicom::is_header(&start);
+        let start = read_start(file).unwrap_or_default();
+        let is_dicom = dicom::is_header(&start);
         has_others |=
             !is_dicom && file.parent() == Some(path) && sniff::kind_of(&start, file).is_whole_volume();
         is_dicom
@@ -197,7 +201,14 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
 }
 
-/// The files in a folder and those below, sorted, within bounds.
+/// The first bytes of a file, if it can be read.
+fn read_start(file: &Path) -> Option<Vec<u8>> {
+    let mut start = Vec::new();
+    File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
+    Some(start)
+}
+
+/// The files in a folder and those below, sorted, within bounds. Hidden ones, which systems leave there, are none.
 fn list_files(
     folder: &Path,
     options: &OpenOptions,
@@ -218,6 +229,9 @@ fn list_files(
             return Err(too_many("too many files"));
         }
         let entry = entry.map_err(io_error(folder))?;
+        if entry.file_name().as_encoded_bytes().starts_with(b".") {
+            continue;
+        }
         entries.push((entry.path(), entry.file_type().map_err(io_error(folder))?));
     }
     entries.sort_by(|a, b| a.0.cmp(&b.0));

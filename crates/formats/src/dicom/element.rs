@@ -59,6 +59,21 @@ impl Fields {
         let bytes = *self.values.get(&tag)?.first_chunk()?;
         Some(if self.endian == Endian::Big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
     }
+
+    /// A binary number of 64 bits with a point.
+    pub(super) fn double(&self, tag: Tag) -> Option<f64> {
+        let bytes = *self.values.get(&tag)?.first_chunk()?;
+        let is_big = self.endian == Endian::Big;
+        Some(if is_big { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) })
+            .filter(|x| x.is_finite())
+    }
+
+    /// All binary numbers of 32 bits; none where there are none.
+    pub(super) fn longs(&self, tag: Tag) -> impl Iterator<Item = u32> {
+        let is_big = self.endian == Endian::Big;
+        let words = self.values.get(&tag).map_or(&[][..], |bytes| bytes.as_chunks().0);
+        words.iter().map(move |b| if is_big { u32::from_be_bytes(*b) } else { u32::from_le_bytes(*b) })
+    }
 }
 
 /// Bytes of the longest value that is kept.

@@ -2,10 +2,12 @@
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::sync::Arc;
 
 use glam::DVec3;
 
 use super::element::{DataSet, Fields};
+use super::keys::Keys;
 use super::pixels::Coding;
 use super::tags;
 use crate::error::quoted;
@@ -37,6 +39,13 @@ impl Shape {
         let samples = set.fields.short(tags::SAMPLES_PER_PIXEL).unwrap_or(1);
         let photometric = set.fields.text(tags::PHOTOMETRIC).unwrap_or_default();
         let coding = Coding::of(&set.syntax)?;
+        // The decoder knows the extended process for 8 bits alone.
+        if set.syntax == JPEG_EXTENDED && bits_stored > 8 {
+            return Err(format!(
+                "pixels are coded as JPEG Extended of {bits_stored} bits (transfer syntax {}), expected at most 8 bits in it",
+                quoted(&set.syntax)
+            ));
+        }
         let is_known = match samples {
             1 => !photometric.starts_with("PALETTE"),
             3 => photometric == "RGB" && coding != Coding::Jpeg,
@@ -95,11 +104,41 @@ pub(super) struct Frame {
     pub(super) position: Option<DVec3>,
     /// What comes first where positions are equal: point in time, acquisition, number.
     pub(super) order: [f64; 3],
+    /// What it may differ by from others in the same place.
+    pub(super) keys: Arc<Keys>,
     pub(super) slope: f64,
     pub(super) intercept: f64,
 }
 
-/// All frames of a file, and what they have in common.
+/// How pixels lie in the body.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Plane {
+    /// Directions of rows and columns.
+    pub(super) orientation: Option<[f64; 6]>,
+    /// Distances of rows and of columns.
+    pub(super) pixel_spacing: Option<[f64; 2]>,
+    /// Name of the stack that an enhanced file counts the slice to.
+    pub(super) stack: Option<String>,
+}
+
+impl Plane {
+    /// Whether both are of one stack, but for rounding.
+    pub(super) fn is_near(&self, other: &Self) -> bool {
+        is_near(&self.orientation, &other.orientation, 1e-3)
+            && is_near(&self.pixel_spacing, &other.pixel_spacing, 1e-5)
+            && self.stack == other.stack
+    }
+}
+
+fn is_near<const N: usize>(a: &Option<[f64; N]>, b: &Option<[f64; N]>, most: f64) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => a.iter().zip(b).all(|(a, b)| (a - b).abs() <= most),
+        (None, None) => true,
+        _ => false,
+    }
+}
+
+/// The frames of a file that lie in one stack, and what they have in common.
 #[derive(Clone, Debug)]
 pub(super) struct Slices {
     pub(super) shape: Shape,
@@ -109,18 +148,16 @@ pub(super) struct Slices {
     pub(super) modality: Option<String>,
     /// Of the values.
     pub(super) value_unit: Option<String>,
-    /// Directions of rows and columns.
-    pub(super) orientation: Option<[f64; 6]>,
-    /// Distances of rows and of columns.
-    pub(super) pixel_spacing: Option<[f64; 2]>,
+    pub(super) plane: Plane,
     /// What the file says of the distance of slices.
     pub(super) slice_spacing: Option<f64>,
     pub(super) frames: Vec<Frame>,
 }
 
 impl Slices {
-    /// Reads the header of `file`, the one of this number. An error of kind `InvalidData` says what is wrong.
-    pub(super) fn read(file: File, number: usize) -> io::Result<Self> {
+    /// Reads the header of `file`, the one of this number: a list of stacks in the order of their first frames. An error of kind
+    /// `InvalidData` says what is wrong.
+    pub(super) fn read(file: File, number: usize) -> io::Result<Vec<Self>> {
         let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
         let mut reader = BufReader::new(file);
         let set = DataSet::read(&mut reader)?;
@@ -137,55 +174,81 @@ impl Slices {
             None => fragments(&mut reader, num_frames)?,
         };
         let shared = Own::of(fields);
-        let own: Vec<Own> = set.frames.iter().map(Own::of).collect();
+        let mut own: Vec<Own> = set.frames.iter().take(num_frames).map(Own::of).collect();
+        if own.len() > 1 && stacks_are_single(&own) {
+            own.iter_mut().for_each(|o| o.plane.stack = None);
+        }
         let get = |i: usize, f: fn(&Own) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
         let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
             .map(|tag| fields.decimal(tag).unwrap_or(0.0));
         let offsets = fields.decimals(tags::GRID_FRAME_OFFSETS).filter(|o| o.len() == num_frames);
         let positions = shared.position.zip(shared.normal()).zip(offsets);
-        let frames = parts.into_iter().enumerate().map(|(i, parts)| {
-            let own_position = own.get(i).and_then(|o| o.position);
-            // A plain file of many frames has one position, that of the first; some say how far the others are.
-            let along = positions.as_ref().map(|((first, normal), o)| *first + *normal * (o[i] - o[0]));
-            let position = own_position.or(along).or(shared.position.filter(|_| num_frames == 1));
-            let order = [base[0], base[1], base[2] + i as f64 / num_frames as f64];
-            let slope = get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0);
-            Frame {
-                file: number,
-                parts,
-                position,
-                order,
-                slope,
-                intercept: get(i, |o| o.intercept).unwrap_or(0.0),
-            }
-        });
-        let frames = frames.collect();
-        let first = own.first();
+        let file_keys = Arc::new(Keys::of(fields));
         let number_of_series = fields.decimal(tags::SERIES_NUMBER).map_or("?".into(), |n| n.to_string());
         let description = fields.text(tags::SERIES_DESCRIPTION).unwrap_or_default();
         let modality = fields
             .text(tags::MODALITY)
             .filter(|m| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_'));
-        let value_unit = unit_of(first.and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref()), &modality);
-        Ok(Self {
-            shape,
-            series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
-            name: format!("{number_of_series} {}", quoted(&description)),
-            modality,
-            value_unit,
-            orientation: first.and_then(|o| o.orientation).or(shared.orientation),
-            pixel_spacing: first.and_then(|o| o.pixel_spacing).or(shared.pixel_spacing),
-            slice_spacing: first.and_then(|o| o.slice_spacing).or(shared.slice_spacing),
-            frames,
-        })
+        let unit = own.first().and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref());
+        let value_unit = unit_of(unit, &modality);
+        let mut stacks: Vec<Self> = Vec::new();
+        for (i, parts) in parts.into_iter().enumerate() {
+            let own_position = own.get(i).and_then(|o| o.position);
+            // A plain file of many frames has one position, that of the first; some say how far the others are.
+            let along = positions.as_ref().map(|((first, normal), o)| *first + *normal * (o[i] - o[0]));
+            let frame = Frame {
+                file: number,
+                parts,
+                position: own_position.or(along).or(shared.position.filter(|_| num_frames == 1)),
+                order: [base[0], base[1], base[2] + i as f64 / num_frames as f64],
+                keys: set.frames.get(i).map_or_else(
+                    || Arc::clone(&file_keys),
+                    |fields| Arc::new(Keys::of(fields).or(&file_keys)),
+                ),
+                slope: get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0),
+                intercept: get(i, |o| o.intercept).unwrap_or(0.0),
+            };
+            let plane = own.get(i).map(|o| &o.plane);
+            let plane = Plane {
+                orientation: plane.and_then(|p| p.orientation).or(shared.plane.orientation),
+                pixel_spacing: plane.and_then(|p| p.pixel_spacing).or(shared.plane.pixel_spacing),
+                stack: plane.and_then(|p| p.stack.clone()).or_else(|| shared.plane.stack.clone()),
+            };
+            if let Some(stack) = stacks.iter_mut().rev().find(|s| s.plane.is_near(&plane)) {
+                stack.frames.push(frame);
+                continue;
+            }
+            if stacks.len() == MAX_STACKS {
+                return Err(invalid(format!(
+                    "its frames lie in more than {MAX_STACKS} directions or stacks"
+                )));
+            }
+            stacks.push(Self {
+                shape,
+                series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
+                name: format!("{number_of_series} {}", quoted(&description)),
+                modality: modality.clone(),
+                value_unit: value_unit.clone(),
+                plane,
+                slice_spacing: get(i, |o| o.slice_spacing),
+                frames: vec![frame],
+            });
+        }
+        Ok(stacks)
     }
+}
+
+/// Whether every frame is called a stack of its own, which says nothing.
+fn stacks_are_single(frames: &[Own]) -> bool {
+    let mut names: Vec<&str> = frames.iter().filter_map(|o| o.plane.stack.as_deref()).collect();
+    names.sort_unstable();
+    names.windows(2).all(|w| w[0] != w[1])
 }
 
 /// What a frame, or all, say of where they are.
 struct Own {
     position: Option<DVec3>,
-    orientation: Option<[f64; 6]>,
-    pixel_spacing: Option<[f64; 2]>,
+    plane: Plane,
     slice_spacing: Option<f64>,
     slope: Option<f64>,
     intercept: Option<f64>,
@@ -200,8 +263,11 @@ impl Own {
         let slice = |tag| fields.decimal(tag).map(f64::abs).filter(above_zero);
         Self {
             position: fields.decimal_array(tags::IMAGE_POSITION).map(DVec3::from_array),
-            orientation: fields.decimal_array(tags::IMAGE_ORIENTATION),
-            pixel_spacing: spacing(tags::PIXEL_SPACING).or_else(|| spacing(tags::IMAGER_PIXEL_SPACING)),
+            plane: Plane {
+                orientation: fields.decimal_array(tags::IMAGE_ORIENTATION),
+                pixel_spacing: spacing(tags::PIXEL_SPACING).or_else(|| spacing(tags::IMAGER_PIXEL_SPACING)),
+                stack: fields.text(tags::STACK_ID),
+            },
             slice_spacing: slice(tags::SPACING_BETWEEN_SLICES).or_else(|| slice(tags::SLICE_THICKNESS)),
             // A distribution of doses has its own name for it, and is in gray then.
             slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
@@ -216,7 +282,7 @@ impl Own {
 impl Own {
     /// Across rows and columns, of length 1.
     fn normal(&self) -> Option<DVec3> {
-        let [a, b, c, d, e, f] = self.orientation?;
+        let [a, b, c, d, e, f] = self.plane.orientation?;
         DVec3::new(a, b, c).cross(DVec3::new(d, e, f)).try_normalize()
     }
 }
@@ -311,9 +377,13 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
     Err(invalid(format!("{} fragments for {num_frames} frames and no table of offsets", list.len())))
 }
 
+/// Transfer syntax of JPEG with loss, of 8 or 12 bits.
+const JPEG_EXTENDED: &str = "1.2.840.10008.1.2.4.51";
 /// Frames of one file.
 const MAX_FRAMES: f64 = 65_536.0;
 const MAX_FRAGMENTS: usize = 1 << 18;
+/// Directions and stacks of the frames of one file.
+const MAX_STACKS: usize = 256;
 
 #[cfg(test)]
 mod tests {

@@ -1,8 +1,11 @@
-//! DICOM: the series of a folder, or the frames of one file. Slices are sorted by their position along the normal; the frame is
-//! LPS in millimetres.
+//! DICOM: the series of a folder, or the frames of one file. Slices are sorted by their position along the normal, and divided into
+//! series and points in time by what those in one place differ by; the frame is LPS in millimetres.
 
+mod divide;
 mod element;
 mod frame;
+mod gaps;
+mod keys;
 mod pixels;
 mod series;
 mod tags;
@@ -54,7 +57,7 @@ impl DicomFiles {
         for (i, file) in files.iter().enumerate() {
             options.check_cancelled(path)?;
             match Slices::read(open_file(file)?, i) {
-                Ok(slices) => found.push(slices),
+                Ok(stacks) => found.extend(stacks),
                 Err(e) => {
                     num_other += 1;
                     let problem = match e.kind() {
@@ -77,13 +80,13 @@ impl DicomFiles {
             return Err(first_problem.unwrap_or_else(|| bad("no slice was found".into())));
         };
         let names: Vec<String> = series.iter().map(series::Series::name).collect();
+        let num_series = names.len();
         let index = options.selection.series.map_or(largest, |i| i as usize);
-        let num_series = series.len() as u64;
         let chosen = series.into_iter().nth(index).ok_or_else(|| FormatError::Selection {
             path: shown(path),
             what: "series",
             asked: index as u64,
-            found: num_series,
+            found: num_series as u64,
         })?;
         let shape = chosen.shape;
         let stacked = chosen.stack();
@@ -129,12 +132,12 @@ impl DicomFiles {
         if is_rescaled {
             plan.warn(WarningKind::Values, "slices have different rescale slopes; values are kept as floats");
         }
-        if names.len() > 1 {
+        if num_series > 1 {
             if options.selection.series.is_none() {
+                let whole = if is_folder { "folder" } else { "file" };
                 let text = format!(
-                    "the folder has {} series, of which the largest is shown: {}",
-                    names.len(),
-                    names[index]
+                    "the {whole} has {} series, of which the largest is shown: {}",
+                    num_series, names[index]
                 );
                 plan.warn(WarningKind::Choice, text);
             }
@@ -147,7 +150,7 @@ impl DicomFiles {
                 .map_or(String::new(), |(name, problem)| format!(", the first: {name}: {problem}"));
             plan.warn(WarningKind::Data, format!("{num_other} files are no slices and were left out{first}"));
         }
-        if !is_folder && stacked.frames.len() == 1 {
+        if !is_folder && stacked.frames.len() == 1 && num_series == 1 {
             plan.warn(WarningKind::Data, "the file is one slice; its folder is a series");
         }
         Ok(Self { plan, files, shape, frames: stacked.frames, is_rescaled, open: None })

@@ -1,22 +1,28 @@
 //! Which slices belong together, and how they lie.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 
-use super::frame::{Frame, Shape, Slices};
+use super::divide::{self, Divided};
+use super::frame::{Frame, Plane, Shape, Slices};
+use super::gaps::slice_distance;
 use crate::axes::{Geometry, ras_from_lps};
+use crate::error::quoted;
 use crate::warning::WarningKind;
 
-/// Slices of one series, shape and direction.
-#[derive(Debug)]
+/// Slices of one series, shape, plane and kind.
 pub(super) struct Series {
     pub(super) shape: Shape,
     uid: String,
     name: String,
     modality: Option<String>,
     value_unit: Option<String>,
-    orientation: Option<[f64; 6]>,
-    pixel_spacing: Option<[f64; 2]>,
+    plane: Plane,
     slice_spacing: Option<f64>,
+    /// What tells it from others of the same series, in words.
+    details: Vec<String>,
+    /// By place along the normal, then by their order; without places by their order.
     frames: Vec<Frame>,
 }
 
@@ -39,10 +45,7 @@ pub(super) fn group(files: Vec<Slices>) -> Vec<Series> {
     for file in files {
         // The newest is the likeliest.
         let fits = |s: &&mut Series| {
-            s.uid == file.series_uid
-                && s.shape == file.shape
-                && is_near(&s.orientation, &file.orientation, 1e-3)
-                && is_near(&s.pixel_spacing, &file.pixel_spacing, 1e-5)
+            s.uid == file.series_uid && s.shape == file.shape && s.plane.is_near(&file.plane)
         };
         match all.iter_mut().rev().take(MAX_COMPARED).find(fits) {
             Some(series) => series.frames.extend(file.frames),
@@ -52,22 +55,30 @@ pub(super) fn group(files: Vec<Slices>) -> Vec<Series> {
                 name: file.name,
                 modality: file.modality,
                 value_unit: file.value_unit,
-                orientation: file.orientation,
-                pixel_spacing: file.pixel_spacing,
+                plane: file.plane,
                 slice_spacing: file.slice_spacing,
+                details: Vec::new(),
                 frames: file.frames,
             }),
         }
     }
-    all
+    let mut counts: HashMap<String, usize> = HashMap::new();
+    all.iter().for_each(|s| *counts.entry(s.uid.clone()).or_default() += 1);
+    for series in &mut all {
+        if counts[&series.uid] > 1 {
+            series.details.extend(series.plane_in_words());
+        }
+    }
+    all.into_iter().flat_map(Series::by_kind).collect()
 }
 
-fn is_near<const N: usize>(a: &Option<[f64; N]>, b: &Option<[f64; N]>, most: f64) -> bool {
-    match (a, b) {
-        (Some(a), Some(b)) => a.iter().zip(b).all(|(a, b)| (a - b).abs() <= most),
-        (None, None) => true,
-        _ => false,
-    }
+/// Directions of rows, columns and the normal, if they are independent.
+fn directions(plane: &Plane) -> Option<(DVec3, DVec3, DVec3)> {
+    let [a, b, c, d, e, f] = plane.orientation?;
+    let (row, column) = (DVec3::new(a, b, c), DVec3::new(d, e, f));
+    let normal = row.cross(column);
+    let is_good = normal.is_finite() && normal.length() > 0.1 && normal.length() < 10.0;
+    is_good.then(|| (row.normalize(), column.normalize(), normal.normalize()))
 }
 
 impl Series {
@@ -79,28 +90,91 @@ impl Series {
     pub(super) fn name(&self) -> String {
         let modality = self.modality.as_ref().map_or(String::new(), |m| format!(" {m}"));
         let Shape { columns, rows, .. } = self.shape;
-        format!("{}:{modality}, {} slices of {columns}×{rows}", self.name, self.frames.len())
+        let details: String = self.details.iter().map(|d| format!(", {d}")).collect();
+        format!("{}{details}:{modality}, {} slices of {columns}×{rows}", self.name, self.frames.len())
+    }
+
+    /// How the slices lie, and the name of their stack.
+    fn plane_in_words(&self) -> Vec<String> {
+        let direction = directions(&self.plane).map(|(.., normal)| {
+            let along = (0..3).find(|&i| normal[i].abs() > MIN_COSINE);
+            along.map_or("oblique", |i| ["sagittal", "coronal", "axial"][i]).to_owned()
+        });
+        let stack = self.plane.stack.as_ref().map(|s| format!("stack {}", quoted(s)));
+        direction.into_iter().chain(stack).collect()
+    }
+
+    /// Sorts the slices; the number of the place of each, if places are known.
+    fn sort(&mut self) -> Option<Vec<usize>> {
+        let normal = directions(&self.plane).map(|d| d.2);
+        let is_placed = self.frames.iter().all(|f| f.position.is_some());
+        let Some(normal) = normal.filter(|_| is_placed) else {
+            self.frames.sort_by(|a, b| compare(&a.order, &b.order));
+            return None;
+        };
+        let along = |f: &Frame| f.position.unwrap_or_default().dot(normal);
+        self.frames.sort_by(|a, b| along(a).total_cmp(&along(b)));
+        let tolerance = SAME_PLACE_MM.max(SAME_PLACE * self.slice_spacing.unwrap_or(0.0));
+        let (mut places, mut first, mut place) = (Vec::new(), self.frames.first().map_or(0.0, along), 0);
+        for frame in &self.frames {
+            if along(frame) - first > tolerance {
+                (first, place) = (along(frame), place + 1);
+            }
+            places.push(place);
+        }
+        let mut rest = &mut self.frames[..];
+        for part in places.chunk_by(|a, b| a == b) {
+            let (frames, after) = rest.split_at_mut(part.len());
+            frames.sort_by(|a, b| compare(&a.order, &b.order));
+            rest = after;
+        }
+        Some(places)
+    }
+
+    /// A series for each kind of picture that lies in the same places.
+    fn by_kind(mut self) -> Vec<Self> {
+        let places = self.sort();
+        let frames = std::mem::take(&mut self.frames);
+        let parts = match &places {
+            Some(places) => divide::by_kind(frames, places),
+            None => vec![(None, frames)],
+        };
+        let is_last = parts.len() == 1;
+        let made = parts.into_iter().flat_map(|(words, frames)| {
+            let details = self.details.iter().cloned().chain(words).collect();
+            let part = Self {
+                shape: self.shape,
+                uid: self.uid.clone(),
+                name: self.name.clone(),
+                modality: self.modality.clone(),
+                value_unit: self.value_unit.clone(),
+                plane: self.plane.clone(),
+                slice_spacing: self.slice_spacing,
+                details,
+                frames,
+            };
+            // Each kind may have several echoes.
+            if is_last { vec![part] } else { part.by_kind() }
+        });
+        made.collect()
     }
 
     /// Sorts the slices and finds how they lie.
-    pub(super) fn stack(self) -> Stacked {
+    pub(super) fn stack(mut self) -> Stacked {
         let mut warnings = Vec::new();
         let mut spacing_guess = None;
-        let [row_distance, column_distance] = self.pixel_spacing.unwrap_or_else(|| {
+        let [row_distance, column_distance] = self.plane.pixel_spacing.unwrap_or_else(|| {
             spacing_guess = Some("the file has no pixel spacing; it was taken as 1".to_owned());
             [1.0; 2]
         });
-        let directions = self.orientation.and_then(|o| {
-            let (row, column) = (DVec3::new(o[0], o[1], o[2]), DVec3::new(o[3], o[4], o[5]));
-            let normal = row.cross(column);
-            // Directions that are no two independent ones say nothing.
-            let is_good = normal.is_finite() && normal.length() > 0.1 && normal.length() < 10.0;
-            is_good.then(|| (row.normalize(), column.normalize(), normal.normalize()))
-        });
-        let is_placed = directions.is_some() && self.frames.iter().all(|f| f.position.is_some());
-        let mut frames = self.frames;
-        let Some((row, column, normal)) = directions.filter(|_| is_placed) else {
-            frames.sort_by(|a, b| compare(&a.order, &b.order));
+        let places = self.sort();
+        let frames = std::mem::take(&mut self.frames);
+        if frames.iter().any(|f| f.keys.is_mosaic()) {
+            let text =
+                "the pictures are mosaics of slices (MOSAIC), which are shown as they are, not as a volume";
+            warnings.push((WarningKind::Data, text.to_owned()));
+        }
+        let Some(((row, column, normal), places)) = directions(&self.plane).zip(places) else {
             let num_slices = frames.len();
             let distance = self.slice_spacing.unwrap_or(column_distance);
             let text = "positions are missing; slices are in the order of their numbers, and where the body lies is not known";
@@ -125,8 +199,8 @@ impl Series {
             };
         };
         let along = |f: &Frame| f.position.unwrap_or_default().dot(normal);
-        frames.sort_by(|a, b| along(a).total_cmp(&along(b)).then_with(|| compare(&a.order, &b.order)));
-        let (frames, num_slices, num_times) = in_times(frames, along, &mut warnings);
+        let Divided { frames, num_slices, num_times, warnings: said } = divide::into_times(&frames, &places);
+        warnings.extend(said);
         let first = frames[0].position.unwrap_or_default();
         let last = frames[num_slices - 1].position.unwrap_or_default();
         let places: Vec<f64> = frames[..num_slices].iter().map(along).collect();
@@ -151,7 +225,7 @@ impl Series {
             steps: [row * column_distance, column * row_distance, step].map(ras_from_lps),
             origin: Some(ras_from_lps(first)),
             is_body: true,
-            unit: self.pixel_spacing.map(|_| "mm".to_owned()),
+            unit: self.plane.pixel_spacing.map(|_| "mm".to_owned()),
         };
         let Self { modality, value_unit, .. } = self;
         Stacked { frames, num_slices, num_times, geometry, modality, value_unit, spacing_guess, warnings }
@@ -162,70 +236,11 @@ fn compare(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
     a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
 }
 
-/// Slices of one place are points in time, if there are as many at each. `frames` are sorted by place, then by time.
-fn in_times(
-    frames: Vec<Frame>,
-    along: impl Fn(&Frame) -> f64,
-    warnings: &mut Vec<(WarningKind, String)>,
-) -> (Vec<Frame>, usize, usize) {
-    let mut places: Vec<Vec<Frame>> = Vec::new();
-    for frame in frames {
-        match places.last_mut() {
-            Some(place) if along(&frame) - along(&place[0]) < SAME_PLACE_MM => place.push(frame),
-            _ => places.push(vec![frame]),
-        }
-    }
-    let num_times = places.iter().map(Vec::len).min().unwrap_or(1);
-    let num_extra = places.iter().map(|p| p.len() - num_times).sum::<usize>();
-    if num_extra > 0 {
-        let text = format!("{num_extra} slices lie where others do and were left out");
-        warnings.push((WarningKind::Data, text));
-    }
-    let num_slices = places.len();
-    let ordered = (0..num_times).flat_map(|t| places.iter().map(move |p| p[t].clone())).collect();
-    (ordered, num_slices, num_times)
-}
-
-/// The distance at which slices at these places are shown; what is not even is told.
-fn slice_distance(places: &[f64], told: Option<f64>, warnings: &mut Vec<(WarningKind, String)>) -> f64 {
-    let gaps: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();
-    let mut sorted = gaps.clone();
-    sorted.sort_by(f64::total_cmp);
-    let (least, median, greatest) = (sorted[0], sorted[sorted.len() / 2], sorted[sorted.len() - 1]);
-    let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
-    let mut warn = |text: String| warnings.push((WarningKind::Geometry, text));
-    let missing: Vec<(usize, f64)> = gaps
-        .iter()
-        .enumerate()
-        .map(|(i, gap)| (i, (gap / median).round() - 1.0))
-        .filter(|(i, n)| *n >= 1.0 && (gaps[*i] / median - n - 1.0).abs() < 0.2)
-        .collect();
-    let distance = if missing.is_empty() { mean } else { median };
-    if let Some((i, _)) = missing.first() {
-        let count = missing.iter().map(|m| m.1).sum::<f64>();
-        let more = if missing.len() > 1 {
-            format!(" and in {} other places", missing.len() - 1)
-        } else {
-            String::new()
-        };
-        warn(format!("{count} slices are missing, after slice {}{more}; the gap is not shown", i + 1));
-    } else if greatest - least > UNEVEN * median {
-        warn(format!(
-            "slices are {least:.3} to {greatest:.3} mm apart; they are shown {distance:.3} mm apart"
-        ));
-    }
-    if let Some(told) = told.filter(|t| (t - distance).abs() > 0.05 * distance && missing.is_empty()) {
-        warn(format!(
-            "the file says that slices are {told} mm apart, their positions {distance:.3} mm, which is shown"
-        ));
-    }
-    distance
-}
-
-/// Slices nearer than this lie in the same place.
+/// Slices nearer than this, or than this share of the distance that their file tells, lie in the same place.
 const SAME_PLACE_MM: f64 = 1e-3;
-/// Distances that differ by less than this share are rounding.
-const UNEVEN: f64 = 0.005;
+const SAME_PLACE: f64 = 0.01;
+/// Of a normal that is called that of an axis: within 15°.
+const MIN_COSINE: f64 = 0.966;
 /// As for other formats.
 const MAX_TILT_DEG: f64 = 1.0;
 /// Series that a slice is compared with; more than any folder holds.
