@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use isinglass_core::clip::Region;
+use isinglass_core::kernels::empty_space::TILE;
 use isinglass_core::kernels::raycast::{MARGIN_UNITS, Reconstruction};
 use isinglass_core::layer::{DEPTH_UNITS, LayeredFrame};
 use isinglass_core::space::Ray;
@@ -66,30 +67,31 @@ pub(crate) fn brute_force(
                 if part.1 > part.0 {
                     let (x, y) = if along == 0 { (column, row) } else { (row, column) };
                     let (c, t) = brute_force_list(frame, x, y, part, depth, unit);
-                    columns.push((part.0, (c, 1.0 - t)));
+                    columns.push((part.0, column, [(c, 1.0 - t); 2], 0.0));
                 }
             }
             continue;
         }
         let at_across = 0.5 * (pixel(part.0, across) + pixel(part.1, across)) - 0.5;
-        let mut mixed = (DVec3::ZERO, 0.0);
-        for (row, weight) in [
-            (at_across.floor(), 1.0 - at_across.rem_euclid(1.0)),
-            (at_across.floor() + 1.0, at_across.rem_euclid(1.0)),
-        ] {
+        let lists = [at_across.floor(), at_across.floor() + 1.0].map(|row| {
             let row = row.clamp(0.0, size[across] - 1.0) as u32;
             let (x, y) = if along == 0 { (column, row) } else { (row, column) };
             let (c, t) = brute_force_list(frame, x, y, part, depth, unit);
-            mixed.0 += c * weight;
-            mixed.1 += (1.0 - t) * weight;
-        }
-        columns.push((part.0, mixed));
+            (c, 1.0 - t)
+        });
+        columns.push((part.0, column, lists, at_across.rem_euclid(1.0)));
     }
     columns.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut c, mut t) = (DVec3::ZERO, 1.0);
-    for (_, (color, alpha)) in columns {
-        c += color * t;
-        t *= 1.0 - alpha;
+    let (mut tile, mut bias) = (u32::MAX, 0.0);
+    for (_, column, [first, second], fraction) in columns {
+        // The less is seen of a tile, the more of the weight has the nearer list.
+        if column / TILE != tile {
+            (tile, bias) = (column / TILE, f64::min(0.005 / (t * t), 0.48));
+        }
+        let fraction = f64::clamp((fraction - bias) / (1.0 - 2.0 * bias), 0.0, 1.0);
+        c += first.0.lerp(second.0, fraction) * t;
+        t *= 1.0 - (first.1 + (second.1 - first.1) * fraction);
     }
     [c.x, c.y, c.z, 1.0 - t]
 }
