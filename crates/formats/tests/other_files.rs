@@ -16,9 +16,6 @@ fn each_is_named_with_the_way_to_a_volume() {
     let packed = packed.finish().unwrap();
     let mut analyze = vec![0x5c, 1, 0, 0];
     analyze.resize(348, 0);
-    // A page of one pixel in JPEG with Aperio's description, as far as it is looked at.
-    let mut svs = b"II*\0\x08\0\0\0\x01\0\x0e\x01\x02\0\x10\0\0\0\x1a\0\0\0\0\0\0\0".to_vec();
-    svs.extend(b"Aperio Image\r\n\0\0");
     fs::write(folder.path().join("pair.hdr"), &analyze).unwrap();
     for (name, bytes, found, expected) in [
         ("a.mgz", packed.clone(), "a FreeSurfer MGH volume", "`mri_convert FILE FILE.nii.gz`"),
@@ -36,7 +33,6 @@ fn each_is_named_with_the_way_to_a_volume() {
             "description of an OME-TIFF",
             "TIFF files",
         ),
-        ("a.svs", svs, "a slide of a microscope (Aperio SVS)", "`bfconvert -series N`"),
     ] {
         let path = folder.path().join(name);
         fs::write(&path, bytes).unwrap();

@@ -387,6 +387,19 @@ fn stacks_of_imagej_have_their_order_and_steps() {
     assert!(text.contains("its description has 12 planes, but there is one page, packed"), "{text}");
 }
 
+/// Of slides only what they are is told: most are in a JPEG 2000 (33003) of their own.
+#[test]
+fn slides_are_no_volumes() {
+    let folder = TempDir::new().unwrap();
+    let mut page = Page::new([3, 2], vec![0; 6]).described("Aperio Image Library v12.0.15\r\n3x2 J2K");
+    (page.photometric, page.more) = (2, vec![(259, 33_003)]);
+    let text = message(&write(folder.path(), "a.svs", &[page]), Selection::default());
+    assert!(
+        text.contains("found a slide of a microscope (Aperio SVS), expected a volume; `bfconvert"),
+        "{text}"
+    );
+}
+
 /// ImageJ has one page for stacks beyond 4 GB.
 #[test]
 fn planes_beyond_four_gigabytes_are_found() {

@@ -329,7 +329,7 @@ const MAX_PAGES: u32 = 1 << 17;
 const MAX_GROUPS: usize = 64;
 /// The longest list of strips or tiles.
 const MAX_LIST_BYTES: u64 = 8 << 20;
-/// tifffile's descriptions with a line or two of a user's own.
-const MAX_SHAPED_BYTES: u64 = 1 << 16;
+/// tifffile's descriptions with some words of a user's own: each page may have one.
+const MAX_SHAPED_BYTES: u64 = 1 << 14;
 /// Longest message of the decoder that is shown.
 const MAX_MESSAGE_CHARS: usize = 200;
