@@ -1,7 +1,5 @@
 //! Files of other programs: does the message say what they are, and how a volume comes out of them?
 
-#![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
-
 use std::fs;
 use std::io::Write;
 
