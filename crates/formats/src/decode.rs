@@ -108,7 +108,7 @@ impl VoxelSink {
         true
     }
 
-    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number, or a float that is a usual
+    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number or infinite, or a float that is a usual
     /// mark for nothing and far from all others, become the least of the others: masks, maps of statistics and simulations have
     /// them outside of what was measured.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
@@ -116,14 +116,21 @@ impl VoxelSink {
         if let Voxels::F32(v) = &mut self.voxels
             && has_gaps
         {
-            let (least, num_nan) = v.iter().fold((f32::INFINITY, 0u64), |(least, n), &x| {
-                if x.is_nan() { (least, n + 1) } else { (least.min(x), n) }
-            });
-            if num_nan > 0 && least.is_finite() {
-                v.iter_mut().filter(|x| x.is_nan()).for_each(|x| *x = least);
-                let text =
-                    format!("{num_nan} voxels are not a number and are shown as the least value, {least}");
-                warnings.push(Warning::new(WarningKind::Values, text));
+            let (mut least, mut num_nan, mut num_infinite) = (f32::INFINITY, 0u64, 0u64);
+            for x in v.iter() {
+                num_nan += u64::from(x.is_nan());
+                num_infinite += u64::from(x.is_infinite());
+                least = if x.is_finite() { least.min(*x) } else { least };
+            }
+            // Without a finite number there is no volume.
+            if num_nan + num_infinite > 0 && least.is_finite() {
+                v.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = least);
+            }
+            for (count, what) in [(num_nan, "not a number"), (num_infinite, "infinite")] {
+                if count > 0 && least.is_finite() {
+                    let text = format!("{count} voxels are {what} and are shown as the least value, {least}");
+                    warnings.push(Warning::new(WarningKind::Values, text));
+                }
             }
             if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double) {
                 warnings.extend(fill_gaps(v));
@@ -301,6 +308,20 @@ mod tests {
         assert_eq!(
             decoded.warnings[0].text,
             "1 voxels are not a number and are shown as the least value, -2"
+        );
+        let mut s = sink(Dtype::Float, Endian::Little);
+        [f32::INFINITY, 3.0, f32::NEG_INFINITY, -2.0]
+            .iter()
+            .for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
+        let decoded = s.finish(true);
+        assert_eq!(decoded.voxels, Voxels::F32(vec![-2.0, 3.0, -2.0, -2.0]));
+        assert_eq!(decoded.warnings[0].text, "2 voxels are infinite and are shown as the least value, -2");
+        let mut s = sink(Dtype::Float, Endian::Little);
+        s.push_bytes(&f32::INFINITY.to_le_bytes());
+        assert_eq!(
+            s.finish(false).voxels,
+            Voxels::F32(vec![f32::INFINITY]),
+            "a raw file tells of a wrong guess"
         );
         let mut s = sink(Dtype::Float, Endian::Little);
         s.push_bytes(&f32::NAN.to_le_bytes());

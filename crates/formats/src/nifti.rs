@@ -13,7 +13,7 @@ use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
-use crate::sniff::EXPECTED;
+use crate::sniff::{expected_for, gzip_name};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
 use crate::taker::Taker;
@@ -63,8 +63,9 @@ impl NiftiFile {
             problem: problem.into(),
         };
         let Some((version, endian, is_pair)) = version(&bytes) else {
-            let (path, found) = (shown(path), "gzip data that is no NIfTI file");
-            return Err(FormatError::Unsupported { path, found, expected: EXPECTED });
+            let found = gzip_name(path);
+            let expected = expected_for(found);
+            return Err(FormatError::Unsupported { path: shown(path), found, expected });
         };
         let words = Words { bytes: &bytes, endian };
         let header_bytes = if version == 1 { HEADER_1_BYTES } else { HEADER_2_BYTES };

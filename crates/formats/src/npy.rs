@@ -1,4 +1,4 @@
-//! NumPy arrays: `.npy`, and `.npz`, whose arrays are the channels.
+//! NumPy arrays: `.npy`, and `.npz`, whose arrays are the channels, the largest first seen.
 //!
 //! An array names neither its axes nor distances. The axis that is fastest in memory is taken as x, the next as y and z; of
 //! more, an axis of three or four entries that is fastest holds colours, and the slower ones channels and time.
@@ -87,21 +87,42 @@ impl NpyFile {
             }
         }
         let names: Vec<String> = arrays.iter().map(|a| a.0.clone()).collect();
-        let index = options.selection.channel.unwrap_or(0) as usize;
+        // Of the largest in space there is one to be shown; beside it are masks, axes and tables.
+        let in_space = |plan: &Plan| {
+            let sizes =
+                [0, 1, 2].map(|i| plan.axes.iter().find(|a| a.role == Role::Space(i)).map_or(1, |a| a.size));
+            (sizes.iter().all(|n| *n > 1), sizes.into_iter().fold(1u64, u64::saturating_mul))
+        };
+        let usual = (0..arrays.len()).rev().max_by_key(|&i| in_space(&arrays[i].1)).unwrap_or(0);
+        let has_channels = |plan: &Plan| plan.axes.iter().any(|a| a.role == Role::Channel && a.size > 1);
+        let is_one = arrays.get(usual).is_some_and(|a| has_channels(&a.1));
+        let index = if is_one { usual } else { options.selection.channel.map_or(usual, |n| n as usize) };
         let Some((_, mut plan, place, skip)) = arrays.into_iter().nth(index) else {
             let what = "channel";
             return Err(match (names.len() as u64, first_problem) {
                 (0, Some(problem)) => problem,
-                (0, None) => bad("no array was found in it".into()),
+                (0, None) if archive.entries.iter().any(|e| e.name.ends_with(".npy")) => {
+                    bad("no array was found in it".into())
+                }
+                (0, None) => FormatError::Unsupported {
+                    path: shown(path),
+                    found: "a ZIP archive without NumPy arrays",
+                    expected: "what is in it: unpack it, and open the file or folder",
+                },
                 (found, _) => FormatError::Selection { path: shown(path), what, asked: index as u64, found },
             });
         };
-        let has_channels = plan.axes.iter().any(|a| a.role == Role::Channel && a.size > 1);
-        if names.len() > 1 && has_channels {
+        if names.len() > 1 && !is_one && has_channels(&plan) {
             return Err(bad("an array with channels beside other arrays, expected one or the other".into()));
         }
-        if !has_channels {
+        if is_one && names.len() > 1 {
+            let others = names.iter().enumerate().filter(|(i, _)| *i != usual).map(|(_, n)| n.as_str());
+            let others = others.take(MAX_NAMED).collect::<Vec<_>>().join(", ");
+            let text = format!("{} is the largest array; others are not shown: {others}", names[usual]);
+            plan.warn(WarningKind::Choice, text);
+        } else if !is_one {
             plan.num_channels = names.len() as u64;
+            plan.channel = usual as u64;
             plan.channel_names = names;
         }
         Ok(Self { plan, path: path.to_owned(), place, skip })
@@ -180,9 +201,12 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
     if !is_fortran {
         sizes.reverse();
     }
-    // Axes of one entry beyond the third say nothing.
+    // Axes of one entry beyond the third say nothing, slow ones or fast.
     while sizes.len() > 3 && sizes.last() == Some(&1) {
         sizes.pop();
+    }
+    while sizes.len() > 3 && sizes[0] == 1 {
+        sizes.remove(0);
     }
     if !(2..=5).contains(&sizes.len()) {
         return Err(bad());
@@ -207,5 +231,7 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
 
 /// Headers of arrays with many fields are larger, but those are not read.
 const MAX_HEADER_BYTES: u32 = 1 << 16;
+/// Arrays that a sentence names.
+const MAX_NAMED: usize = 8;
 /// Arrays of an archive that are looked at.
 const MAX_ARRAYS: usize = 256;

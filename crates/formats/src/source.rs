@@ -149,7 +149,7 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
         Kind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
         Kind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
         Kind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
-        Kind::Other(found) => return Err(unsupported(found, sniff::EXPECTED)),
+        Kind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),
     })
 }
 

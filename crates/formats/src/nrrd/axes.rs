@@ -289,6 +289,39 @@ mod tests {
         assert_eq!(roles(list), [&[Channel], &space[..]].concat());
     }
 
+    /// As ITK, Slicer and pynrrd write them.
+    #[test]
+    fn axes_outside_of_space_stand_first_or_last() {
+        use Role::{Channel, Space, Time};
+        let space = [Space(0), Space(1), Space(2)];
+        let inner = "(1,0,0) (0,2,0) (0,0,3)";
+        for none in ["none", "nan", "NaN", "(nan,nan,nan)"] {
+            for kind in ["vector", "list", "3-vector", "RGB-color", "3-gradient"] {
+                let first = format!(
+                    "dimension: 4\nsizes: 3 6 5 4\nspace: RAS\nspace directions: {none} {inner}\n\
+                     kinds: {kind} domain domain domain\nspacings: nan nan nan nan"
+                );
+                let found = axes(&first).unwrap();
+                let roles: Vec<Role> = found.axes.iter().map(|a| a.role).collect();
+                assert_eq!(roles, [&[Channel], &space[..]].concat(), "{none} {kind}");
+                assert_eq!(found.geometry.steps.map(|s| s.length()), [1.0, 2.0, 3.0]);
+                let last = format!(
+                    "dimension: 4\nsizes: 6 5 4 3\nspace: RAS\nspace directions: {inner} {none}\n\
+                     kinds: domain domain domain {kind}"
+                );
+                let found = axes(&last).unwrap();
+                let roles: Vec<Role> = found.axes.iter().map(|a| a.role).collect();
+                // A list of volumes is one of points in time.
+                let role = if kind == "list" { Time } else { Channel };
+                assert_eq!(roles, [&space[..], &[role]].concat(), "{none} {kind}");
+                assert_eq!(found.geometry.steps.map(|s| s.length()), [1.0, 2.0, 3.0]);
+            }
+        }
+        let spacings =
+            "dimension: 4\nsizes: 3 6 5 4\nspacings: NaN 1 2 3\nkinds: vector domain domain domain";
+        assert_eq!(axes(spacings).unwrap().geometry.steps.map(|s| s.length()), [1.0, 2.0, 3.0]);
+    }
+
     #[test]
     fn units_are_kept_when_they_agree() {
         let unit = |line: &str| axes(&format!("dimension: 3\nsizes: 4 3 2\n{line}")).unwrap().geometry.unit;

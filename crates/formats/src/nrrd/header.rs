@@ -323,7 +323,7 @@ impl Fields {
         Ok((space, Some(dimension)))
     }
 
-    /// `space directions`: a vector in parentheses or `none` for each axis.
+    /// `space directions`: for each axis a vector in parentheses, or what stands for none: `none`, `nan` or a vector of those.
     fn directions(
         &self,
         dimension: usize,
@@ -339,14 +339,21 @@ impl Fields {
         let mut directions = Vec::new();
         let mut rest = text;
         while !rest.is_empty() {
-            if rest.get(..4).is_some_and(|word| word.eq_ignore_ascii_case("none")) {
+            let none = ["none", "nan"]
+                .into_iter()
+                .find(|none| rest.get(..none.len()).is_some_and(|word| word.eq_ignore_ascii_case(none)));
+            if let Some(none) = none {
                 directions.push(None);
-                rest = rest[4..].trim_start();
+                rest = rest[none.len()..].trim_start();
                 continue;
             }
             let (inner, after) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or_else(bad)?;
             let numbers: Result<Vec<f64>, _> = inner.split(',').map(|n| n.trim().parse()).collect();
-            let numbers = numbers.ok().filter(|n| n.iter().all(|x| x.is_finite())).ok_or_else(bad)?;
+            let numbers = numbers.map_err(|_| bad())?;
+            let is_none = numbers.iter().all(|x| x.is_nan());
+            if !is_none && !numbers.iter().all(|x| x.is_finite()) {
+                return Err(bad());
+            }
             if numbers.len() != space_dimension {
                 let found = numbers.len();
                 let what = format!(
@@ -355,7 +362,8 @@ impl Fields {
                 return Err(HeaderError::Contradiction(what));
             }
             // A fourth component is time, which one volume does not run along.
-            directions.push(Some(std::array::from_fn(|i| numbers.get(i).copied().unwrap_or(0.0))));
+            let direction = std::array::from_fn(|i| numbers.get(i).copied().unwrap_or(0.0));
+            directions.push((!is_none).then_some(direction));
             rest = after.trim_start();
         }
         self.counted(field, dimension, directions).map(Some)

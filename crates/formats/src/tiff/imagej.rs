@@ -17,29 +17,53 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
     let number = |name: &str| get(name).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
     // A stack without hyperstack fields is one of slices.
     let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
-    let unit = match get("unit").unwrap_or_default() {
-        "micron" | "microns" | "um" | "µm" | "μm" | "\\u00B5m" => Some("µm"),
-        "" | "pixel" | "pixels" => None,
-        "millimeter" | "mm" => Some("mm"),
-        "nanometer" | "nm" => Some("nm"),
-        "cm" | "centimeter" => Some("cm"),
-        _ => Some(""),
+    let own = get("unit").and_then(unit_of_length);
+    // Steps along y and z may be told in units of their own.
+    let in_own = |name: &str| match (get(name).and_then(unit_of_length), own) {
+        (Some((meters, _)), Some((own, _))) => meters / own,
+        _ => 1.0,
     };
+    let unit = own.map(|(_, name)| name).or(get("unit").filter(|u| !is_pixel(u)).map(|_| ""));
     let in_plane = |i: usize| unit.and(resolution[i]).map(|pixels| 1.0 / pixels);
     // A negative spacing marks a stack whose slices were taken downwards.
-    let depth = unit.and(get("spacing")).and_then(|v| v.parse::<f64>().ok()).map(f64::abs);
+    let depth = number("spacing").map(f64::abs).filter(|d| *d > 0.0);
+    let spacing = match (unit, depth) {
+        (None, Some(depth)) => [Some(1.0), Some(1.0), Some(depth)],
+        _ => [in_plane(0), in_plane(1).map(|y| y * in_own("yunit")), depth.map(|z| z * in_own("zunit"))],
+    };
     Stack {
         axes: vec![(PlaneAxis::Channel, channels), (PlaneAxis::Z, slices), (PlaneAxis::Time, frames)],
-        spacing: [in_plane(0), in_plane(1), depth],
+        spacing,
         unit: unit.filter(|u| !u.is_empty()).map(str::to_owned),
         channel_names: Vec::new(),
         planes: None,
-        other_files: Vec::new(),
         series: Vec::new(),
         value_map: value_map(get("cf"), number("c1"), number("c0")),
         value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(unit_of_values),
+        guess: None,
         name: "ImageJ TIFF",
     }
+}
+
+/// A unit of length: metres, and its short name.
+fn unit_of_length(words: &str) -> Option<(f64, &'static str)> {
+    Some(match words.to_lowercase().as_str() {
+        // The sign of ISO 8859-1, which old versions wrote, is no text any more; so is what Java writes for it.
+        "micron" | "microns" | "micrometer" | "micrometers" | "micrometre" | "um" | "\u{b5}m"
+        | "\u{3bc}m" | "\u{fffd}m" | "\\u00b5m" => (1e-6, "µm"),
+        "nm" | "nanometer" | "nanometers" | "nanometre" => (1e-9, "nm"),
+        "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
+        "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
+        "m" | "meter" | "meters" | "metre" => (1.0, "m"),
+        "\u{e5}" | "\u{212b}" | "\\u00c5" | "angstrom" | "angstroms" => (1e-10, "Å"),
+        "inch" | "inches" | "in" => (0.0254, "in"),
+        _ => return None,
+    })
+}
+
+/// Whether a unit is none: lengths are told in pixels.
+fn is_pixel(unit: &str) -> bool {
+    matches!(unit.to_lowercase().as_str(), "" | "pixel" | "pixels")
 }
 
 /// Of a calibration by a straight line; others are left out. Signed integers are stored as unsigned ones with one.
@@ -47,5 +71,43 @@ fn value_map(function: Option<&str>, slope: Option<f64>, intercept: Option<f64>)
     match (function, slope, intercept) {
         (Some("0"), Some(slope), Some(intercept)) if slope != 0.0 => (slope, intercept),
         _ => (1.0, 0.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_have_their_unit_along_each_axis() {
+        let told = |lines: &str| {
+            let text = format!("ImageJ=1.54f\nimages=4\nslices=4\n{lines}\n");
+            let Stack { spacing, unit, .. } = stack(&text, &[Some(4.0), Some(2.0)]);
+            (spacing.map(|s| s.unwrap_or(0.0)), unit)
+        };
+        for (name, expected) in [
+            ("micron", "µm"),
+            ("um", "µm"),
+            ("µm", "µm"),
+            ("\\u00B5m", "µm"),
+            ("\u{fffd}m", "µm"),
+            ("nm", "nm"),
+            ("mm", "mm"),
+            ("cm", "cm"),
+            ("inch", "in"),
+            ("Å", "Å"),
+        ] {
+            let expected = ([0.25, 0.5, 3.0], Some(expected.to_owned()));
+            assert_eq!(told(&format!("unit={name}\nspacing=3.0")), expected, "{name}");
+            assert_eq!(told(&format!("unit={name}\nspacing=-3.0")), expected, "{name}");
+        }
+        let (spacing, _) = told("unit=micron\nyunit=nm\nzunit=mm\nspacing=0.002");
+        let near = spacing.iter().zip([0.25, 0.0005, 2.0]).all(|(a, b)| (a / b - 1.0_f64).abs() < 1e-12);
+        assert!(near, "{spacing:?}");
+        // In pixels: how thick a slice is beside them, without a unit.
+        assert_eq!(told("spacing=3.0"), ([1.0, 1.0, 3.0], None));
+        assert_eq!(told("unit=pixel\nspacing=3.0"), ([1.0, 1.0, 3.0], None));
+        assert_eq!(told("unit=pixel"), ([0.0; 3], None));
+        assert_eq!(told("unit=furlong\nspacing=3.0"), ([0.25, 0.5, 3.0], None));
     }
 }

@@ -5,14 +5,16 @@ mod check;
 mod imagej;
 mod ome;
 
-use std::fs::File;
-use std::io::BufReader;
+mod page;
+mod set;
+mod shaped;
+
 use std::path::{Path, PathBuf};
 
-use ::tiff::decoder::{Decoder, Limits};
-use ::tiff::tags::{PlanarConfiguration, SampleFormat, Tag};
-use ::tiff::{ColorType, TiffError};
+use ::tiff::TiffError;
 
+use self::page::{Group, PageDecoder, PageShape, Scan, decoder, page_shape, tiff_error};
+use self::shaped::Shaped;
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
@@ -31,7 +33,7 @@ pub(crate) struct TiffFile {
     shape: PageShape,
     /// Where planes lie one after the other without pages of their own.
     contiguous: Option<u64>,
-    reader: Option<(u32, Decoder<BufReader<File>>)>,
+    reader: Option<(u32, PageDecoder)>,
 }
 
 /// A page: which file, and which of its pages.
@@ -39,23 +41,6 @@ pub(crate) struct TiffFile {
 pub(super) struct Place {
     pub(super) file: u32,
     pub(super) page: u32,
-}
-
-/// What all pages of a volume have in common.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct PageShape {
-    width: u32,
-    height: u32,
-    samples: u16,
-    is_planar: bool,
-    dtype: Dtype,
-}
-
-impl PageShape {
-    fn num_bytes(&self) -> u64 {
-        let num_pixels = u64::from(self.width) * u64::from(self.height);
-        num_pixels.saturating_mul(u64::from(self.samples) * self.dtype.num_bytes() as u64)
-    }
 }
 
 /// What the planes mean.
@@ -68,13 +53,14 @@ pub(super) struct Stack {
     pub(super) channel_names: Vec<String>,
     /// The page of each plane, if they are not simply in order.
     pub(super) planes: Option<Vec<Option<Place>>>,
-    /// Files that planes are in beside the first.
-    pub(super) other_files: Vec<String>,
+    /// Series of the file, each in words; empty if there is one.
     pub(super) series: Vec<String>,
     /// What numbers mean: times the first, plus the second.
     pub(super) value_map: (f64, f64),
     /// Unit of the values.
     pub(super) value_unit: Option<String>,
+    /// What had to be assumed of the axes.
+    pub(super) guess: Option<String>,
     pub(super) name: &'static str,
 }
 
@@ -86,107 +72,139 @@ pub(super) enum PlaneAxis {
     Time,
 }
 
-/// What one file says.
-struct Scan {
-    shape: PageShape,
-    /// Pages of that shape.
-    pages: Vec<u32>,
-    description: Option<String>,
-    /// Pixels per unit along x and y, and the millimetres of the unit if it is one of length.
-    resolution: [Option<f64>; 2],
-    unit_mm: Option<f64>,
-    first_offset: Option<u64>,
-    is_plain: bool,
-    endian: Endian,
-    num_other: usize,
+impl PlaneAxis {
+    /// What it is called in a message.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Z => "z",
+            Self::Channel => "channels",
+            Self::Time => "times",
+        }
+    }
+}
+
+impl Stack {
+    /// Pages without a description: slices from the first to the last.
+    fn plain(group: &Group) -> Self {
+        let spacing = |i: usize| group.unit_mm.zip(group.resolution[i]).map(|(mm, pixels)| mm / pixels);
+        Self {
+            axes: vec![(PlaneAxis::Z, group.pages.len() as u64)],
+            spacing: [spacing(0), spacing(1), None],
+            unit: group.unit_mm.map(|_| "mm".to_owned()),
+            channel_names: Vec::new(),
+            planes: None,
+            series: Vec::new(),
+            value_map: (1.0, 0.0),
+            value_unit: None,
+            guess: None,
+            name: "TIFF",
+        }
+    }
+
+    /// Planes along all axes.
+    fn num_planes(&self) -> Result<u64, String> {
+        let num_planes = self.axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.1));
+        num_planes
+            .filter(|n| (1..=MAX_PLANES).contains(n))
+            .ok_or_else(|| format!("its description has {:?} planes, expected 1 to {MAX_PLANES}", self.axes))
+    }
 }
 
 impl TiffFile {
     /// A file, or the files of a folder, each a slice or some. `path` is the file or the folder.
-    pub(crate) fn open(
-        mut files: Vec<PathBuf>,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Self, FormatError> {
+    pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let bad =
             |problem: String| FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem };
-        let first = scan(&files[0], options)?;
-        let shape = first.shape;
-        let mut stack = match first.description.as_deref() {
-            Some(text) if ome::is_ome(text) => {
-                ome::stack(text, &file_name(&files[0]), u64::from(shape.samples), options.selection.series)
-                    .map_err(bad)?
-            }
-            Some(text) if files.len() == 1 && imagej::is_imagej(text) => {
-                imagej::stack(text, &first.resolution)
-            }
-            _ => plain_stack(&first),
-        };
-        let mut pages: Vec<Place> = first.pages.iter().map(|&page| Place { file: 0, page }).collect();
-        if stack.name == "OME-TIFF" {
-            files.truncate(1);
-            let folder = files[0].parent().unwrap_or(Path::new("")).to_owned();
-            files.extend(stack.other_files.iter().map(|name| folder.join(name)));
-        } else {
-            for (i, file) in files.iter().enumerate().skip(1) {
-                options.check_cancelled(path)?;
-                // Where the first file is one page, the others are expected to be.
-                let count = if first.pages.len() == 1 { vec![0] } else { scan(file, options)?.pages };
-                pages.extend(count.into_iter().map(|page| Place { file: i as u32, page }));
+        let mut first = Scan::of(&files[0], options)?;
+        if let Some(text) = first.description.as_deref().filter(|text| ome::is_ome(text)) {
+            let image = set::OmeSet::open(text, &files, path, options)?;
+            if let Some(image) = image {
+                return image.into_file(first, path, options);
             }
         }
-        let num_planes = stack.axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.1));
-        let mut num_planes = num_planes.filter(|n| (1..=MAX_PLANES).contains(n)).ok_or_else(|| {
-            bad(format!("its description has {:?} planes, expected 1 to {MAX_PLANES}", stack.axes))
-        })?;
+        let num_series = if files.len() == 1 { first.groups.len() } else { 1 };
+        let index = options.selection.series.unwrap_or(0) as usize;
+        if index >= num_series {
+            let (what, asked, found) = ("series", index as u64, num_series as u64);
+            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+        }
+        let series: Vec<String> = first.groups[..num_series].iter().map(Group::name).collect();
+        let num_left: usize = first.groups[num_series..].iter().map(|g| g.pages.len()).sum();
+        first.num_other += num_left;
+        let group = first.groups.swap_remove(index);
+        let is_array = |s: &&Shaped| files.len() == 1 && s.num_planes(&group.shape).is_some_and(|n| n > 1);
+        let shaped = group.shaped.as_ref().filter(is_array).map(|s| s.stack(&group));
+        let is_described = shaped.is_some();
+        let mut stack = match (first.description.as_deref(), shaped) {
+            (_, Some(stack)) => stack.map_err(bad)?.unwrap_or_else(|| Stack::plain(&group)),
+            (Some(text), _) if files.len() == 1 && index == 0 && imagej::is_imagej(text) => {
+                imagej::stack(text, &group.resolution)
+            }
+            (Some(text), _) if files.len() > 1 && ome::is_ome(text) => {
+                set::slices(text, &group).map_err(bad)?
+            }
+            _ => Stack::plain(&group),
+        };
+        let mut pages: Vec<Place> = group.pages.iter().map(|&page| Place { file: 0, page }).collect();
+        for (i, file) in files.iter().enumerate().skip(1) {
+            options.check_cancelled(path)?;
+            // Where the first file is one page, the others are expected to be.
+            let others = if group.pages.len() == 1 { vec![0] } else { pages_like(file, &group, options)? };
+            pages.extend(others.into_iter().map(|page| Place { file: i as u32, page }));
+        }
+        let mut num_planes = stack.num_planes().map_err(bad)?;
+        let is_truncated = group.shaped.as_ref().is_some_and(|s| s.is_truncated);
         let is_contiguous =
-            stack.name == "ImageJ TIFF" && pages.len() == 1 && num_planes > 1 && first.is_plain;
+            (stack.name == "ImageJ TIFF" || is_truncated) && pages.len() == 1 && num_planes > 1;
+        if is_contiguous && group.block.is_none() {
+            return Err(bad(format!(
+                "its description has {num_planes} planes, but there is one page, packed or in parts that lie apart; \
+                 expected a page for each, or plain numbers one after the other"
+            )));
+        }
         let mut warnings = Vec::new();
-        if !is_contiguous && stack.planes.is_none() && num_planes != pages.len() as u64 {
-            if stack.name != "TIFF" {
+        if !is_contiguous && num_planes != pages.len() as u64 {
+            if stack.name != "TIFF" || is_described {
                 let found = pages.len();
-                warnings.push(format!(
+                let text = format!(
                     "the description has {num_planes} planes, the file {found}; they are read as slices"
-                ));
+                );
+                warnings.push((WarningKind::Data, text));
             }
             num_planes = pages.len() as u64;
             stack.axes = vec![(PlaneAxis::Z, num_planes)];
             stack.channel_names.clear();
+            stack.guess = None;
         }
-        let mut plan = plan(&first, &mut stack, is_contiguous, files.len()).map_err(bad)?;
-        if plan.axes.iter().filter(|a| a.role == Role::Channel && a.size > 1).count() > 1 {
-            return Err(bad(format!(
-                "{} samples a pixel in several channels, expected one or the other",
-                shape.samples
-            )));
+        if num_series > 1 {
+            if options.selection.series.is_none() {
+                let names = series.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join("; ");
+                let text = format!("the file has {num_series} series ({names}), of which 0 is shown");
+                warnings.push((WarningKind::Choice, text));
+            }
+            stack.series = series;
         }
-        for text in warnings {
-            plan.warn(WarningKind::Data, text);
+        let mut plan =
+            plan(&group, &mut stack, is_contiguous.then_some(first.endian), files.len()).map_err(bad)?;
+        for (kind, text) in warnings {
+            plan.warn(kind, text);
         }
         if first.num_other > 0 {
             let text = format!("{} pages of another size or type were left out", first.num_other);
             plan.warn(WarningKind::Data, text);
         }
-        let planes = match stack.planes {
-            Some(planes) => planes,
-            None if is_contiguous => Vec::new(),
-            None => pages.into_iter().take(num_planes as usize).map(Some).collect(),
-        };
-        let num_missing = planes.iter().filter(|p| p.is_none()).count();
-        if num_missing > 0 {
-            plan.warn(
-                WarningKind::Data,
-                format!("{num_missing} planes are not in the file and are shown empty"),
-            );
-        }
-        let contiguous = first.first_offset.filter(|_| is_contiguous);
-        Ok(Self { plan, files, planes, shape, contiguous, reader: None })
+        let planes = if is_contiguous { Vec::new() } else { pages.into_iter().map(Some).collect() };
+        let contiguous = group.block.filter(|_| is_contiguous);
+        Ok(Self { plan, files, planes, shape: group.shape, contiguous, reader: None })
     }
 
     /// Decodes a page into `bytes`.
     fn decode(&mut self, place: Place, bytes: &mut [u8], taker: &Taker) -> Result<(), FormatError> {
         let path = &self.files[place.file as usize];
         if self.reader.as_ref().is_none_or(|(file, _)| *file != place.file) {
+            if place.file > 0 && !path.exists() {
+                return Err(taker.data_error(path, "the file is missing, which has some of the planes"));
+            }
             self.reader = Some((place.file, decoder(path)?));
         }
         let Some((_, decoder)) = &mut self.reader else { return Ok(()) };
@@ -195,12 +213,18 @@ impl TiffFile {
         decoder.seek_to_image(page as usize).map_err(error)?;
         let found = page_shape(decoder).map_err(|e| e.at(path, page))?;
         if found != self.shape {
-            let name = |s: PageShape| format!("{}×{}×{} {}", s.width, s.height, s.samples, s.dtype.name());
-            let problem = format!("page {page} is {}, expected {}", name(found), name(self.shape));
+            let problem = format!("page {page} is {}, expected {}", found.name(), self.shape.name());
             return Err(taker.data_error(path, problem));
         }
         decoder.read_image_bytes(bytes).map_err(error)
     }
+}
+
+/// The pages of another file of a folder: those of the shape of `group`, or those of the first.
+fn pages_like(file: &Path, group: &Group, options: &OpenOptions) -> Result<Vec<u32>, FormatError> {
+    let scan = Scan::of(file, options)?;
+    let alike = scan.groups.iter().find(|g| g.shape == group.shape).or(scan.groups.first());
+    Ok(alike.map_or(Vec::new(), |g| g.pages.clone()))
 }
 
 impl VolumeFile for TiffFile {
@@ -240,9 +264,9 @@ impl VolumeFile for TiffFile {
     }
 }
 
-/// The plan of planes with this meaning.
-fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) -> Result<Plan, String> {
-    let PageShape { width, height, samples, is_planar, dtype } = first.shape;
+/// The plan of planes with this meaning. `endian` is that of numbers which are not decoded.
+fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usize) -> Result<Plan, String> {
+    let PageShape { width, height, samples, is_planar, dtype } = group.shape;
     let samples = Axis { size: samples.into(), role: if samples > 1 { Role::Channel } else { Role::Single } };
     let mut axes = vec![
         Axis { size: width.into(), role: Role::Space(0) },
@@ -262,14 +286,24 @@ fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) 
     if !axes.iter().any(|a| a.role == Role::Space(2)) {
         axes.push(Axis { size: 1, role: Role::Space(2) });
     }
-    let endian = if is_contiguous { first.endian } else { NATIVE };
+    if axes.iter().filter(|a| a.role == Role::Channel && a.size > 1).count() > 1 {
+        return Err(format!(
+            "{} samples a pixel in several channels, expected one or the other",
+            group.shape.samples
+        ));
+    }
     let spacing = stack.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
     let in_plane = spacing[0].or(spacing[1]);
     let known = [in_plane, spacing[1].or(in_plane), spacing[2].or(in_plane)].map(|s| s.unwrap_or(1.0));
     let unit = stack.unit.take().filter(|_| in_plane.is_some());
     let place = if num_files > 1 && stack.name == "TIFF" { ", a file for each slice" } else { "" };
-    let mut plan =
-        Plan::new(format!("{}{place}", stack.name), dtype, endian, axes, Geometry::along_axes(known, unit));
+    let mut plan = Plan::new(
+        format!("{}{place}", stack.name),
+        dtype,
+        endian.unwrap_or(NATIVE),
+        axes,
+        Geometry::along_axes(known, unit),
+    );
     plan.channel_names = std::mem::take(&mut stack.channel_names);
     if plan.channel_names.is_empty() && matches!(samples.size, 3 | 4) {
         plan.channel_names =
@@ -277,6 +311,17 @@ fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) 
     }
     plan.series = std::mem::take(&mut stack.series);
     plan.value_map = stack.value_map;
+    if group.is_white {
+        // The decoder turns over what it decodes.
+        if endian.is_some() {
+            let ((slope, intercept), most) = (plan.value_map, greatest(dtype));
+            plan.value_map = (-slope, slope * most + intercept);
+        }
+        plan.warn(WarningKind::Values, "the least value is white (MinIsWhite); values were turned over");
+    }
+    if let Some(text) = stack.guess.take() {
+        plan.warn(WarningKind::Guess, text);
+    }
     plan.value_unit = stack.value_unit.take();
     let depth = stack.axes.iter().find(|a| a.0 == PlaneAxis::Z).map_or(1, |a| a.1);
     plan.spacing_guess = match (in_plane, spacing[2]) {
@@ -289,190 +334,13 @@ fn plan(first: &Scan, stack: &mut Stack, is_contiguous: bool, num_files: usize) 
     Ok(plan)
 }
 
-/// Pages without a description: slices from the first to the last.
-fn plain_stack(scan: &Scan) -> Stack {
-    let spacing = |i: usize| scan.unit_mm.zip(scan.resolution[i]).map(|(mm, pixels)| mm / pixels);
-    Stack {
-        axes: vec![(PlaneAxis::Z, scan.pages.len() as u64)],
-        spacing: [spacing(0), spacing(1), None],
-        unit: scan.unit_mm.map(|_| "mm".to_owned()),
-        channel_names: Vec::new(),
-        planes: None,
-        other_files: Vec::new(),
-        series: Vec::new(),
-        value_map: (1.0, 0.0),
-        value_unit: None,
-        name: "TIFF",
-    }
+/// What white is turned into: the greatest number of a type, 1 of floats.
+fn greatest(dtype: Dtype) -> f64 {
+    dtype.integer_range().map_or(1.0, |(_, most)| most)
 }
 
 fn file_length(path: &Path) -> Result<u64, FormatError> {
     Ok(std::fs::metadata(path).map_err(io_error(path))?.len())
-}
-
-fn decoder(path: &Path) -> Result<Decoder<BufReader<File>>, FormatError> {
-    let mut file = open_file(path)?;
-    let length = file.metadata().map_err(io_error(path))?.len();
-    if !check::first_directory_fits(&mut file, length).map_err(io_error(path))? {
-        let problem = format!("its first directory is not within {length} bytes, or has values that are not");
-        return Err(FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem });
-    }
-    let mut limits = Limits::default();
-    // A list of strips is no longer than the file it is in.
-    limits.ifd_value_size = length.min(MAX_LIST_BYTES) as usize;
-    limits.decoding_buffer_size = limits.ifd_value_size;
-    let decoder = Decoder::new(BufReader::new(file)).map_err(|e| tiff_error(path, 0, e))?;
-    Ok(decoder.with_limits(limits))
-}
-
-/// Looks at all pages of a file.
-fn scan(path: &Path, options: &OpenOptions) -> Result<Scan, FormatError> {
-    let mut decoder = decoder(path)?;
-    let shape = page_shape(&mut decoder).map_err(|e| e.at(path, 0))?;
-    let description = description(&mut decoder);
-    let resolution =
-        [Tag::XResolution, Tag::YResolution].map(|tag| decoder.get_tag(tag).ok().and_then(ratio));
-    let unit_mm = match decoder.get_tag_u32(Tag::ResolutionUnit) {
-        // An inch stands for pictures on paper, and is what most writers put there who know nothing.
-        Ok(3) => Some(10.0),
-        _ => None,
-    };
-    let is_plain = decoder.get_tag_u32(Tag::Compression).unwrap_or(1) == 1;
-    let first_offset = decoder.get_tag_u64_vec(Tag::StripOffsets).ok().and_then(|o| o.first().copied());
-    let endian = match decoder.byte_order() {
-        ::tiff::tags::ByteOrder::LittleEndian => Endian::Little,
-        ::tiff::tags::ByteOrder::BigEndian => Endian::Big,
-    };
-    let (mut pages, mut num_other) = (vec![0], 0);
-    let mut page = 0;
-    while decoder.more_images() && page < MAX_PAGES {
-        page += 1;
-        options.check_cancelled(path)?;
-        match decoder.next_image() {
-            Ok(()) => {}
-            // The decoder is at the page behind it all the same.
-            Err(TiffError::UnsupportedError(_)) => {
-                num_other += 1;
-                continue;
-            }
-            Err(e) => {
-                // A file that ends too early has lost most of what it says it has.
-                let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
-                return Err(FormatError::Data { path: shown(path), problem });
-            }
-        }
-        let is_reduced = decoder.get_tag_u32(Tag::NewSubfileType).unwrap_or(0) & 1 == 1;
-        match page_shape(&mut decoder) {
-            Ok(found) if found == shape && !is_reduced => pages.push(page),
-            _ => num_other += 1,
-        }
-    }
-    Ok(Scan { shape, pages, description, resolution, unit_mm, first_offset, is_plain, endian, num_other })
-}
-
-/// The description of the page that the decoder is at, in whatever encoding.
-fn description(decoder: &mut Decoder<BufReader<File>>) -> Option<String> {
-    let mut tags = decoder.image_ifd();
-    let length = tags.find_entry(Tag::ImageDescription)?.count();
-    if length > MAX_LIST_BYTES {
-        return None;
-    }
-    let mut bytes = Vec::new();
-    // In parts, as the length may be a lie.
-    while (bytes.len() as u64) < length {
-        let start = bytes.len();
-        bytes.resize(length.min(2 * start as u64 + 4096) as usize, 0);
-        let n = tags.find_tag_bytes(Tag::ImageDescription, &mut bytes[start..], start as u64).ok()??;
-        if n < bytes.len() - start {
-            return None;
-        }
-    }
-    let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
-    Some(String::from_utf8_lossy(&bytes[..end]).into_owned())
-}
-
-/// What is wrong with a page.
-enum PageError {
-    Tiff(TiffError),
-    Kind(String),
-}
-
-impl PageError {
-    fn at(self, path: &Path, page: u32) -> FormatError {
-        match self {
-            Self::Tiff(e) => tiff_error(path, page, e),
-            Self::Kind(problem) => {
-                FormatError::Malformed { path: shown(path), format: format!("TIFF page {page}"), problem }
-            }
-        }
-    }
-}
-
-/// The shape of the page that the decoder is at.
-fn page_shape(decoder: &mut Decoder<BufReader<File>>) -> Result<PageShape, PageError> {
-    let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
-    let color = decoder.colortype().map_err(PageError::Tiff)?;
-    let samples = match color {
-        ColorType::YCbCr(_) | ColorType::CMYK(_) | ColorType::CMYKA(_) | ColorType::Lab(_) => {
-            return Err(PageError::Kind(format!("colours are {color:?}, expected grey, RGB or channels")));
-        }
-        color => color.num_samples(),
-    };
-    let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(PageError::Tiff)?;
-    let format = formats.and_then(|f| f.first().copied()).unwrap_or(1);
-    let bits = color.bit_depth();
-    let dtype = match (SampleFormat::from_u16(format), bits) {
-        (Some(SampleFormat::Int), 8) => Dtype::Int8,
-        (Some(SampleFormat::Int), 16) => Dtype::Int16,
-        (Some(SampleFormat::Int), 32) => Dtype::Int32,
-        (Some(SampleFormat::Int), 64) => Dtype::Int64,
-        (Some(SampleFormat::IEEEFP), 16) => Dtype::Half,
-        (Some(SampleFormat::IEEEFP), 32) => Dtype::Float,
-        (Some(SampleFormat::IEEEFP), 64) => Dtype::Double,
-        (Some(SampleFormat::Uint | SampleFormat::Void), 8) => Dtype::Uint8,
-        (Some(SampleFormat::Uint | SampleFormat::Void), 16) => Dtype::Uint16,
-        (Some(SampleFormat::Uint | SampleFormat::Void), 32) => Dtype::Uint32,
-        (Some(SampleFormat::Uint | SampleFormat::Void), 64) => Dtype::Uint64,
-        _ => {
-            let problem =
-                format!("{bits} bits of sample format {format}, expected numbers of 8, 16, 32 or 64 bits");
-            return Err(PageError::Kind(problem));
-        }
-    };
-    let planar = decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(PageError::Tiff)?;
-    let is_planar =
-        samples > 1 && planar.and_then(PlanarConfiguration::from_u16) == Some(PlanarConfiguration::Planar);
-    if width == 0 || height == 0 || samples == 0 {
-        return Err(PageError::Kind(format!("{width}×{height} pixels of {samples} samples, expected some")));
-    }
-    Ok(PageShape { width, height, samples, is_planar, dtype })
-}
-
-/// A fraction as a number above zero.
-fn ratio(value: ::tiff::decoder::ifd::Value) -> Option<f64> {
-    use ::tiff::decoder::ifd::Value;
-    let number = match value {
-        Value::Rational(a, b) => f64::from(a) / f64::from(b),
-        Value::List(list) => return list.into_iter().next().and_then(ratio),
-        Value::Float(x) => f64::from(x),
-        Value::Double(x) => x,
-        _ => return None,
-    };
-    Some(number).filter(|x| x.is_finite() && *x > 0.0)
-}
-
-fn tiff_error(path: &Path, page: u32, e: TiffError) -> FormatError {
-    match e {
-        TiffError::IoError(cause) if cause.kind() != std::io::ErrorKind::UnexpectedEof => {
-            FormatError::Io { path: shown(path), cause }
-        }
-        e => FormatError::Data { path: shown(path), problem: format!("page {page}: {}", one_line(&e)) },
-    }
-}
-
-/// A message of the decoder on one line, cut to a length that fits.
-fn one_line(e: &TiffError) -> String {
-    e.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_MESSAGE_CHARS).collect()
 }
 
 /// The files of a folder of slices in the order of the numbers in their names.
@@ -500,18 +368,14 @@ pub(crate) fn sort_by_number(files: &mut [PathBuf]) {
 
 /// The decoder gives numbers in the order of the machine.
 const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { Endian::Little };
-/// Pages of one file that are looked at.
-const MAX_PAGES: u32 = 1 << 17;
 /// Planes of one volume with all its channels and times.
 const MAX_PLANES: u64 = 1 << 18;
+/// Series that a sentence names.
+const MAX_NAMED: usize = 8;
 /// The largest page that is decoded.
 const MAX_PLANE_BYTES: u64 = 1 << 30;
-/// The longest list of strips or tiles.
-const MAX_LIST_BYTES: u64 = 8 << 20;
 /// The longest string of LZW, 4096 bytes less the codes before it, in a code of twelve bits.
 const MAX_LZW_RATIO: u64 = 2731;
-/// Longest message of the decoder that is shown.
-const MAX_MESSAGE_CHARS: usize = 200;
 
 #[cfg(test)]
 mod tests {

@@ -11,6 +11,13 @@ pub(super) fn is_ome(text: &str) -> bool {
     text.get(..text.len().min(4096)).or_else(|| text.get(..1000)).unwrap_or(text).contains("<OME")
 }
 
+/// What a description says.
+pub(super) struct Ome {
+    images: Vec<Image>,
+    /// The file that says it instead.
+    pub(super) metadata_file: Option<String>,
+}
+
 /// One image of the file.
 #[derive(Default)]
 struct Image {
@@ -25,6 +32,26 @@ impl Image {
     fn get(&self, name: &str) -> Option<&str> {
         self.pixels.as_ref()?.get(name)
     }
+
+    /// Its sizes along x, y and z, channels and times, as far as there are several.
+    fn sizes(&self) -> String {
+        let size = |n: &str| quoted(self.get(n).unwrap_or("?")).replace('"', "");
+        let mut text = ["SizeX", "SizeY", "SizeZ"].map(size).join("×");
+        for (name, what) in [("SizeC", "channels"), ("SizeT", "times")] {
+            if self.get(name).is_some_and(|n| n != "1") {
+                text.push_str(&format!(", {} {what}", size(name)));
+            }
+        }
+        text
+    }
+}
+
+/// The files that an image is in.
+pub(super) struct Files {
+    /// Numbers of the files by their names; 0 is the file that was opened.
+    numbers: HashMap<String, u32>,
+    /// Names of the others, from 1 on.
+    pub(super) others: Vec<String>,
 }
 
 /// Where some planes are.
@@ -33,14 +60,83 @@ struct TiffData {
     file: Option<String>,
 }
 
-/// What `text`, in the file called `own_name`, says of an image, the first if no `series` is asked for. A pixel has `samples`
-/// numbers.
-pub(super) fn stack(text: &str, own_name: &str, samples: u64, series: Option<u32>) -> Result<Stack, String> {
-    let images = parse(text)?;
-    let index = series.unwrap_or(0) as usize;
-    let image = images.get(index).ok_or_else(|| {
-        format!("series {index} was asked for, expected 0 to {}", images.len().saturating_sub(1))
-    })?;
+impl TiffData {
+    fn says_something(&self) -> bool {
+        self.fields.has_attributes() || self.file.is_some()
+    }
+}
+
+impl Ome {
+    /// What `text` says.
+    pub(super) fn read(text: &str) -> Result<Self, String> {
+        parse(text)
+    }
+
+    /// How many images there are.
+    pub(super) fn num_images(&self) -> usize {
+        self.images.len()
+    }
+
+    /// Whether an image is one slice.
+    pub(super) fn is_slice(&self, index: usize) -> bool {
+        let is_one = |name: &str| self.images.get(index).and_then(|i| i.get(name)).is_none_or(|n| n == "1");
+        is_one("SizeZ") && is_one("SizeT")
+    }
+
+    /// The files of an image, told in the file called `own_name`. `is_there` knows of the files beside that one.
+    pub(super) fn files(
+        &self,
+        index: usize,
+        own_name: &str,
+        is_there: &dyn Fn(&str) -> bool,
+    ) -> Result<Files, String> {
+        let data = self.images.get(index).map_or(&[][..], |i| &i.data);
+        let mut names: Vec<&str> = data.iter().filter_map(|d| d.file.as_deref()).collect();
+        names.sort_unstable();
+        names.dedup();
+        if names.len() > MAX_FILES {
+            return Err(format!("planes are in {} files, expected at most {MAX_FILES}", names.len()));
+        }
+        let mut files = Files { numbers: HashMap::from([(own_name.to_owned(), 0)]), others: Vec::new() };
+        // A file that was given another name is meant by its old one, if nothing else has that.
+        if let [only] = names[..]
+            && !is_there(only)
+        {
+            files.numbers.insert(only.to_owned(), 0);
+        }
+        for name in names {
+            if name.is_empty() || name.contains(['/', '\\', '\0']) {
+                return Err(format!("a plane is in file {}, expected a name without folders", quoted(name)));
+            }
+            if !files.numbers.contains_key(name) {
+                files.others.push(name.to_owned());
+                files.numbers.insert(name.to_owned(), files.others.len() as u32);
+            }
+        }
+        Ok(files)
+    }
+
+    /// Pages of an image, in the order in which they are told; none if the image only follows its file.
+    pub(super) fn places<'a>(&'a self, index: usize, files: &'a Files) -> impl Iterator<Item = Place> + 'a {
+        let data = self.images.get(index).map_or(&[][..], |i| &i.data);
+        data.iter().filter(|d| d.says_something()).filter_map(|d| {
+            let page = d.fields.get("IFD").map_or(Some(0), |n| n.parse().ok())?;
+            Some(Place { file: files.number(d), page })
+        })
+    }
+}
+
+impl Files {
+    /// The number of the file that planes are in.
+    fn number(&self, data: &TiffData) -> u32 {
+        data.file.as_ref().and_then(|name| self.numbers.get(name)).copied().unwrap_or(0)
+    }
+}
+
+/// What is said of an image. A pixel has `samples` numbers.
+pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Result<Stack, String> {
+    let images = &ome.images;
+    let image = images.get(index).ok_or("OME-XML has no such image")?;
     let size = |name: &str| match image.get(name) {
         None => Ok(1),
         Some(text) => {
@@ -71,23 +167,19 @@ pub(super) fn stack(text: &str, own_name: &str, samples: u64, series: Option<u32
     if num_planes > super::MAX_PLANES {
         return Err(format!("{num_planes} planes, expected at most {}", super::MAX_PLANES));
     }
-    let mut other_files = Vec::new();
-    let planes = planes(image, &axes, num_planes as usize, own_name, &mut other_files)?;
+    let planes = planes(image, &axes, num_planes as usize, files)?;
     let (spacing, unit) = spacing(image);
-    let names = images.iter().map(|i| {
-        let sizes = ["SizeX", "SizeY", "SizeZ"].map(|n| i.get(n).unwrap_or("?"));
-        format!("{} {}", quoted(&i.name), sizes.map(|s| quoted(s).replace('"', "")).join("×"))
-    });
+    let names = images.iter().map(|i| format!("{} {}", quoted(&i.name), i.sizes()));
     Ok(Stack {
         axes,
         spacing,
         unit,
         channel_names: image.channels.iter().map(|c| quoted(c).trim_matches('"').to_owned()).collect(),
         planes,
-        other_files,
         series: if images.len() > 1 { names.collect() } else { Vec::new() },
         value_map: (1.0, 0.0),
         value_unit: None,
+        guess: None,
         name: "OME-TIFF",
     })
 }
@@ -97,32 +189,10 @@ fn planes(
     image: &Image,
     axes: &[(PlaneAxis, u64)],
     num_planes: usize,
-    own_name: &str,
-    other_files: &mut Vec<String>,
+    files: &Files,
 ) -> Result<Option<Vec<Option<Place>>>, String> {
-    let says_something = |d: &TiffData| d.fields.has_attributes() || d.file.is_some();
-    if !image.data.iter().any(says_something) {
+    if !image.data.iter().any(TiffData::says_something) {
         return Ok(None);
-    }
-    // Files are known by their names; the one that was opened comes first, and is meant by any name if there is but one.
-    let mut files: HashMap<&str, u32> = HashMap::from([(own_name, 0)]);
-    let mut names: Vec<&str> = image.data.iter().filter_map(|d| d.file.as_deref()).collect();
-    names.sort_unstable();
-    names.dedup();
-    if names.len() > MAX_FILES {
-        return Err(format!("planes are in {} files, expected at most {MAX_FILES}", names.len()));
-    }
-    if let [only] = names[..] {
-        files.insert(only, 0);
-    }
-    for name in names {
-        if name.is_empty() || name.contains(['/', '\\', '\0']) {
-            return Err(format!("a plane is in file {}, expected a name without folders", quoted(name)));
-        }
-        files.entry(name).or_insert_with(|| {
-            other_files.push(name.to_owned());
-            other_files.len() as u32
-        });
     }
     let mut num_told = 0;
     let mut planes = vec![None; num_planes];
@@ -149,7 +219,7 @@ fn planes(
             stride *= *size as usize;
         }
         let count = count.unwrap_or(if page.is_some() || data.file.is_some() { 1 } else { u32::MAX });
-        let file = data.file.as_deref().and_then(|name| files.get(name)).copied().unwrap_or(0);
+        let file = files.number(data);
         let end = start.saturating_add(count as usize).min(num_planes);
         let told = planes.get_mut(start..end).unwrap_or_default();
         num_told += told.len();
@@ -194,9 +264,10 @@ fn meters(unit: &str) -> Option<f64> {
     })
 }
 
-fn parse(text: &str) -> Result<Vec<Image>, String> {
+fn parse(text: &str) -> Result<Ome, String> {
     let mut tags = Tags::new(text.as_bytes());
     let mut images: Vec<Image> = Vec::new();
+    let mut metadata_file = None;
     let mut num_elements = 0;
     while let Some(tag) = tags.next().map_err(|e| format!("OME-XML: {e}"))? {
         num_elements += 1;
@@ -209,6 +280,9 @@ fn parse(text: &str) -> Result<Vec<Image>, String> {
         if tag.name == "Image" {
             images.push(Image { name: tag.get("Name").unwrap_or_default().to_owned(), ..Image::default() });
             continue;
+        }
+        if tag.name == "BinaryOnly" {
+            metadata_file = tag.get("MetadataFile").map(str::to_owned);
         }
         let Some(image) = images.last_mut() else { continue };
         match tag.name.as_str() {
@@ -227,7 +301,10 @@ fn parse(text: &str) -> Result<Vec<Image>, String> {
         }
     }
     images.retain(|i| i.pixels.is_some());
-    if images.is_empty() { Err("OME-XML has no Pixels".into()) } else { Ok(images) }
+    if images.is_empty() && metadata_file.is_none() {
+        return Err("OME-XML has no Pixels".into());
+    }
+    Ok(Ome { images, metadata_file })
 }
 
 /// Elements of the description of one file: a few for each of its planes.

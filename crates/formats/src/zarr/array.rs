@@ -103,7 +103,7 @@ impl Array {
             shape,
             shard: None,
             dtype,
-            fill: fill(value.get("fill_value"), dtype, endian),
+            fill: fill(value.get("fill_value"), dtype, endian)?,
             codecs: Codecs { order, endian, packed },
             separator: if separator == "/" { '/' } else { '.' },
             prefix: "",
@@ -143,7 +143,7 @@ impl Array {
         let (codecs, shard) = Codecs::of_version_3(list, shape.len())?;
         Ok(Self {
             path: PathBuf::new(),
-            fill: fill(value.get("fill_value"), dtype, codecs.endian),
+            fill: fill(value.get("fill_value"), dtype, codecs.endian)?,
             shape,
             chunk,
             shard,
@@ -165,33 +165,105 @@ impl Array {
     }
 }
 
-/// A fill value as the bytes of a number.
-fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Vec<u8> {
+/// A fill value as the bytes of a number; zero where there is none.
+fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, String> {
+    let bad = |value: &Value| format!("its fill_value is {}, expected a number", quoted(&value.to_string()));
     let number = match value {
+        None | Some(Value::Null) => 0.0,
+        Some(Value::Bool(is_set)) => f64::from(u8::from(*is_set)),
+        Some(Value::String(text)) => match (text.as_str(), text.strip_prefix("0x")) {
+            ("NaN", _) => f64::NAN,
+            ("Infinity", _) => f64::INFINITY,
+            ("-Infinity", _) => f64::NEG_INFINITY,
+            // The bits of a float, the highest first (Zarr 3).
+            (_, Some(digits)) if digits.len() == 2 * dtype.num_bytes() => {
+                let bits = u64::from_str_radix(digits, 16).map_err(|_| bad(&Value::from(text.as_str())))?;
+                let mut bytes = bits.to_le_bytes()[..dtype.num_bytes()].to_vec();
+                if endian == Endian::Big {
+                    bytes.reverse();
+                }
+                return Ok(bytes);
+            }
+            _ => text.parse().map_err(|_| bad(&Value::from(text.as_str())))?,
+        },
         Some(Value::Number(n)) => n.as_f64().unwrap_or(0.0),
-        Some(Value::Bool(true)) => 1.0,
-        Some(Value::String(s)) if s == "NaN" => f64::NAN,
-        _ => 0.0,
+        Some(other) => return Err(bad(other)),
     };
+    let exact = value.and_then(|v| v.as_i64().map(i128::from).or(v.as_u64().map(i128::from)));
+    let whole = exact.unwrap_or(number as i128);
     let mut bytes = match dtype {
-        Dtype::Uint8 => (number as u8).to_le_bytes().to_vec(),
-        Dtype::Int8 => (number as i8).to_le_bytes().to_vec(),
-        Dtype::Uint16 => (number as u16).to_le_bytes().to_vec(),
-        Dtype::Int16 => (number as i16).to_le_bytes().to_vec(),
-        Dtype::Uint32 => (number as u32).to_le_bytes().to_vec(),
-        Dtype::Int32 => (number as i32).to_le_bytes().to_vec(),
-        Dtype::Uint64 => (number as u64).to_le_bytes().to_vec(),
-        Dtype::Int64 => (number as i64).to_le_bytes().to_vec(),
-        // Of half floats only zero and NaN: no writer fills them with more.
-        Dtype::Half if number.is_nan() => 0x7e00u16.to_le_bytes().to_vec(),
-        Dtype::Half => vec![0; 2],
+        Dtype::Uint8 => (whole as u8).to_le_bytes().to_vec(),
+        Dtype::Int8 => (whole as i8).to_le_bytes().to_vec(),
+        Dtype::Uint16 => (whole as u16).to_le_bytes().to_vec(),
+        Dtype::Int16 => (whole as i16).to_le_bytes().to_vec(),
+        Dtype::Uint32 => (whole as u32).to_le_bytes().to_vec(),
+        Dtype::Int32 => (whole as i32).to_le_bytes().to_vec(),
+        Dtype::Uint64 => (whole as u64).to_le_bytes().to_vec(),
+        Dtype::Int64 => (whole as i64).to_le_bytes().to_vec(),
+        Dtype::Half => half(number as f32).to_le_bytes().to_vec(),
         Dtype::Float => (number as f32).to_le_bytes().to_vec(),
         Dtype::Double => number.to_le_bytes().to_vec(),
     };
     if endian == Endian::Big {
         bytes.reverse();
     }
-    bytes
+    Ok(bytes)
+}
+
+/// The half float next to zero of those nearest to `x`.
+fn half(x: f32) -> u16 {
+    let sign = if x.is_sign_negative() { 0x8000 } else { 0 };
+    let magnitude = match x.abs() {
+        x if x.is_nan() => 0x7e00,
+        x if x >= 65_536.0 => 0x7c00,
+        // A float has eight bits of exponent around 127 and 23 of fraction; a half five around 15, and ten.
+        x if x >= 6.103_515_6e-5 => ((x.to_bits() >> 13) - ((127 - 15) << 10)) as u16,
+        // Below that a half counts in steps of 2^-24.
+        x => (x * 16_777_216.0) as u16,
+    };
+    sign | magnitude
 }
 
 const MAX_AXES: usize = 8;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::decode::VoxelSink;
+
+    #[test]
+    fn what_is_not_stored_has_the_value_of_the_array() {
+        let values = |value: Value, dtype: Dtype| {
+            [Endian::Little, Endian::Big].map(|endian| {
+                let mut sink = VoxelSink::new(dtype, endian, 1).expect("one voxel fits");
+                sink.push_bytes(&fill(Some(&value), dtype, endian).unwrap());
+                let decoded = sink.finish(false);
+                decoded.voxels.get(0) + decoded.value_map.1
+            })
+        };
+        let floats = [Dtype::Half, Dtype::Float, Dtype::Double];
+        for (value, expected) in [
+            (Value::from("Infinity"), f32::INFINITY),
+            (Value::from("-Infinity"), f32::NEG_INFINITY),
+            (Value::from(-2.5), -2.5),
+            (Value::from(6.0e-8), 5.960_464_5e-8),
+            (Value::from("7"), 7.0),
+            (Value::Null, 0.0),
+        ] {
+            for dtype in floats {
+                for found in values(value.clone(), dtype) {
+                    // 6e-8 is the least half float but for its digits.
+                    assert!(found == expected || (found - expected).abs() < 1e-9, "{value} {}", dtype.name());
+                }
+            }
+        }
+        for (dtype, bits) in floats.into_iter().zip(["0x7e00", "0x7fc00000", "0x7ff8000000000000"]) {
+            assert!(values(Value::from("NaN"), dtype).iter().all(|x| x.is_nan()));
+            assert!(values(Value::from(bits), dtype).iter().all(|x| x.is_nan()));
+        }
+        assert_eq!(values(Value::from(-7), Dtype::Int16), [-7.0; 2]);
+        assert_eq!(values(Value::from(true), Dtype::Uint8), [1.0; 2]);
+        assert_eq!(values(Value::from(u64::MAX), Dtype::Uint64), [u64::MAX as f32; 2]);
+        assert!(fill(Some(&Value::from("none")), Dtype::Float, Endian::Little).is_err());
+    }
+}

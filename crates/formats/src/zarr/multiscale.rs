@@ -18,6 +18,8 @@ pub(super) struct Multiscale {
     /// Slowest first.
     axes: Vec<NamedAxis>,
     pub(super) levels: Vec<LevelPath>,
+    /// What follows the steps of each level.
+    all: Transform,
     channels: Vec<String>,
     /// Whether the axes are named.
     is_image: bool,
@@ -40,8 +42,8 @@ enum Kind {
 /// Where the array of a level is, and how its numbers lie.
 pub(super) struct LevelPath {
     pub(super) path: PathBuf,
-    scale: Vec<f64>,
-    translation: Vec<f64>,
+    /// Its own steps; none if they follow from its size.
+    own: Option<Transform>,
 }
 
 impl Multiscale {
@@ -90,7 +92,8 @@ impl Multiscale {
         let datasets =
             image.get("datasets").and_then(Value::as_array).filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
         let datasets = datasets.ok_or_else(|| format!("it has no datasets, expected 1 to {MAX_LEVELS}"))?;
-        let all = Transform::of(image.get("coordinateTransformations"), axes.len());
+        let all = Transform::of(image.get("coordinateTransformations"), axes.len())?;
+        let all = all.unwrap_or_else(|| Transform::none(axes.len()));
         let mut levels = Vec::new();
         for dataset in datasets {
             let name = dataset.get("path").and_then(Value::as_str).unwrap_or_default();
@@ -98,11 +101,8 @@ impl Multiscale {
             if name.is_empty() || !path.components().all(|c| matches!(c, Component::Normal(_))) {
                 return Err(format!("a level is at {}, expected a folder in it", quoted(name)));
             }
-            let own = Transform::of(dataset.get("coordinateTransformations"), axes.len());
-            let scale = own.scale.iter().zip(&all.scale).map(|(a, b)| a * b).collect();
-            let translation =
-                (0..axes.len()).map(|i| own.translation[i] * all.scale[i] + all.translation[i]).collect();
-            levels.push(LevelPath { path, scale, translation });
+            let own = Transform::of(dataset.get("coordinateTransformations"), axes.len())?;
+            levels.push(LevelPath { path, own });
         }
         let omero = attributes.get("omero").or_else(|| image.get("omero"));
         let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
@@ -110,7 +110,7 @@ impl Multiscale {
             quoted(c.get("label").and_then(Value::as_str).unwrap_or_default()).trim_matches('"').to_owned()
         };
         let channels = channels.map_or(Vec::new(), |l| l.iter().take(1024).map(label).collect());
-        Ok(Self { version, axes, levels, channels, is_image: true })
+        Ok(Self { version, axes, levels, all, channels, is_image: true })
     }
 
     fn of_array(path: &Path) -> Result<Option<Self>, FormatError> {
@@ -130,8 +130,9 @@ impl Multiscale {
             .map(|n| NamedAxis::of(&Value::from(*n)))
             .collect::<Result<_, _>>()
             .map_err(bad)?;
-        let levels = vec![LevelPath { path: PathBuf::new(), scale: vec![1.0; n], translation: vec![0.0; n] }];
-        Ok(Some(Self { version: String::new(), axes, levels, channels: Vec::new(), is_image: false }))
+        let levels = vec![LevelPath { path: PathBuf::new(), own: None }];
+        let (version, all) = (String::new(), Transform::none(n));
+        Ok(Some(Self { version, axes, levels, all, channels: Vec::new(), is_image: false }))
     }
 
     /// Sizes along x, y and z of an array of this shape.
@@ -142,12 +143,39 @@ impl Multiscale {
         [size(0), size(1), size(2)]
     }
 
+    /// Steps and place of a level. One that tells none covers what the finest covers, with fewer voxels.
+    fn transform(&self, arrays: &[Array], level: usize) -> Transform {
+        let own = self.levels[level].own.clone().unwrap_or_else(|| {
+            let finest = &self.levels[0].own;
+            let mut own = finest.clone().unwrap_or_else(|| Transform::none(self.axes.len()));
+            for (i, axis) in self.axes.iter().enumerate().filter(|_| level > 0) {
+                let (whole, here) = (arrays[0].shape[i], arrays[level].shape[i]);
+                if matches!(axis.kind, Kind::Space(_)) && whole != here && here > 0 {
+                    // Sizes that are no multiple were cut or filled up: the step is the power of two that was meant.
+                    let ratio = whole as f64 / here as f64;
+                    let step = ratio.log2().round().exp2();
+                    let ratio = if whole.div_ceil(here) as f64 == step || (whole / here) as f64 == step {
+                        step
+                    } else {
+                        ratio
+                    };
+                    // The first voxel is the mean of as many: its centre is further in.
+                    own.translation[i] += own.scale[i] * (ratio - 1.0) / 2.0;
+                    own.scale[i] *= ratio;
+                }
+            }
+            own
+        });
+        own.then(&self.all)
+    }
+
     /// The plan of a level.
     pub(super) fn plan(&self, arrays: &[Array], level: usize) -> Result<Plan, String> {
-        let (array, path) = (&arrays[level], &self.levels[level]);
+        let array = &arrays[level];
         if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {
             return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));
         }
+        let place = self.transform(arrays, level);
         let unit = self.axes.iter().find(|a| a.kind == Kind::Space(0)).and_then(|a| a.unit);
         // Lengths in the unit of x.
         let length = |i: usize, number: f64| match (self.axes[i].unit, unit) {
@@ -159,8 +187,8 @@ impl Multiscale {
         for i in (0..self.axes.len()).rev() {
             let role = match self.axes[i].kind {
                 Kind::Space(k) => {
-                    steps.push(DVec3::AXES[k] * length(i, path.scale[i]));
-                    origin[k] = length(i, path.translation[i]);
+                    steps.push(DVec3::AXES[k] * length(i, place.scale[i]));
+                    origin[k] = length(i, place.translation[i]);
                     seen[k] = true;
                     Role::Space(steps.len() - 1)
                 }
@@ -189,18 +217,24 @@ impl Multiscale {
         plan.channel_names.clone_from(&self.channels);
         plan.level = level;
         if arrays.len() > 1 {
-            let spacing = |l: &LevelPath, k: usize| {
+            let spacing = |place: &Transform, k: usize| {
                 let i = self.axes.iter().position(|a| a.kind == Kind::Space(k));
-                i.map_or(1.0, |i| length(i, l.scale[i]))
+                i.map_or(1.0, |i| length(i, place.scale[i]))
             };
             plan.levels = arrays
                 .iter()
-                .zip(&self.levels)
-                .map(|(a, l)| Level {
-                    dims: self.space_of(&a.shape),
-                    spacing: [0, 1, 2].map(|k| spacing(l, k)),
+                .enumerate()
+                .map(|(i, a)| {
+                    let place = self.transform(arrays, i);
+                    Level { dims: self.space_of(&a.shape), spacing: [0, 1, 2].map(|k| spacing(&place, k)) }
                 })
                 .collect();
+        }
+        if self.is_image
+            && self.levels.iter().all(|l| l.own.is_none())
+            && self.all == Transform::none(self.axes.len())
+        {
+            plan.spacing_guess = Some("the image has no spacing; it was taken as 1".into());
         }
         if !self.is_image {
             plan.spacing_guess = Some("an array has no spacing; it was taken as 1".into());
@@ -222,13 +256,15 @@ impl NamedAxis {
             ("c", _) | (_, Some("channel")) => Kind::Channel,
             _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
         };
+        // Names of UDUNITS-2, and the short ones that are written all the same.
         let unit = match value.get("unit").and_then(Value::as_str).unwrap_or_default() {
-            "angstrom" => Some((1e-10, "Å")),
-            "nanometer" => Some((1e-9, "nm")),
-            "micrometer" => Some((1e-6, "µm")),
-            "millimeter" => Some((1e-3, "mm")),
-            "centimeter" => Some((1e-2, "cm")),
-            "meter" => Some((1.0, "m")),
+            "angstrom" | "\u{c5}" => Some((1e-10, "Å")),
+            "nanometer" | "nm" => Some((1e-9, "nm")),
+            "micrometer" | "micron" | "um" | "\u{b5}m" | "\u{3bc}m" => Some((1e-6, "µm")),
+            "millimeter" | "mm" => Some((1e-3, "mm")),
+            "centimeter" | "cm" => Some((1e-2, "cm")),
+            "meter" | "m" => Some((1.0, "m")),
+            "inch" => Some((0.0254, "in")),
             _ => None,
         };
         Ok(Self { kind, unit })
@@ -236,28 +272,53 @@ impl NamedAxis {
 }
 
 /// Scale and translation of a list of transformations.
+#[derive(Clone, Debug, PartialEq)]
 struct Transform {
     scale: Vec<f64>,
     translation: Vec<f64>,
 }
 
 impl Transform {
-    fn of(value: Option<&Value>, num_axes: usize) -> Self {
-        let mut transform = Self { scale: vec![1.0; num_axes], translation: vec![0.0; num_axes] };
+    fn none(num_axes: usize) -> Self {
+        Self { scale: vec![1.0; num_axes], translation: vec![0.0; num_axes] }
+    }
+
+    /// This one, and another after it.
+    fn then(self, after: &Self) -> Self {
+        let numbers =
+            |a: &[f64], f: &dyn Fn(usize, f64) -> f64| a.iter().enumerate().map(|(i, x)| f(i, *x)).collect();
+        Self {
+            scale: numbers(&self.scale, &|i, x| x * after.scale[i]),
+            translation: numbers(&self.translation, &|i, x| x * after.scale[i] + after.translation[i]),
+        }
+    }
+
+    /// All of a list, one after the other; `None` if there is none but the identity.
+    fn of(value: Option<&Value>, num_axes: usize) -> Result<Option<Self>, String> {
+        let mut all = None;
         for step in value.and_then(Value::as_array).into_iter().flatten() {
-            let numbers = |name: &str| {
-                let list: Option<Vec<f64>> = step.get(name)?.as_array()?.iter().map(Value::as_f64).collect();
+            let kind = step.get("type").and_then(Value::as_str).unwrap_or_default();
+            let numbers = || {
+                let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
                 list.filter(|l| l.len() == num_axes)
             };
-            match step.get("type").and_then(Value::as_str) {
-                Some("scale") => transform.scale = numbers("scale").unwrap_or(transform.scale),
-                Some("translation") => {
-                    transform.translation = numbers("translation").unwrap_or(transform.translation);
+            let mut next = Self::none(num_axes);
+            let field = match kind {
+                "identity" => continue,
+                "scale" => &mut next.scale,
+                "translation" => &mut next.translation,
+                _ => {
+                    return Err(format!(
+                        "a transformation is {}, expected scale or translation",
+                        quoted(kind)
+                    ));
                 }
-                _ => {}
-            }
+            };
+            let problem = || format!("{kind} is {}, expected {num_axes} numbers", quoted(&step.to_string()));
+            *field = numbers().ok_or_else(problem)?;
+            all = Some(all.unwrap_or_else(|| Self::none(num_axes)).then(&next));
         }
-        transform
+        Ok(all)
     }
 }
 

@@ -1,0 +1,335 @@
+//! The pages of a file: their shapes, and which of them belong together.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use ::tiff::decoder::{Decoder, Limits};
+use ::tiff::tags::{PlanarConfiguration, SampleFormat, Tag};
+use ::tiff::{ColorType, TiffError};
+
+use super::check;
+use super::shaped::Shaped;
+use crate::dtype::{Dtype, Endian};
+use crate::error::{FormatError, io_error, shown};
+use crate::source::{OpenOptions, open_file};
+
+pub(super) type PageDecoder = Decoder<BufReader<File>>;
+
+/// What all pages of a volume have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PageShape {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) samples: u16,
+    pub(super) is_planar: bool,
+    pub(super) dtype: Dtype,
+}
+
+impl PageShape {
+    pub(super) fn num_bytes(&self) -> u64 {
+        let num_pixels = u64::from(self.width) * u64::from(self.height);
+        num_pixels.saturating_mul(u64::from(self.samples) * self.dtype.num_bytes() as u64)
+    }
+
+    /// In words, such as `6×5×3 uint8`.
+    pub(super) fn name(&self) -> String {
+        let samples = if self.samples > 1 { format!("×{}", self.samples) } else { String::new() };
+        format!("{}×{}{samples} {}", self.width, self.height, self.dtype.name())
+    }
+}
+
+/// Pages of one shape that belong together.
+#[derive(Clone, Debug)]
+pub(super) struct Group {
+    pub(super) shape: PageShape,
+    pub(super) pages: Vec<u32>,
+    /// What tifffile says of them.
+    pub(super) shaped: Option<Shaped>,
+    /// Pixels per unit along x and y, and the millimetres of the unit if it is one of length.
+    pub(super) resolution: [Option<f64>; 2],
+    pub(super) unit_mm: Option<f64>,
+    /// Where the numbers of the first page begin, if they are plain and without gaps.
+    pub(super) block: Option<u64>,
+    /// Whether the least number is white (MinIsWhite).
+    pub(super) is_white: bool,
+}
+
+/// What one file says.
+pub(super) struct Scan {
+    /// The pages that are read, in groups; the first begins with the first page.
+    pub(super) groups: Vec<Group>,
+    /// Of the first page.
+    pub(super) description: Option<String>,
+    pub(super) endian: Endian,
+    /// Pages that are not read.
+    pub(super) num_other: usize,
+}
+
+impl Scan {
+    /// Looks at all pages of a file.
+    pub(super) fn of(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
+        let mut decoder = decoder(path)?;
+        let description = description(&mut decoder);
+        if description.as_deref().is_some_and(|d| d.starts_with("Aperio")) {
+            return Err(FormatError::Unsupported {
+                path: shown(path),
+                found: "a slide of a microscope (Aperio SVS)",
+                expected: "a volume; `bfconvert -series N` makes a plain TIFF of one of its pictures",
+            });
+        }
+        let mut groups = vec![Group::here(&mut decoder, 0).map_err(|e| e.at(path, 0))?];
+        let endian = match decoder.byte_order() {
+            ::tiff::tags::ByteOrder::LittleEndian => Endian::Little,
+            ::tiff::tags::ByteOrder::BigEndian => Endian::Big,
+        };
+        let (mut page, mut num_other) = (0, 0);
+        while decoder.more_images() && page < MAX_PAGES {
+            page += 1;
+            options.check_cancelled(path)?;
+            match decoder.next_image() {
+                Ok(()) => {}
+                // The decoder is at the page behind it all the same.
+                Err(TiffError::UnsupportedError(_)) => {
+                    num_other += 1;
+                    continue;
+                }
+                Err(e) => {
+                    // A file that ends too early has lost most of what it says it has.
+                    let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
+                    return Err(FormatError::Data { path: shown(path), problem });
+                }
+            }
+            let is_reduced = decoder.get_tag_u32(Tag::NewSubfileType).unwrap_or(0) & 1 == 1;
+            let Some(shape) = page_shape(&mut decoder).ok().filter(|_| !is_reduced) else {
+                num_other += 1;
+                continue;
+            };
+            // tifffile describes the first page of each series.
+            let shaped = description_of(&mut decoder, MAX_SHAPED_BYTES).and_then(|d| Shaped::of(&d));
+            let is_first = shaped.is_some_and(|s| s.num_planes(&shape).is_some_and(|n| n > 1));
+            let at = groups.iter().rposition(|g| g.shape == shape && !is_first);
+            match at {
+                Some(at) => groups[at].pages.push(page),
+                None if groups.len() < MAX_GROUPS => match Group::here(&mut decoder, page) {
+                    Ok(group) => groups.push(group),
+                    Err(_) => num_other += 1,
+                },
+                None => num_other += 1,
+            }
+        }
+        Ok(Self { groups, description, endian, num_other })
+    }
+}
+
+impl Group {
+    /// In words, such as `6×5 uint8, 4 pages`.
+    pub(super) fn name(&self) -> String {
+        let shaped = self.shaped.as_ref().and_then(|s| s.num_planes(&self.shape));
+        let num_pages = shaped.unwrap_or(0).max(self.pages.len() as u64);
+        format!("{}, {num_pages} page{}", self.shape.name(), if num_pages == 1 { "" } else { "s" })
+    }
+
+    /// One page of the file at `path`.
+    pub(super) fn of(path: &Path, page: u32) -> Result<Self, FormatError> {
+        let mut decoder = decoder(path)?;
+        decoder.seek_to_image(page as usize).map_err(|e| tiff_error(path, page, e))?;
+        Self::here(&mut decoder, page).map_err(|e| e.at(path, page))
+    }
+
+    /// The page that the decoder is at.
+    fn here(decoder: &mut PageDecoder, page: u32) -> Result<Self, PageError> {
+        let shape = page_shape(decoder)?;
+        let resolution =
+            [Tag::XResolution, Tag::YResolution].map(|tag| decoder.get_tag(tag).ok().and_then(ratio));
+        let unit_mm = match decoder.get_tag_u32(Tag::ResolutionUnit) {
+            // An inch stands for pictures on paper, and is what most writers put there who know nothing.
+            Ok(3) => Some(10.0),
+            _ => None,
+        };
+        let is_plain = decoder.get_tag_u32(Tag::Compression).unwrap_or(1) == 1;
+        Ok(Self {
+            shape,
+            pages: vec![page],
+            shaped: description_of(decoder, MAX_SHAPED_BYTES).and_then(|d| Shaped::of(&d)),
+            resolution,
+            unit_mm,
+            block: if is_plain { block(decoder) } else { None },
+            is_white: is_white(decoder),
+        })
+    }
+}
+
+/// Where strips without gaps between them begin.
+fn block(decoder: &mut PageDecoder) -> Option<u64> {
+    let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
+    // The lengths of one strip matter to nobody, and are wrong where it is beyond 4 GB.
+    if offsets.len() > 1 {
+        let lengths = decoder.get_tag_u64_vec(Tag::StripByteCounts).ok()?;
+        let is_next = |(pair, length): (&[u64], &u64)| pair[0].checked_add(*length) == Some(pair[1]);
+        if lengths.len() != offsets.len() || !offsets.windows(2).zip(&lengths).all(is_next) {
+            return None;
+        }
+    }
+    offsets.first().copied()
+}
+
+/// Whether the least number of a page is white.
+fn is_white(decoder: &mut PageDecoder) -> bool {
+    decoder.get_tag_u32(Tag::PhotometricInterpretation).is_ok_and(|p| p == 0)
+}
+
+/// A decoder at the first page of the file at `path`.
+pub(super) fn decoder(path: &Path) -> Result<PageDecoder, FormatError> {
+    let mut file = open_file(path)?;
+    let length = file.metadata().map_err(io_error(path))?.len();
+    if !check::first_directory_fits(&mut file, length).map_err(io_error(path))? {
+        let problem = format!("its first directory is not within {length} bytes, or has values that are not");
+        return Err(FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem });
+    }
+    let mut limits = Limits::default();
+    // A list of strips is no longer than the file it is in.
+    limits.ifd_value_size = length.min(MAX_LIST_BYTES) as usize;
+    limits.decoding_buffer_size = limits.ifd_value_size;
+    let decoder = Decoder::new(BufReader::new(file)).map_err(|e| tiff_error(path, 0, e))?;
+    Ok(decoder.with_limits(limits))
+}
+
+/// The description of the page that the decoder is at, in whatever encoding.
+pub(super) fn description(decoder: &mut PageDecoder) -> Option<String> {
+    description_of(decoder, MAX_LIST_BYTES)
+}
+
+/// The same, if it is no longer than `most` bytes.
+fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
+    let mut tags = decoder.image_ifd();
+    let length = tags.find_entry(Tag::ImageDescription)?.count();
+    if length > most {
+        return None;
+    }
+    let mut bytes = Vec::new();
+    // In parts, as the length may be a lie.
+    while (bytes.len() as u64) < length {
+        let start = bytes.len();
+        bytes.resize(length.min(2 * start as u64 + 4096) as usize, 0);
+        let n = tags.find_tag_bytes(Tag::ImageDescription, &mut bytes[start..], start as u64).ok()??;
+        if n < bytes.len() - start {
+            return None;
+        }
+    }
+    let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+    Some(String::from_utf8_lossy(&bytes[..end]).into_owned())
+}
+
+/// What is wrong with a page.
+pub(super) enum PageError {
+    Tiff(TiffError),
+    Kind(String),
+}
+
+impl PageError {
+    pub(super) fn at(self, path: &Path, page: u32) -> FormatError {
+        match self {
+            Self::Tiff(e) => tiff_error(path, page, e),
+            Self::Kind(problem) => {
+                FormatError::Malformed { path: shown(path), format: format!("TIFF page {page}"), problem }
+            }
+        }
+    }
+}
+
+/// The shape of the page that the decoder is at.
+pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageError> {
+    let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
+    let color = decoder.colortype().map_err(PageError::Tiff)?;
+    let samples = match color {
+        ColorType::YCbCr(_) | ColorType::CMYK(_) | ColorType::CMYKA(_) | ColorType::Lab(_) => {
+            return Err(PageError::Kind(format!("colours are {color:?}, expected grey, RGB or channels")));
+        }
+        color => color.num_samples(),
+    };
+    let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(PageError::Tiff)?;
+    let format = formats.and_then(|f| f.first().copied()).unwrap_or(1);
+    let bits = color.bit_depth();
+    let dtype = match (SampleFormat::from_u16(format), bits) {
+        (Some(SampleFormat::Int), 8) => Dtype::Int8,
+        (Some(SampleFormat::Int), 16) => Dtype::Int16,
+        (Some(SampleFormat::Int), 32) => Dtype::Int32,
+        (Some(SampleFormat::Int), 64) => Dtype::Int64,
+        (Some(SampleFormat::IEEEFP), 16) => Dtype::Half,
+        (Some(SampleFormat::IEEEFP), 32) => Dtype::Float,
+        (Some(SampleFormat::IEEEFP), 64) => Dtype::Double,
+        (Some(SampleFormat::Uint | SampleFormat::Void), 8) => Dtype::Uint8,
+        (Some(SampleFormat::Uint | SampleFormat::Void), 16) => Dtype::Uint16,
+        (Some(SampleFormat::Uint | SampleFormat::Void), 32) => Dtype::Uint32,
+        (Some(SampleFormat::Uint | SampleFormat::Void), 64) => Dtype::Uint64,
+        _ => {
+            let problem =
+                format!("{bits} bits of sample format {format}, expected numbers of 8, 16, 32 or 64 bits");
+            return Err(PageError::Kind(problem));
+        }
+    };
+    let depth = decoder.find_tag_unsigned::<u32>(IMAGE_DEPTH).map_err(PageError::Tiff)?.unwrap_or(1);
+    if depth > 1 {
+        let problem = format!("ImageDepth is {depth}, expected 1: a slice in each page");
+        return Err(PageError::Kind(problem));
+    }
+    let is_turnable = matches!(
+        dtype,
+        Dtype::Uint8 | Dtype::Uint16 | Dtype::Uint32 | Dtype::Uint64 | Dtype::Float | Dtype::Double
+    );
+    if is_white(decoder) && !(is_turnable && samples == 1) {
+        let name = dtype.name();
+        let problem = format!(
+            "the least number is white (MinIsWhite) of {samples} samples of type {name}, expected one without sign"
+        );
+        return Err(PageError::Kind(problem));
+    }
+    let planar = decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(PageError::Tiff)?;
+    let is_planar =
+        samples > 1 && planar.and_then(PlanarConfiguration::from_u16) == Some(PlanarConfiguration::Planar);
+    if width == 0 || height == 0 || samples == 0 {
+        return Err(PageError::Kind(format!("{width}×{height} pixels of {samples} samples, expected some")));
+    }
+    Ok(PageShape { width, height, samples, is_planar, dtype })
+}
+
+/// A fraction as a number above zero.
+fn ratio(value: ::tiff::decoder::ifd::Value) -> Option<f64> {
+    use ::tiff::decoder::ifd::Value;
+    let number = match value {
+        Value::Rational(a, b) => f64::from(a) / f64::from(b),
+        Value::List(list) => return list.into_iter().next().and_then(ratio),
+        Value::Float(x) => f64::from(x),
+        Value::Double(x) => x,
+        _ => return None,
+    };
+    Some(number).filter(|x| x.is_finite() && *x > 0.0)
+}
+
+pub(super) fn tiff_error(path: &Path, page: u32, e: TiffError) -> FormatError {
+    match e {
+        TiffError::IoError(cause) if cause.kind() != std::io::ErrorKind::UnexpectedEof => {
+            FormatError::Io { path: shown(path), cause }
+        }
+        e => FormatError::Data { path: shown(path), problem: format!("page {page}: {}", one_line(&e)) },
+    }
+}
+
+/// A message of the decoder on one line, cut to a length that fits.
+fn one_line(e: &TiffError) -> String {
+    e.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_MESSAGE_CHARS).collect()
+}
+
+/// SGI's tag of pages that are volumes.
+const IMAGE_DEPTH: Tag = Tag::Unknown(32997);
+/// Pages of one file that are looked at.
+const MAX_PAGES: u32 = 1 << 17;
+/// Series of one file.
+const MAX_GROUPS: usize = 64;
+/// The longest list of strips or tiles.
+const MAX_LIST_BYTES: u64 = 8 << 20;
+/// tifffile's descriptions with some words of a user's own: each page may have one.
+const MAX_SHAPED_BYTES: u64 = 1 << 14;
+/// Longest message of the decoder that is shown.
+const MAX_MESSAGE_CHARS: usize = 200;

@@ -1,0 +1,186 @@
+//! OME-TIFF: an image in one file or several, whose description is in one of them or in a file of its own.
+
+use std::collections::HashSet;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::ome::{self, Files, Ome};
+use super::page::{self, Group, Scan};
+use super::{Place, PlaneAxis, Stack, TiffFile, plan};
+use crate::error::{FormatError, io_error, quoted, shown};
+use crate::source::{OpenOptions, file_name, open_file};
+use crate::warning::WarningKind;
+
+/// The files of an image, found but not yet looked into.
+pub(super) struct OmeSet {
+    ome: Ome,
+    /// Number of the image.
+    index: usize,
+    files: Files,
+    /// The file that was opened, and those of `files`.
+    paths: Vec<PathBuf>,
+    /// Files of the folder that belong to none of its images.
+    num_left: usize,
+}
+
+fn malformed(path: &Path, problem: String) -> FormatError {
+    FormatError::Malformed { path: shown(path), format: "OME-TIFF".into(), problem }
+}
+
+impl OmeSet {
+    /// What `text`, the description of the first of `files`, says of them. `None`: they are slices, each an image by itself.
+    pub(super) fn open(
+        text: &str,
+        files: &[PathBuf],
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Option<Self>, FormatError> {
+        let bad = |problem: String| malformed(path, problem);
+        let own = &files[0];
+        let folder = own.parent().unwrap_or(Path::new("")).to_owned();
+        let mut ome = Ome::read(text).map_err(bad)?;
+        if let Some(name) = ome.metadata_file.take() {
+            ome = elsewhere(&folder, &name, own)?;
+        }
+        let index = options.selection.series.unwrap_or(0) as usize;
+        if index >= ome.num_images() {
+            let (what, asked, found) = ("series", index as u64, ome.num_images() as u64);
+            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+        }
+        let is_there = |name: &str| folder.join(name).is_file();
+        let own_name = file_name(own);
+        let named = ome.files(index, &own_name, &is_there).map_err(bad)?;
+        let mut num_left = 0;
+        if files.len() > 1 {
+            // A folder: do its files belong together?
+            let mut members = HashSet::from([own_name.clone()]);
+            for i in 0..ome.num_images() {
+                members.extend(ome.files(i, &own_name, &is_there).map_err(bad)?.others);
+            }
+            num_left = files.iter().filter(|f| !members.contains(&file_name(f))).count();
+            if num_left == files.len() - 1 {
+                if ome.num_images() == 1 && ome.places(0, &named).take(2).count() < 2 && ome.is_slice(0) {
+                    return Ok(None);
+                }
+                return Err(FormatError::Unsupported {
+                    path: shown(path),
+                    found: "a folder of several OME-TIFF images",
+                    expected: "one of its files, or the files of one image",
+                });
+            }
+        }
+        let paths = std::iter::once(own.clone()).chain(named.others.iter().map(|n| folder.join(n))).collect();
+        Ok(Some(Self { ome, index, files: named, paths, num_left }))
+    }
+
+    /// The image; `first` is what is in the file that was opened.
+    pub(super) fn into_file(
+        self,
+        mut first: Scan,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<TiffFile, FormatError> {
+        let bad = |problem: String| malformed(path, problem);
+        let Self { ome, index, files, paths, num_left } = self;
+        let mut missing: Vec<&PathBuf> = paths[1..].iter().filter(|p| !p.is_file()).collect();
+        // All pages are expected to be as the first that is there.
+        let is_there = |p: &Place| paths.get(p.file as usize).is_some_and(|p| !missing.contains(&p));
+        let is_told = ome.places(index, &files).next().is_some();
+        let place = ome.places(index, &files).find(is_there);
+        if is_told && place.is_none() {
+            let name = missing.first().map_or(String::new(), |p| quoted(&file_name(p)));
+            return Err(bad(format!("its planes are in {name}, which is missing")));
+        }
+        let known = |g: &Group| place.is_none_or(|p| p.file == 0 && g.pages.contains(&p.page));
+        let group = match (first.groups.iter().position(known), place) {
+            (None, Some(place)) => Group::of(&paths[place.file as usize], place.page)?,
+            (at, _) => first.groups.swap_remove(at.unwrap_or(0)),
+        };
+        let mut stack = ome::stack(&ome, index, &files, group.shape.samples.into()).map_err(bad)?;
+        let num_planes = stack.num_planes().map_err(bad)?;
+        let mut warnings = Vec::new();
+        let planes = stack.planes.take().unwrap_or_else(|| {
+            let found = group.pages.len() as u64;
+            if num_planes != found {
+                warnings.push(format!(
+                    "the description has {num_planes} planes, the file {found}; they are read as slices"
+                ));
+                stack.axes = vec![(PlaneAxis::Z, found)];
+                stack.channel_names.clear();
+            }
+            group.pages.iter().map(|&page| Some(Place { file: 0, page })).collect()
+        });
+        let mut plan = plan(&group, &mut stack, None, 1).map_err(bad)?;
+        if ome.num_images() > 1 && options.selection.series.is_none() {
+            let names = plan.series.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join("; ");
+            let text = format!("the file has {} series ({names}), of which 0 is shown", ome.num_images());
+            plan.warn(WarningKind::Choice, text);
+        }
+        let num_unknown = planes.iter().filter(|p| p.is_none()).count();
+        if num_unknown > 0 {
+            warnings.push(format!("{num_unknown} planes are not in the file and are shown empty"));
+        }
+        if !missing.is_empty() {
+            let count = missing.len();
+            missing.truncate(MAX_NAMED);
+            let names: Vec<String> = missing.iter().map(|p| quoted(&file_name(p))).collect();
+            let more = if count > names.len() { ", …" } else { "" };
+            let names = names.join(", ");
+            warnings.push(format!("{count} of {} files are missing: {names}{more}", paths.len()));
+        }
+        if num_left > 0 {
+            warnings
+                .push(format!("{num_left} TIFF files of the folder are not of this image and were left out"));
+        }
+        for text in warnings {
+            plan.warn(WarningKind::Data, text);
+        }
+        Ok(TiffFile { plan, files: paths, planes, shape: group.shape, contiguous: None, reader: None })
+    }
+}
+
+/// The description in the file `name` beside `own`, which refers to it: a TIFF file or a document by itself.
+fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> {
+    let bad = |problem: String| malformed(own, problem);
+    if name.is_empty() || name.contains(['/', '\\', '\0']) {
+        return Err(bad(format!(
+            "its description is in file {}, expected a name without folders",
+            quoted(name)
+        )));
+    }
+    let path = folder.join(name);
+    if !path.is_file() {
+        return Err(bad(format!("its description is in {}, which is missing", quoted(name))));
+    }
+    let mut bytes = Vec::new();
+    open_file(&path)?.take(MAX_DOCUMENT_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(&path))?;
+    let text = if bytes.starts_with(b"II") || bytes.starts_with(b"MM") {
+        page::description(&mut page::decoder(&path)?).unwrap_or_default()
+    } else if bytes.len() as u64 > MAX_DOCUMENT_BYTES {
+        return Err(bad(format!("{} has more than {MAX_DOCUMENT_BYTES} bytes", quoted(name))));
+    } else {
+        String::from_utf8_lossy(&bytes).into_owned()
+    };
+    let ome = Ome::read(&text).map_err(|problem| malformed(&path, problem))?;
+    if ome.num_images() == 0 {
+        return Err(bad(format!(
+            "its description is in {}, expected OME-XML with an image there",
+            quoted(name)
+        )));
+    }
+    Ok(ome)
+}
+
+/// Slices in files of their own, the first of which is described by `text`.
+pub(super) fn slices(text: &str, group: &Group) -> Result<Stack, String> {
+    let plain = Stack::plain(group);
+    let ome = Ome::read(text)?;
+    let files = ome.files(0, "", &|_| false)?;
+    let told = ome::stack(&ome, 0, &files, group.shape.samples.into())?;
+    Ok(Stack { spacing: told.spacing, unit: told.unit, channel_names: told.channel_names, ..plain })
+}
+
+/// The longest description in a file of its own.
+const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
+/// Files and images that a sentence names.
+const MAX_NAMED: usize = 8;
