@@ -5,8 +5,11 @@ use std::path::Path;
 use isinglass_core::codec::CodecError;
 use isinglass_core::image_error::ImageErrorError;
 use isinglass_core::kernels::layering::all_samples::AllSamplesError;
+use isinglass_core::mode::Mode;
 use isinglass_formats::FormatError;
 use isinglass_gpu::GpuError;
+
+use crate::rivals::Method;
 
 /// Why there is no result.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +37,14 @@ pub enum BenchError {
         found: String,
         /// What there is.
         expected: String,
+    },
+    /// A method that knows nothing but the composite mode.
+    #[error("--method {method}: composites with over, expected layers in mode {mode}")]
+    Mode {
+        /// The method.
+        method: Method,
+        /// The mode.
+        mode: Mode,
     },
     /// Nothing is left to measure.
     #[error("no scene to measure: {0}")]

@@ -108,6 +108,7 @@ pub struct LatencyRow {
 
 /// Measures, in real time.
 pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
+    options.methods.iter().try_for_each(|m| m.choice.method.check_mode(options.demo.mode))?;
     let lists = [options.scenes.len(), options.methods.len(), options.degrees_per_second.len()];
     let num_runs = lists.iter().product::<usize>() * options.rtts.len();
     let mut rows = Vec::with_capacity(num_runs);

@@ -123,6 +123,7 @@ pub struct QualityRow {
 
 /// Measures. Takes minutes for the default scenes on the CPU.
 pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
+    options.methods.iter().try_for_each(|choice| choice.method.check_mode(options.subject.mode))?;
     let backend = Backend::open(options.backend)?;
     let of_rules = options.of_rules();
     let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.subject.ks).len()).sum();

@@ -21,7 +21,7 @@ pub struct Look {
     pub lighting: Lighting,
     /// What becomes of the samples of a march.
     pub layering: Layering,
-    /// Longest list, 1 to [`MAX_K`].
+    /// Longest list, or with a budget the mean of those that are not empty, 1 to [`MAX_K`].
     pub k: u8,
     /// What of the volume is looked at.
     pub clip: Clip,

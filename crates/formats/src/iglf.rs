@@ -147,7 +147,8 @@ type Parts = (Vec<Vec<u8>>, Origin);
 fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
     let magic: [u8; 4] = take(reader, "start of the file")?;
     if magic != MAGIC {
-        return Err(malformed("start of the file", format!("{magic:02x?}"), format!("{MAGIC:02x?}")));
+        let found = if &magic == b"\x89PNG" { "a PNG picture" } else { "something else" };
+        return Err(malformed("it", found, "a layered frame (.iglf) as `layers` writes it"));
     }
     let version = u16::from_le_bytes(take(reader, "version")?);
     if !(1..=VERSION).contains(&version) {

@@ -169,6 +169,16 @@ fn bad_pictures_and_tables_are_code_1() {
     bench.fails("bench quality bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
     bench.fails("demo builtin:cloud@8 --headless --out out.png --backend cpu", 1, &["out.png", "folder"]);
     bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 1, &["loss", "1.5"]);
+    bench.fails("demo builtin:cloud@64 --headless --max-memory 1kB", 1, &["memory", "1000"]);
+    bench.fails("reproject out.png -o b.png", 1, &["out.png", "PNG", "a layered frame"]);
+    for line in [
+        "demo builtin:cloud@8 --headless --layering slabs --method",
+        "bench quality builtin:cloud@8 --method",
+        "bench speed builtin:cloud@8 --method",
+        "bench latency builtin:cloud@8 --method",
+    ] {
+        bench.fails(&format!("{line} slabs-mesh --mode mip"), 1, &["slabs-mesh", "expected layers"]);
+    }
     if cfg!(unix) {
         bench.fails("layers builtin:cloud@8 --backend cpu -o /dev/null", 1, &["/dev/null", "regular file"]);
         bench.ok("render builtin:cloud@8 --backend cpu --size 8x8 -o /dev/null");

@@ -112,7 +112,7 @@ pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<C
             None if selected.iter().any(|c: &Contender| c.name == name) => {}
             None => {
                 let rivals = if cfg!(feature = "rivals") {
-                    "; more where cjxl and djxl, avifenc and avifdec are installed"
+                    "; those of cjxl and djxl, avifenc and avifdec where these are installed"
                 } else {
                     "; others are there when it is built with --features rivals"
                 };

@@ -45,6 +45,8 @@ pub struct DemoOptions {
     pub selection: Selection,
     /// Distances between voxels, in place of those of the file.
     pub spacing: Option<Vec3>,
+    /// Memory that the volume may take, bytes.
+    pub max_bytes: u64,
     /// Preset or file; none: the one that suits the volume.
     pub transfer: Option<String>,
     /// Whether gradients shade.
@@ -94,6 +96,7 @@ impl Default for DemoOptions {
             raw: None,
             selection: Selection::default(),
             spacing: None,
+            max_bytes: OpenOptions::default().max_bytes,
             transfer: None,
             shaded: true,
             clip: Clip::default(),
@@ -130,8 +133,9 @@ pub struct Outcome {
 /// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
 /// which is made if it is not there; without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
-    let &DemoOptions { raw, selection, spacing, .. } = options;
-    let open = OpenOptions { raw, selection, spacing, ..OpenOptions::default() };
+    options.method.check_mode(options.mode)?;
+    let &DemoOptions { raw, selection, spacing, max_bytes, .. } = options;
+    let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
     let (clip, mode, isos) = (options.clip, options.mode, options.isos);
     let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(options.shaded, options.lighting) };
     let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;

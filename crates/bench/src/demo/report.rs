@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use isinglass_client::Standing;
+use isinglass_core::camera::{Camera, Pose};
 use isinglass_gpu::Backend;
 use serde::Serialize;
 
@@ -147,7 +148,7 @@ pub(super) fn text(
         options.intrinsics.height,
         options.k,
         match &options.path {
-            Some(_) => "a path from a file".to_owned(),
+            Some(_) => "a recorded path".to_owned(),
             None => format!("{:.0} degrees/s", options.degrees_per_second),
         },
         report.backend
@@ -233,7 +234,13 @@ fn csv(evaluation: &Evaluation) -> String {
 
 /// For each refresh, how many refreshes ago the shown camera was the input; the most of all.
 fn pose_lag(ticks: &[Tick]) -> usize {
-    let lag = |i: usize| (0..=i).rev().position(|j| ticks[j].input == ticks[i].camera.pose).unwrap_or(i + 1);
+    // The eye of a parallel camera is moved to where all of the volume is in front.
+    let is_shown = |input: &Pose, camera: &Camera| match camera.intrinsics.projection.is_orthographic() {
+        true => input.world_from_view == camera.pose.world_from_view,
+        false => *input == camera.pose,
+    };
+    let lag =
+        |i: usize| (0..=i).rev().position(|j| is_shown(&ticks[j].input, &ticks[i].camera)).unwrap_or(i + 1);
     (0..ticks.len()).map(lag).max().unwrap_or(0)
 }
 
@@ -282,7 +289,7 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
-    use isinglass_core::camera::{Camera, Intrinsics};
+    use isinglass_core::camera::Intrinsics;
     use isinglass_core::ids::FrameId;
     use isinglass_core::space::Aabb;
 
@@ -315,6 +322,16 @@ mod tests {
     fn lag_is_measured_and_not_assumed() {
         assert_eq!(pose_lag(&ticks(&[1, 2, 3, 4], 0)), 0);
         assert_eq!(pose_lag(&ticks(&[1, 2, 3, 4], 2)), 2);
+        // What a parallel camera sees does not depend on how far back its eye stands.
+        let parallel = |late| {
+            let mut ticks = ticks(&[1, 2, 3, 4], late);
+            for Tick { camera, .. } in &mut ticks {
+                camera.intrinsics = Intrinsics::orthographic(8, 8, 2.0);
+                camera.pose.eye += camera.pose.world_from_view * Vec3::Z;
+            }
+            ticks
+        };
+        assert_eq!([0, 2].map(|late| pose_lag(&parallel(late))), [0, 2]);
     }
 
     #[test]

@@ -19,6 +19,7 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_gpu::{Backend, Reprojector};
@@ -71,6 +72,17 @@ impl Method {
     /// The same for a frame that need not be a server's.
     pub fn name_on(self, rule: Rule) -> &'static str {
         if self == Self::Layers { rule.name() } else { self.name() }
+    }
+
+    /// Whether it makes pictures of frames of this mode: all but the ray cast composite with over.
+    ///
+    /// # Errors
+    /// If not.
+    pub fn check_mode(self, mode: Mode) -> Result<(), BenchError> {
+        match self == Self::Layers || !mode.is_projection() {
+            true => Ok(()),
+            false => Err(BenchError::Mode { method: self, mode }),
+        }
     }
 
     /// Makes a frame ready for any number of views. `bounds` is the box of the volume. Only [`Method::Layers`] runs on

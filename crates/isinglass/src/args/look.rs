@@ -82,11 +82,11 @@ impl LookArgs {
 /// Which segments a layered frame holds.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct LayeringArgs {
-    /// Rule: visibility-merge, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
+    /// Rule: visibility-merge, visibility-merge:fixed, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
     /// being mean, entry, exit, midpoint, peak, gradient or threshold
     #[arg(long, value_name = "RULE", default_value_t = Layering::default())]
     pub(crate) layering: Layering,
-    /// Most segments a pixel
+    /// Segments a pixel: on average with visibility-merge, at most with other rules
     #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
     pub(crate) k: u8,
 }

@@ -125,6 +125,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         raw: args.raw.shape(),
         selection: args.part.selection(),
         spacing: args.part.spacing,
+        max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),
         clip: args.look.clip.clip(),

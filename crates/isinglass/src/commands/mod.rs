@@ -23,7 +23,7 @@ pub(crate) enum Command {
     Demo(demo::DemoArgs),
     /// Serve a volume, and print the link for a viewer
     Serve(serve::ServeArgs),
-    /// Open the viewer on a server's link
+    /// Open the viewer: a page to choose from, a server's link, or a volume
     View(view::ViewerArgs),
     /// Render a volume: the reference picture
     Render(render::RenderArgs),
@@ -35,7 +35,7 @@ pub(crate) enum Command {
     Compare(compare::CompareArgs),
     /// Tell what is in a volume or in a stored layered frame
     Info(info::InfoArgs),
-    /// Measure quality, speed or latency
+    /// Measure quality, speed, latency or codecs
     Bench(bench::BenchArgs),
     /// Tell what this machine lacks, and what to install
     Doctor(doctor::DoctorArgs),

@@ -89,9 +89,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     if method != Method::Layers && (is_parallel(&camera) || is_parallel(&header.camera)) {
         bail!("--method {method}: goes between perspective views only, expected layers with parallel rays");
     }
-    if method != Method::Layers && header.mode.is_projection() {
-        bail!("--method {method}: composites with over, expected layers for a frame of mode {}", header.mode);
-    }
+    method.check_mode(header.mode)?;
     let clip = args.clip.clip();
     if method != Method::Layers && clip != Clip::default() {
         bail!("--method {method}: shows whole frames, expected layers with --clip-box or --clip-plane");
