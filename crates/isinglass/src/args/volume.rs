@@ -68,13 +68,14 @@ impl VolumeArgs {
         Ok((volume, before))
     }
 
-    /// How to open it.
+    /// How to open it, in as much memory as `serve` takes by default: so the same level of a pyramid is chosen.
     fn options(&self) -> OpenOptions<'static> {
         let PartArgs { spacing, .. } = self.part;
         OpenOptions {
             raw: self.raw.shape(),
             selection: self.part.selection(),
             spacing,
+            max_bytes: MemoryArgs::default().bytes(),
             ..OpenOptions::default()
         }
     }
