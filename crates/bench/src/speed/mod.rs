@@ -141,7 +141,6 @@ pub struct SpeedRow {
 
 /// Measures.
 pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
-    options.methods.iter().try_for_each(|choice| choice.method.check_mode(options.subject.mode))?;
     let (mut rows, mut targets) = (Vec::new(), Vec::new());
     let num_runs = options.backends.len() * options.subject.scenes.len();
     for &choice in &options.backends {

@@ -350,6 +350,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
     // First: what is refused opens no device.
     common.check_output()?;
     let subject = common.subject(args.cast.k, args.angles)?;
+    args.cast.method.iter().try_for_each(|choice| choice.method.check_mode(subject.mode))?;
     let mut backends = distinct(args.backend);
     if backends.is_empty() {
         backends.push(BackendChoice::Cpu);
