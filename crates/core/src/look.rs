@@ -92,7 +92,7 @@ impl Look {
     }
 }
 
-/// Longest list unless somebody chooses.
+/// [`Look::k`] unless somebody chooses.
 pub const DEFAULT_K: u8 = 8;
 /// Longest name that is accepted.
 pub const MAX_NAME_BYTES: usize = 200;

@@ -283,8 +283,8 @@ pub const TABLE_BINS: usize = 1024;
 pub const MAX_POINTS: usize = 256;
 /// An opacity of one has no extinction; this is what it is read as (design, trap 4).
 pub const MAX_OPACITY: f32 = 0.9999;
-/// The extinction of all matter is at most this, per unit of length. The thinnest matter that any microscope shows has
-/// some 1e10 (a unit of a metre), and over the longest ray that can be (1e16) the optical depth stays finite.
+/// The extinction of all matter is at most this, per unit of length: opaque matter in voxels of an ångström, in metres, has
+/// 1e11, and over the longest ray that can be (1e16) the optical depth stays finite.
 const MAX_EXTINCTION: f64 = 1e20;
 /// Midpoint evaluations a bin when integrating.
 const SUBDIVISIONS: usize = 8;

@@ -61,7 +61,7 @@ pub struct DemoOptions {
     pub isos: Isos,
     /// Layering rule.
     pub layering: Layering,
-    /// Longest list.
+    /// Segments a pixel: on average or at most, as the rule has it.
     pub k: u8,
     /// How the pictures shown are made of frames.
     pub method: Method,
