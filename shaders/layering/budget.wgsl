@@ -1,6 +1,5 @@
 // One cost at which all rays of a frame stop joining: crates/core/src/kernels/layering/visibility_merge.rs derives it.
 //
-// Before this part stands a generated line: const MEAN_K: u32, the segments a list may have on average; it has K at most.
 // The part after it gathers a ray in pieces, says how many there are, and joins them:
 //   fn gather(ray: Ray, lattice: Lattice, tolerance: f32)
 //   fn num_gathered() -> u32
@@ -10,6 +9,9 @@ struct Budget {
     num_lists: atomic<u32>,
     num_pieces: atomic<u32>,
     threshold: f32,
+    // Segments that a list may have on average, and at most. In a buffer, so that other numbers need no other kernel.
+    mean_k: u32,
+    longest: u32,
     // Joins of the sample by the bin of their cost.
     joins: array<atomic<u32>, COST_BINS>,
 }
@@ -18,7 +20,7 @@ struct Budget {
 
 // The cost up to which steps are merged at once, where rays stop joining at `threshold`.
 fn tolerance_from(threshold: f32) -> f32 {
-    if MEAN_K < TOLERANT_K {
+    if budget.mean_k < TOLERANT_K {
         return 0.0;
     }
     return threshold * TOLERANCE_SHARE;
@@ -63,12 +65,29 @@ fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
     join(1u, INFINITE_COST, true);
 }
 
-// The least lower end of a bin such that joins below it leave at most MEAN_K segments a list.
-@compute @workgroup_size(1)
-fn choose_threshold() {
-    let allowed = atomicLoad(&budget.num_lists) * MEAN_K;
+// Joins of each part of the bins.
+var<workgroup> joins_of_part: array<u32, NUM_PARTS>;
+
+// The least lower end of a bin such that joins below it leave at most mean_k segments a list. Every invocation adds up a part
+// of the bins, so that the one that looks for the bin waits for memory in one part only.
+@compute @workgroup_size(NUM_PARTS)
+fn choose_threshold(@builtin(local_invocation_index) part: u32) {
+    var sum = 0u;
+    for (var i = 0u; i < BINS_OF_PART; i++) {
+        sum += atomicLoad(&budget.joins[part * BINS_OF_PART + i]);
+    }
+    joins_of_part[part] = sum;
+    workgroupBarrier();
+    if (part > 0u) {
+        return;
+    }
+    let allowed = atomicLoad(&budget.num_lists) * budget.mean_k;
     var left = atomicLoad(&budget.num_pieces);
     var bin = 0u;
+    while (bin < COST_BINS && left > allowed + joins_of_part[bin / BINS_OF_PART]) {
+        left -= joins_of_part[bin / BINS_OF_PART];
+        bin += BINS_OF_PART;
+    }
     while (left > allowed && bin < COST_BINS) {
         left -= atomicLoad(&budget.joins[bin]);
         bin += 1u;
@@ -88,6 +107,9 @@ const SAMPLE_RAYS: u32 = 2048;
 const BIN_SHIFT: u32 = 18;
 // Bins of all finite costs.
 const COST_BINS: u32 = 8192;
+// Bins are added up in so many parts of so many.
+const NUM_PARTS: u32 = 256;
+const BINS_OF_PART: u32 = 32;
 // See tolerance_from.
 const TOLERANCE_SHARE: f32 = 0.15;
 const TOLERANT_K: u32 = 12u;

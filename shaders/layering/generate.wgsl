@@ -1,6 +1,7 @@
 // Lists of segments from the steps of a march. Twin of crates/core/src/kernels/layering/mod.rs.
 //
-// Before this part stands a generated line, the greatest length of a list: const K: u32 = …;
+// Before this part stand generated lines: const OPEN: u32, segments open at once, and fn longest_list() -> u32, the greatest
+// length of a list.
 // The part after this one is the rule:
 //   fn generate_list(ray: Ray, lattice: Lattice)
 // marches and leaves the list in `list`, and
@@ -17,7 +18,7 @@
 // A segment while it is made: a step that may span many.
 alias OpenSegment = Step;
 
-// One more than K: visibility-merge opens a segment before it merges two.
+// One more than there are in the end: visibility-merge opens a segment before it merges two.
 struct SegmentList {
     len: u32,
     segments: array<OpenSegment, OPEN + 1>,
@@ -96,7 +97,7 @@ fn generate(@builtin(global_invocation_id) id: vec3u) {
 // Makes the distances of the segments depth units, and returns how many there are. Twin of
 // crates/core/src/kernels/layering/close.rs.
 fn close_list(s_per_depth: f32) -> u32 {
-    var len = min(list.len, K);
+    var len = min(list.len, longest_list());
     if (len == 0u) {
         return 0u;
     }

@@ -1,8 +1,7 @@
 // Lists of the projections. Twin of crates/core/src/kernels/layering/projection.rs, which derives it. OPEN pieces are
 // gathered.
 //
-// Before this part stand the budget (budget.wgsl) and generated lines: const MEAN_K: u32, the segments a list may have on
-// average; const NUM_CUTS: u32, cuts at equal lengths instead of merging, if not 0, const IS_POINT: bool, whether a
+// Before this part stand the budget (budget.wgsl) and generated lines: const NUM_CUTS: u32, cuts at equal lengths instead of merging, if not 0, const IS_POINT: bool, whether a
 // segment stands where the greatest key is, and const IS_MEAN: bool. The part behind it makes segments of the pieces:
 //   fn push_pieces(lattice: Lattice)
 
@@ -202,7 +201,7 @@ fn join(most: u32, threshold: f32, is_sample: bool) {
 fn generate_list(ray: Ray, lattice: Lattice) {
     gather(ray, lattice, tolerance_from(budget.threshold));
     if (NUM_CUTS == 0u) {
-        join(K, budget.threshold, false);
+        join(longest_list(), budget.threshold, false);
     }
     list.len = 0u;
     push_pieces(lattice);

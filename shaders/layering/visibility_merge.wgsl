@@ -310,7 +310,7 @@ fn generate_list(ray: Ray, lattice: Lattice) {
     if (list.len == 0u) {
         return;
     }
-    join(K, budget.threshold, false);
+    join(longest_list(), budget.threshold, false);
     // Groups of three pieces or fewer have the borders that joining gave them.
     if (list.len > 3u * groups.len) {
         settle();

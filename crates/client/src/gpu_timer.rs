@@ -95,8 +95,8 @@ impl GpuTimer {
                 });
             }
             MAPPING => {
-                // Runs the callback if the mapping is done. An error is the device's, which egui reports.
-                let _ = device.poll(wgpu::PollType::Poll);
+                // Runs the callback if the mapping is done. Whoever hears of a lost device closes the window.
+                let _ = isinglass_gpu::poll(device, wgpu::PollType::Poll);
             }
             _ => {}
         }

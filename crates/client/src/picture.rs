@@ -47,6 +47,8 @@ pub(crate) struct PictureStatus {
     /// Whether the adapter can measure.
     pub(crate) has_timer: bool,
     problem: Mutex<Option<String>>,
+    /// What the device said beside that since the last refresh: that it has no memory left, say.
+    complaint: Arc<Mutex<Option<String>>>,
     warm_up: Mutex<Option<WarmUpDraws>>,
 }
 
@@ -61,7 +63,8 @@ struct WarmUpDraws {
 impl PictureStatus {
     /// Why the newest frame could not be uploaded, if so; an older one is shown then.
     pub(crate) fn problem(&self) -> Option<String> {
-        self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let lock = |m: &Mutex<Option<String>>| m.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        lock(&self.problem).or_else(|| lock(&self.complaint))
     }
 
     /// Submits what is ready of the draws before the first picture. Never waits.
@@ -85,15 +88,34 @@ struct PictureResources {
     status: Arc<PictureStatus>,
 }
 
-/// Prepares the device of the window.
+/// Prepares the device of the window. If it is lost later, why goes to `lost` and the window closes: it could not draw any
+/// more.
 ///
 /// # Errors
 /// If the kernel cannot be built on it.
 pub(crate) fn install(
     state: &egui_wgpu::RenderState,
     ctx: &egui::Context,
+    lost: Arc<Mutex<Option<String>>>,
 ) -> Result<Arc<PictureStatus>, String> {
     let (device, queue) = (&state.device, &state.queue);
+    let closing = ctx.clone();
+    device.set_device_lost_callback(move |reason, message| {
+        *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("{reason:?} {message}"));
+        // The device tells it in the midst of something, whose locks are held.
+        let ctx = closing.clone();
+        std::thread::spawn(move || {
+            ctx.send_viewport_cmd_to(egui::ViewportId::ROOT, egui::ViewportCommand::Close);
+            ctx.request_repaint();
+        });
+    });
+    let complaint: Arc<Mutex<Option<String>>> = Arc::default();
+    let heard = complaint.clone();
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        let text = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        tracing::error!("uncaptured GPU error: {text}");
+        *heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
+    }));
     let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
     let draws = warm_up(&pass, state, ctx).map_err(|e| e.to_string())?;
     let time = Arc::new(GpuTime::default());
@@ -102,6 +124,7 @@ pub(crate) fn install(
         time,
         has_timer: timer.is_some(),
         problem: Mutex::default(),
+        complaint,
         warm_up: Mutex::new(Some(draws)),
     });
     let resources = PictureResources {
@@ -232,6 +255,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         resources: &mut egui_wgpu::CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
         let Some(r) = resources.get_mut::<PictureResources>() else { return Vec::new() };
+        *r.status.complaint.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let problem = r.show(device, queue, self).err();
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let num_samples = self.quality.num_samples;

@@ -1,10 +1,11 @@
 //! Opens the window and closes it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use isinglass_formats::{SavedState, VolumeSource};
+use isinglass_gpu::with_large_buffers;
 use isinglass_net::{Clock, Link};
 
 use crate::app::{ViewerApp, theme_preference};
@@ -150,6 +151,11 @@ pub enum ViewerError {
         "the display was lost while the window was open: the X server ended, or the connection to it broke"
     )]
     DisplayLost,
+    /// The window was open, and the device that draws it is gone.
+    #[error(
+        "the graphics device was lost while the window was open: {0}; a driver that was reset or updated does that, start again"
+    )]
+    Lost(String),
     /// The kernel could not be built for this device.
     #[error("cannot prepare the graphics device: {0}")]
     Device(String),
@@ -238,6 +244,8 @@ fn open_window(
     let mut options = options;
     let was_open = Arc::new(AtomicBool::new(false));
     let opened = was_open.clone();
+    let lost: Arc<Mutex<Option<String>>> = Arc::default();
+    let heard = lost.clone();
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
         opened.store(true, Ordering::Relaxed);
         // The rest of a state waits for a volume.
@@ -245,7 +253,7 @@ fn open_window(
         cc.egui_ctx.set_theme(theme.map_or(egui::ThemePreference::Dark, theme_preference));
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let ctx = cc.egui_ctx.clone();
-        let status = picture::install(state, &ctx).map_err(ViewerError::Device)?;
+        let status = picture::install(state, &ctx, heard).map_err(ViewerError::Device)?;
         let wake: Waker = {
             let bell = Bell::of(&ctx);
             Arc::new(move || bell.ring())
@@ -255,7 +263,11 @@ fn open_window(
         Ok(make_app(options, Opened { ctx, wake, views, status })?)
     });
     let run = || eframe::run_native("isinglass", native, create);
-    match told_apart(display_available, run) {
+    let result = told_apart(display_available, run);
+    if let Some(reason) = lost.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(ViewerError::Lost(one_line(&reason)));
+    }
+    match result {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) | Err(DisplayLost) if was_open.load(Ordering::Relaxed) && !display_available() => {
             Err(ViewerError::DisplayLost)
@@ -294,14 +306,15 @@ fn one_line(e: &dyn std::fmt::Display) -> String {
     e.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// eframe's defaults, least latency, and timestamps where the adapter has them.
+/// eframe's defaults, least latency, buffers for large frames, and timestamps where the adapter has them.
 fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
     let mut setup = egui_wgpu::WgpuSetupCreateNew::without_display_handle();
     let device_descriptor = setup.device_descriptor.clone();
     setup.device_descriptor = Arc::new(move |adapter| {
         let descriptor = device_descriptor(adapter);
         let features = descriptor.required_features | timer_features(adapter);
-        wgpu::DeviceDescriptor { required_features: features, ..descriptor }
+        let limits = with_large_buffers(descriptor.required_limits.clone(), &adapter.limits());
+        wgpu::DeviceDescriptor { required_features: features, required_limits: limits, ..descriptor }
     });
     egui_wgpu::WgpuConfiguration { wgpu_setup: setup.into(), ..Default::default() }
         .with_surface_config(egui_wgpu::SurfaceConfig::LOW_LATENCY)

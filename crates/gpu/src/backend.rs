@@ -95,6 +95,27 @@ impl Backend {
         }
     }
 
+    /// Whether its device is gone, so that another is to be opened.
+    pub fn is_lost(&self) -> bool {
+        matches!(self, Self::Gpu(gpu) if gpu.is_lost())
+    }
+
+    /// This, or where its device is gone one that was opened anew; the CPU if there is none of the kind.
+    pub fn reopened(&self) -> Self {
+        let Self::Gpu(gone) = self else { return Self::Cpu };
+        if !gone.is_lost() {
+            return self.clone();
+        }
+        match Gpu::open() {
+            Ok(gpu) if gone.info().is_software || !gpu.info().is_software => Self::Gpu(gpu),
+            Ok(_) => Self::Cpu,
+            Err(e) => {
+                tracing::error!("the GPU cannot be opened again: {e}");
+                Self::Cpu
+            }
+        }
+    }
+
     /// `cpu`, or `gpu` with the device's name and driver.
     pub fn description(&self) -> String {
         match self {

@@ -45,6 +45,7 @@ struct Shared {
     /// A handful; found by looking at each.
     pipelines: Mutex<Vec<(Kernel, &'static str, wgpu::ComputePipeline)>>,
     lost: Arc<Mutex<Option<String>>>,
+    device_type: wgpu::DeviceType,
     pass_clock: Option<PassClock>,
 }
 
@@ -88,13 +89,27 @@ impl CasterLayouts {
 }
 
 impl Gpu {
-    /// Opens the best device: discrete before integrated before software. Without any driver this is an error.
+    /// Opens the best device that opens: discrete before integrated before software. Without any this is an error.
     pub fn open() -> Result<Self, GpuError> {
-        let adapter = best_adapter()?;
+        let mut problem = None;
+        for adapter in adapters()? {
+            match Self::open_adapter(&adapter) {
+                Ok(gpu) => return Ok(gpu),
+                Err(e) => {
+                    tracing::info!("{e}");
+                    // Why the best of them did not is what to tell.
+                    problem.get_or_insert(e);
+                }
+            }
+        }
+        Err(problem.unwrap_or_else(|| GpuError::NoAdapter("no driver offers a device".into())))
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
         let adapter_info = adapter.get_info();
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("isinglass"),
-            required_features: PassClock::features(&adapter),
+            required_features: PassClock::features(adapter),
             required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         }))
@@ -119,13 +134,20 @@ impl Gpu {
         };
         let layouts = scoped(&device, "making layouts", || Ok(Layouts::new(&device)))?;
         let pass_clock = PassClock::new(&device, &queue);
-        let shared = Shared { device, queue, info, layouts, pipelines: Mutex::default(), lost, pass_clock };
+        let device_type = adapter_info.device_type;
+        let pipelines = Mutex::default();
+        let shared = Shared { device, queue, info, layouts, pipelines, lost, device_type, pass_clock };
         Ok(Self { shared: Arc::new(shared) })
     }
 
     /// What is known of the device.
     pub fn info(&self) -> &GpuInfo {
         &self.shared.info
+    }
+
+    /// Whether the device is gone: nothing can be done with it any more, but another can be opened.
+    pub fn is_lost(&self) -> bool {
+        self.shared.lost.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
     /// The device itself, for passes that are not of this crate.
@@ -162,11 +184,10 @@ impl Gpu {
 
     /// Waits until everything submitted is done.
     pub(crate) fn wait(&self, what: &'static str) -> Result<(), GpuError> {
-        // A device that is lost while it is waited for makes wgpu panic.
-        match catch_unwind(AssertUnwindSafe(|| self.device().poll(wgpu::PollType::wait_indefinitely()))) {
+        match poll(self.device(), wgpu::PollType::wait_indefinitely()) {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(e)) => Err(GpuError::Failed { what, reason: e.to_string() }),
-            Err(_) => Err(GpuError::Lost { what, reason: "the device stopped answering".into() }),
+            Err(NoAnswer) => Err(GpuError::Lost { what, reason: "the device stopped answering".into() }),
         }
     }
 
@@ -197,10 +218,16 @@ impl Gpu {
         compute_pipeline(self.device(), kernel, entry, groups)
     }
 
-    /// Pixels that one dispatch may work on: short enough for the watchdogs of window systems, long enough to fill a
-    /// device.
-    pub(crate) fn max_dispatch_pixels(&self) -> u32 {
-        if self.info().is_software { 1 << 16 } else { 1 << 20 }
+    /// Pixels that one dispatch may work on, of which none takes more than `steps`: short enough for the watchdogs of window
+    /// systems, long enough to fill a device.
+    pub(crate) fn max_dispatch_pixels(&self, steps: u32) -> u32 {
+        let (most, most_steps) = match self.shared.device_type {
+            wgpu::DeviceType::Cpu => return 1 << 16,
+            // Some ten thousand million texels a second, eight and more a step, against watchdogs of two seconds.
+            wgpu::DeviceType::DiscreteGpu => (1 << 20, STEPS_OF_DISCRETE),
+            _ => (1 << 20, STEPS_OF_OTHERS),
+        };
+        (most_steps / steps.max(1)).clamp(LEAST_DISPATCH, most)
     }
 
     /// An error if pictures of several frames cannot be made in a buffer.
@@ -263,27 +290,47 @@ impl Layouts {
     }
 }
 
-/// The defaults, with buffers as large as the adapter offers and a frame can need, and one more of them: the pictures of
-/// several frames go to a buffer too.
-fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
-    let defaults = wgpu::Limits::default();
+/// These limits, with buffers as large as the adapter offers and a frame can need.
+pub fn with_large_buffers(limits: wgpu::Limits, offered: &wgpu::Limits) -> wgpu::Limits {
     let within = |default: u64, offered: u64| offered.min(LARGEST_BUFFER).max(default);
     wgpu::Limits {
         max_storage_buffer_binding_size: within(
-            defaults.max_storage_buffer_binding_size,
+            limits.max_storage_buffer_binding_size,
             offered.max_storage_buffer_binding_size,
         ),
-        max_buffer_size: within(defaults.max_buffer_size, offered.max_buffer_size),
+        max_buffer_size: within(limits.max_buffer_size, offered.max_buffer_size),
+        ..limits
+    }
+}
+
+/// Nothing came back from a device that is lost.
+#[derive(Debug)]
+pub struct NoAnswer;
+
+/// Asks a device how far it is. A device that is lost while it is asked makes wgpu panic: here that is told.
+pub fn poll(
+    device: &wgpu::Device,
+    poll: wgpu::PollType,
+) -> Result<Result<wgpu::PollStatus, wgpu::PollError>, NoAnswer> {
+    catch_unwind(AssertUnwindSafe(|| device.poll(poll))).map_err(|_| NoAnswer)
+}
+
+/// The defaults, with large buffers, and one more of them, as the pictures of several frames go to a buffer too; and volumes
+/// as long as the adapter takes them.
+fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
+    let defaults = wgpu::Limits::default();
+    wgpu::Limits {
+        max_texture_dimension_3d: offered.max_texture_dimension_3d.max(defaults.max_texture_dimension_3d),
         max_storage_buffers_per_shader_stage: offered
             .max_storage_buffers_per_shader_stage
             .min(NUM_BUFFERS_OF_FRAMES + 1)
             .max(defaults.max_storage_buffers_per_shader_stage),
-        ..defaults
+        ..with_large_buffers(defaults, offered)
     }
 }
 
-/// Discrete before integrated before anything else before software.
-fn best_adapter() -> Result<wgpu::Adapter, GpuError> {
+/// Those that have what the kernels need: discrete before integrated before anything else before software. At least one.
+fn adapters() -> Result<Vec<wgpu::Adapter>, GpuError> {
     let backends = wgpu::Backends::PRIMARY;
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends,
@@ -296,14 +343,15 @@ fn best_adapter() -> Result<wgpu::Adapter, GpuError> {
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
     };
-    let adapters = pollster::block_on(instance.enumerate_adapters(backends));
-    let best =
-        adapters.iter().filter(|a| wgpu::Limits::default().check_limits(&a.limits())).min_by_key(|a| rank(a));
-    best.cloned().ok_or_else(|| {
-        let too_small =
-            adapters.first().map(|a| format!("'{}' lacks what the kernels need", a.get_info().name));
-        GpuError::NoAdapter(too_small.unwrap_or_else(|| "no driver offers a device".into()))
-    })
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    let first = adapters.first().map(|a| a.get_info().name);
+    adapters.retain(|a| wgpu::Limits::default().check_limits(&a.limits()));
+    adapters.sort_by_key(rank);
+    if adapters.is_empty() {
+        let too_small = first.map(|name| format!("'{name}' lacks what the kernels need"));
+        return Err(GpuError::NoAdapter(too_small.unwrap_or_else(|| "no driver offers a device".into())));
+    }
+    Ok(adapters)
 }
 
 /// A bind group layout with the given types at bindings 0, 1, 2 …
@@ -413,6 +461,11 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
     has_dynamic_offset: false,
     min_binding_size: None,
 };
+/// Steps of all rays of a dispatch.
+const STEPS_OF_DISCRETE: u32 = 1 << 30;
+const STEPS_OF_OTHERS: u32 = 1 << 27;
+/// Pixels of the shortest dispatch: fewer do not fill a device.
+const LEAST_DISPATCH: u32 = 1 << 14;
 /// A plane of a frame of 3840×2160 lists of 32 segments.
 const LARGEST_BUFFER: u64 = 1 << 30;
 /// Group 0 of `one_frame.wgsl`.

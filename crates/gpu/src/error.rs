@@ -52,6 +52,11 @@ pub enum GpuError {
 }
 
 impl GpuError {
+    /// Whether the CPU may do what the device could not: it fails by itself, or it is too small for it.
+    pub fn asks_for_cpu(&self) -> bool {
+        self.is_lost() || matches!(self, Self::TooLarge { .. })
+    }
+
     /// Whether what is on the device may be of no use any more, so that the same is to be tried elsewhere. After the others the device
     /// goes on as before.
     pub fn is_lost(&self) -> bool {

@@ -49,7 +49,7 @@ impl FrameTarget {
         let plane_bytes = capacity * 4;
         gpu.check_binding("plane of segments in bytes", plane_bytes)?;
         let slot_bytes_per_pixel = u32::from(longest) * 12;
-        let max_pixels = gpu.max_dispatch_pixels().min(SLOT_BYTES / slot_bytes_per_pixel);
+        let max_pixels = gpu.max_dispatch_pixels(1).min(SLOT_BYTES / slot_bytes_per_pixel);
         let band_pixels = rows_per_band(width, height, max_pixels) * width;
         let slot_bytes = u64::from(band_pixels) * u64::from(slot_bytes_per_pixel);
         gpu.check_binding("slots of a row in bytes", slot_bytes)?;
@@ -127,6 +127,8 @@ impl FrameTarget {
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
         if self.layering == Layering::VisibilityMerge {
             self.choose_threshold(gpu, scene);
+        } else {
+            self.write_limits(gpu);
         }
         let mut frame = LayeredFrame::empty(header);
         let num_offsets = header.camera.intrinsics.num_pixels() + 1;
@@ -136,6 +138,11 @@ impl FrameTarget {
             }
             frame.offsets.clear();
             self.readback.read(gpu, encoder(gpu), [(&self.offsets, num_offsets)], [&mut frame.offsets])?;
+            // Some drivers give back what is in a buffer, and no error, where they had to end a dispatch.
+            if !frame.offsets.is_sorted() {
+                let what = "generating a layered frame";
+                return Err(GpuError::Lost { what, reason: "what came back is no frame".into() });
+            }
             let total = frame.offsets.last().map_or(0, |&total| total as usize);
             if total <= self.capacity {
                 let LayeredFrame { depth, c_rg, c_b_tau, .. } = &mut frame;
@@ -151,16 +158,24 @@ impl FrameTarget {
         }
     }
 
+    /// How many segments lists may have on average, and at most.
+    fn write_limits(&self, gpu: &Gpu) {
+        let limits = [self.k, self.layering.longest_list(self.k)].map(u32::from);
+        gpu.queue().write_buffer(&self.budget, BUDGET_LIMITS as u64 * 4, bytemuck::bytes_of(&limits));
+    }
+
     /// Marches the sample of rays and sets the threshold that their joins ask for.
     fn choose_threshold(&self, gpu: &Gpu, scene: &SceneOnGpu) {
-        let kernel = Kernel::Generate(scene.kind, scene.mode, self.layering, self.k);
+        let kernel = Kernel::generate(scene.kind, scene.mode, self.layering, self.k);
         let [sample, choose] = ["sample_budget", "choose_threshold"].map(|entry| gpu.pipeline(kernel, entry));
         let mut clear = encoder(gpu);
         clear.clear_buffer(&self.budget, 0, None);
         gpu.queue().submit([clear.finish()]);
+        self.write_limits(gpu);
         let stride = sample_stride(self.width, self.height);
         let (width, height) = (self.width.div_ceil(stride), self.height.div_ceil(stride));
-        for band in bands(width, height, self.max_pixels) {
+        let max_pixels = self.max_pixels.min(gpu.max_dispatch_pixels(scene.max_steps));
+        for band in bands(width, height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);
             {
@@ -195,12 +210,14 @@ impl FrameTarget {
     /// Generates and compacts band by band. `false` if the frame is no longer wanted, which is asked when a band but the
     /// last is done.
     fn fill_planes(&self, gpu: &Gpu, scene: &SceneOnGpu, wanted: Wanted<'_>) -> Result<bool, GpuError> {
-        let march = gpu.pipeline(Kernel::Generate(scene.kind, scene.mode, self.layering, self.k), "generate");
+        let march = gpu.pipeline(Kernel::generate(scene.kind, scene.mode, self.layering, self.k), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
         let asked_at = self.width * self.height.div_ceil(BANDS_AT_LEAST);
-        let max_pixels =
-            (self.max_pixels / marches_at_most(self.layering)).min(asked_at.max(PIXELS_AT_LEAST));
+        let max_steps = scene.max_steps * marches_at_most(self.layering);
+        let max_pixels = (self.max_pixels / marches_at_most(self.layering))
+            .min(gpu.max_dispatch_pixels(max_steps))
+            .min(asked_at.max(PIXELS_AT_LEAST));
         for band in bands(self.width, self.height, max_pixels) {
             gpu.queue().write_buffer(&self.band, 0, bytemuck::bytes_of(&band));
             let mut encoder = encoder(gpu);
@@ -254,8 +271,9 @@ const BANDS_AT_LEAST: u32 = 8;
 const PIXELS_AT_LEAST: u32 = 1 << 15;
 /// Segments beyond the budget that any frame has room for.
 const SLACK_SEGMENTS: u64 = 1 << 14;
-/// Word of `Budget` that holds the threshold, and the first of its bins.
+/// Words of `Budget` that hold the threshold and the lengths of lists, and the first of its bins.
 const BUDGET_THRESHOLD: usize = 2;
-const BUDGET_JOINS: u64 = 3;
+const BUDGET_LIMITS: usize = 3;
+const BUDGET_JOINS: u64 = 5;
 /// Where a threshold of nothing is raised from.
 const THRESHOLD_LEAST: f32 = 1e-6;

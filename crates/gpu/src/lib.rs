@@ -23,7 +23,7 @@ mod view_pass;
 mod warm_up;
 
 pub use backend::{Backend, BackendChoice, Renderer, Reprojector};
-pub use device::{Gpu, GpuInfo};
+pub use device::{Gpu, GpuInfo, NoAnswer, poll, with_large_buffers};
 pub use error::GpuError;
 pub use march::GpuRenderer;
 pub use raycast::GpuReprojector;

@@ -63,7 +63,7 @@ impl GpuRenderer {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
             let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, Extent::Opaque), "render");
-            picture.draw_rows(gpu, &pipeline, &on_gpu.bind_group, &camera.into(), rows)
+            picture.draw_rows(gpu, &pipeline, &on_gpu.bind_group, &camera.into(), on_gpu.max_steps, rows)
         })
     }
 
@@ -84,7 +84,7 @@ impl GpuRenderer {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
             let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, extent), "render");
-            picture.draw(gpu, &pipeline, &on_gpu.bind_group, view)
+            picture.draw(gpu, &pipeline, &on_gpu.bind_group, view, on_gpu.max_steps)
         })
     }
 

@@ -43,17 +43,19 @@ impl PictureTarget {
         pipeline: &wgpu::ComputePipeline,
         group_0: &wgpu::BindGroup,
         view: &View,
+        max_steps: u32,
     ) -> Result<Picture, GpuError> {
-        self.draw_rows(gpu, pipeline, group_0, view, 0..view.basis.height as u32)
+        self.draw_rows(gpu, pipeline, group_0, view, max_steps, 0..view.basis.height as u32)
     }
 
-    /// The same for some rows: the picture has those alone.
+    /// The same for some rows: the picture has those alone. No pixel takes more than `max_steps`.
     pub(crate) fn draw_rows(
         &mut self,
         gpu: &Gpu,
         pipeline: &wgpu::ComputePipeline,
         group_0: &wgpu::BindGroup,
         view: &View,
+        max_steps: u32,
         rows: Range<u32>,
     ) -> Result<Picture, GpuError> {
         let is_inside = rows.start < rows.end && rows.end <= view.basis.height as u32;
@@ -61,7 +63,7 @@ impl PictureTarget {
             return Err(GpuError::Camera);
         }
         let (width, height) = (view.basis.width as u32, rows.end - rows.start);
-        let max_pixels = gpu.max_dispatch_pixels();
+        let max_pixels = gpu.max_dispatch_pixels(max_steps);
         let bytes = u64::from(rows_per_band(width, height, max_pixels)) * u64::from(width) * BYTES_PER_PIXEL;
         if self.pixels.size() < bytes {
             gpu.check_binding("picture in bytes", bytes)?;

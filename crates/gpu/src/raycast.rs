@@ -339,10 +339,13 @@ impl GpuReprojector {
             frames.prepare(gpu.queue(), &[*view]);
             let (kind, group) = frames.cast();
             let pipeline = gpu.pipeline(Kernel::RaycastCompute(kind), "raycast");
-            picture.draw(gpu, &pipeline, group, view)
+            picture.draw(gpu, &pipeline, group, view, MAX_CROSSINGS)
         })
     }
 }
+
+/// Steps of a march that the longest way through the lists of a large frame takes as long as.
+const MAX_CROSSINGS: u32 = 1 << 12;
 
 /// What the kernel relies on to stay inside the planes and to end.
 fn check_indices(frame: &LayeredFrame) -> Result<(), GpuError> {

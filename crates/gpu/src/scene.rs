@@ -19,7 +19,8 @@ use crate::shaders::TexelKind;
 pub(crate) struct SceneOnGpu {
     volume: Arc<Volume>,
     lit: Option<Arc<Lit>>,
-    voxels: wgpu::TextureView,
+    voxels: wgpu::Texture,
+    shares: wgpu::Texture,
     uniform: wgpu::Buffer,
     table: wgpu::Buffer,
     occupancy: wgpu::Buffer,
@@ -27,6 +28,8 @@ pub(crate) struct SceneOnGpu {
     pub(crate) kind: TexelKind,
     /// What they make of them.
     pub(crate) mode: Mode,
+    /// Steps of the longest ray.
+    pub(crate) max_steps: u32,
     /// Group 0 of the marching kernels.
     pub(crate) bind_group: wgpu::BindGroup,
 }
@@ -35,18 +38,30 @@ impl SceneOnGpu {
     pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
         gpu.attempt("uploading the volume", || {
             let (kind, voxels) = upload_volume(gpu, &scene.volume)?;
-            let lit = upload_lit(gpu, scene)?;
+            let shares = upload_lit(gpu, scene, None)?;
             let table_bytes = table_words(scene).len() as u64 * 4;
             let occupancy_bytes = scene.occupancy.words.len() as u64 * 8;
             gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
             let uniform = gpu.uniform::<gpu_types::Scene>("scene");
             let table = gpu.storage("table", table_bytes);
             let occupancy = gpu.storage("occupancy", occupancy_bytes);
-            let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &lit]);
+            let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &shares]);
             let volume = Arc::clone(&scene.volume);
             let lit = scene.illumination.lit().cloned();
-            let mode = scene.settings.mode;
-            let on_gpu = Self { volume, lit, voxels, uniform, table, occupancy, kind, mode, bind_group };
+            let (mode, max_steps) = (scene.settings.mode, scene.max_steps());
+            let on_gpu = Self {
+                volume,
+                lit,
+                voxels,
+                shares,
+                uniform,
+                table,
+                occupancy,
+                kind,
+                mode,
+                max_steps,
+                bind_group,
+            };
             on_gpu.write_look(gpu, scene);
             Ok(on_gpu)
         })
@@ -64,12 +79,12 @@ impl SceneOnGpu {
                 (old, new) => old.is_none() && new.is_none(),
             };
             if !is_lit_alike {
-                let lit = upload_lit(gpu, scene)?;
+                self.shares = upload_lit(gpu, scene, Some(&self.shares))?;
                 let buffers = [&self.uniform, &self.table, &self.occupancy];
-                self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &lit]);
+                self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &self.shares]);
                 self.lit = scene.illumination.lit().cloned();
             }
-            self.mode = scene.settings.mode;
+            (self.mode, self.max_steps) = (scene.settings.mode, scene.max_steps());
             self.write_look(gpu, scene);
             Ok(())
         })
@@ -93,8 +108,9 @@ fn bind_scene(
     gpu: &Gpu,
     kind: TexelKind,
     [uniform, table, occupancy]: [&wgpu::Buffer; 3],
-    [voxels, lit]: [&wgpu::TextureView; 2],
+    textures: [&wgpu::Texture; 2],
 ) -> wgpu::BindGroup {
+    let [voxels, shares] = textures.map(|t| t.create_view(&wgpu::TextureViewDescriptor::default()));
     bind(
         gpu.device(),
         "scene",
@@ -103,8 +119,8 @@ fn bind_scene(
             uniform.as_entire_binding(),
             table.as_entire_binding(),
             occupancy.as_entire_binding(),
-            wgpu::BindingResource::TextureView(voxels),
-            wgpu::BindingResource::TextureView(lit),
+            wgpu::BindingResource::TextureView(&voxels),
+            wgpu::BindingResource::TextureView(&shares),
         ],
     )
 }
@@ -127,47 +143,57 @@ fn table_words(scene: &march::Scene) -> Vec<f32> {
 }
 
 /// Integer voxels keep their integers (exact on every device, and 16 bits need no optional feature).
-fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::TextureView), GpuError> {
+fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture), GpuError> {
     let (kind, format, bytes): (_, _, &[u8]) = match volume.voxels() {
         Voxels::U8(v) => (TexelKind::Uint, wgpu::TextureFormat::R8Uint, v),
         Voxels::U16(v) => (TexelKind::Uint, wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(v)),
         Voxels::F32(v) => (TexelKind::Float, wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
     };
-    Ok((kind, upload_texture(gpu, volume.dims(), format, bytes)?))
+    Ok((kind, upload_texture(gpu, volume.dims(), format, bytes, None)?))
 }
 
-/// The shares of light of the voxels; of a scene without shading, a single texel that is never read.
-fn upload_lit(gpu: &Gpu, scene: &march::Scene) -> Result<wgpu::TextureView, GpuError> {
+/// The shares of light of the voxels; of a scene without shading, a single texel that is never read. Those before make room
+/// for them where they are as many: the queue has them arrive behind what still reads the old ones.
+fn upload_lit(
+    gpu: &Gpu,
+    scene: &march::Scene,
+    before: Option<&wgpu::Texture>,
+) -> Result<wgpu::Texture, GpuError> {
     let (dims, shares): (_, &[u8]) = match scene.illumination.lit() {
         Some(lit) => (scene.volume.dims(), &lit.shares),
         None => ([1; 3], &[0]),
     };
-    upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, shares)
+    upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, shares, before)
 }
 
-/// A 3-D texture with the given texels, x fastest, one number each.
+/// A 3-D texture with the given texels, x fastest, one number each: the one before, if it is of this size.
 fn upload_texture(
     gpu: &Gpu,
     [width, height, depth]: [u32; 3],
     format: wgpu::TextureFormat,
     bytes: &[u8],
-) -> Result<wgpu::TextureView, GpuError> {
+    before: Option<&wgpu::Texture>,
+) -> Result<wgpu::Texture, GpuError> {
     let limit = gpu.device().limits().max_texture_dimension_3d;
     let longest = width.max(height).max(depth);
     if longest > limit {
         let (needed, limit) = (longest.into(), limit.into());
         return Err(GpuError::TooLarge { what: "longest side of the volume in voxels", needed, limit });
     }
-    let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
-        label: Some("voxels"),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers: depth },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D3,
-        format,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        view_formats: &[],
-    });
+    let size = wgpu::Extent3d { width, height, depth_or_array_layers: depth };
+    let new = || {
+        gpu.device().create_texture(&wgpu::TextureDescriptor {
+            label: Some("voxels"),
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D3,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        })
+    };
+    let texture = before.filter(|t| t.size() == size && t.format() == format).cloned().unwrap_or_else(new);
     let bytes_per_slice = bytes.len() / depth as usize;
     let bytes_per_row = (bytes_per_slice / height as usize) as u32;
     let slices_per_slab = (SLAB_BYTES / bytes_per_slice).max(1);
@@ -191,7 +217,7 @@ fn upload_texture(
         gpu.queue().submit([]);
         gpu.wait("uploading the volume")?;
     }
-    Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    Ok(texture)
 }
 
 /// Bytes of a volume that are staged at a time.

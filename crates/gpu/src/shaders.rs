@@ -36,8 +36,8 @@ pub(crate) enum Frames {
 pub(crate) enum Kernel {
     /// Entry point `render`.
     Render(TexelKind, Mode, Extent),
-    /// Entry point `generate`: mode, rule and K. With [`Layering::VisibilityMerge`] also `sample_budget` and
-    /// `choose_threshold`.
+    /// Entry point `generate`: mode, rule and K, see [`Kernel::generate`]. With [`Layering::VisibilityMerge`] also
+    /// `sample_budget` and `choose_threshold`.
     Generate(TexelKind, Mode, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
@@ -52,6 +52,14 @@ pub(crate) enum Kernel {
 }
 
 impl Kernel {
+    /// That of a rule, with lists of `k` segments. Where K is read from a buffer it is the same for every K: drivers take
+    /// seconds to compile one.
+    pub(crate) fn generate(kind: TexelKind, mode: Mode, layering: Layering, k: u8) -> Self {
+        let is_text =
+            !has_budget(mode, layering) || (mode.is_projection() && layering == Layering::EqualLength);
+        Self::Generate(kind, mode, layering, if is_text { k } else { MAX_K as u8 })
+    }
+
     /// The whole WGSL text.
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
@@ -83,7 +91,7 @@ impl Kernel {
                             _ => is_point.into(),
                         };
                         header = format!(
-                            "const MEAN_K: u32 = {k}u;\nconst NUM_CUTS: u32 = {num_cuts}u;\n\
+                            "const NUM_CUTS: u32 = {num_cuts}u;\n\
                              const IS_POINT: bool = {is_point};\nconst IS_MEAN: bool = {is_mean};\n"
                         );
                         let last = if is_mean { PROJECTION_MEAN } else { PROJECTION_KEYS };
@@ -91,8 +99,7 @@ impl Kernel {
                     }
                     Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
                         open = MAX_K;
-                        header = format!("const MEAN_K: u32 = {k}u;\n");
-                        [&header, BUDGET, VISIBILITY_MERGE, UNITED_OVER]
+                        ["", BUDGET, VISIBILITY_MERGE, UNITED_OVER]
                     }
                     Layering::EqualTransmittance => ["", "", EQUAL_TRANSMITTANCE, UNITED_OVER],
                     Layering::EqualLength => [CUTS, "", EQUAL_LENGTH, UNITED_OVER],
@@ -103,8 +110,17 @@ impl Kernel {
                     }
                     Layering::Slabs => [CUTS, "", SLABS, UNITED_OVER],
                 };
-                let longest = layering.longest_list(k as u8);
-                let k = format!("const K: u32 = {longest}u;\nconst OPEN: u32 = {open}u;\n");
+                let longest = match has_budget(mode, layering) {
+                    true => "budget.longest".to_owned(),
+                    false => format!("{}u", layering.longest_list(k as u8)),
+                };
+                let k = match has_budget(mode, layering) {
+                    true => String::new(),
+                    false => format!("const K: u32 = {longest};\n"),
+                };
+                let k = format!(
+                    "{k}const OPEN: u32 = {open}u;\nfn longest_list() -> u32 {{ return {longest}; }}\n"
+                );
                 let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
                 return [&march[..], &[&k, GENERATE, shared, budget, rule, last]].concat().concat();
             }
@@ -129,6 +145,11 @@ impl Kernel {
         };
         parts.concat()
     }
+}
+
+/// Whether a rule has the part of the budget, which holds K.
+fn has_budget(mode: Mode, layering: Layering) -> bool {
+    mode.is_projection() || matches!(layering, Layering::VisibilityMerge | Layering::VisibilityMergeFixed)
 }
 
 /// What a march makes of two samples in a mode: generated lines, and the part.

@@ -9,6 +9,8 @@
 //! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
 //! once.
 
+use std::sync::OnceLock;
+
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
@@ -28,8 +30,9 @@ use crate::warm_up::{Draw, WarmUp};
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
-    /// Of one frame and of several, by [`Channels`].
-    pipelines: [[wgpu::RenderPipeline; 3]; 2],
+    device: wgpu::Device,
+    /// Of one frame and of several.
+    casts: [Cast; 2],
     frames: FramesOnGpu,
     /// Of the left and of the right eye; a picture of one eye is the left one's.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
@@ -39,6 +42,27 @@ pub struct ViewPass {
     upscale: Upscale,
     encode_srgb: bool,
     target: wgpu::TextureFormat,
+}
+
+/// The ray caster of one frame or of several.
+struct Cast {
+    layout: wgpu::PipelineLayout,
+    module: wgpu::ShaderModule,
+    /// By [`Channels`]. Most drivers compile a kernel once more for each, so those that few look through are made when they
+    /// are needed.
+    pipelines: [OnceLock<wgpu::RenderPipeline>; 3],
+}
+
+impl Cast {
+    fn pipeline(
+        &self,
+        device: &wgpu::Device,
+        target: wgpu::TextureFormat,
+        channels: Channels,
+    ) -> &wgpu::RenderPipeline {
+        let make = || pipeline(device, target, &self.module, &self.layout, channels);
+        self.pipelines[channels as usize].get_or_init(make)
+    }
 }
 
 /// One of two.
@@ -62,8 +86,6 @@ pub enum Channels {
 }
 
 impl Channels {
-    const ALL: [Self; 3] = [Self::All, Self::Red, Self::Cyan];
-
     fn mask(self) -> wgpu::ColorWrites {
         match self {
             Self::All => wgpu::ColorWrites::ALL,
@@ -92,10 +114,10 @@ impl ViewPass {
                     bind_group_layouts: &[Some(caster_layouts.of(frames)), Some(&view_layout)],
                     immediate_size: 0,
                 });
-                (layout, shader_module(device, Kernel::RaycastView(frames)))
-            });
-            let pipelines = casts.each_ref().map(|(layout, module)| {
-                Channels::ALL.map(|channels| pipeline(device, target, module, layout, channels))
+                let module = shader_module(device, Kernel::RaycastView(frames));
+                let cast = Cast { layout, module, pipelines: Default::default() };
+                cast.pipeline(device, target, Channels::All);
+                cast
             });
             let upscale = Upscale::new(device, target);
             let frames = FramesOnGpu::new(device, &caster_layouts, builder);
@@ -113,7 +135,8 @@ impl ViewPass {
             let apart_group = bind(device, "view apart", &view_layout, &resources);
             let apart = (apart, apart_group);
             let encode_srgb = !target.is_srgb();
-            Ok(Self { pipelines, frames, eyes, display, apart, upscale, encode_srgb, target })
+            let device = device.clone();
+            Ok(Self { device, casts, frames, eyes, display, apart, upscale, encode_srgb, target })
         })
     }
 
@@ -131,7 +154,7 @@ impl ViewPass {
             self.prepare(queue, &camera, [0.0; 3]);
             let (_, view) = &self.eyes[0];
             let casts = [Frames::One, Frames::Several].into_iter().filter_map(|frames| {
-                let pipeline = self.pipelines[frames as usize][Channels::All as usize].clone();
+                let pipeline = self.pipeline(frames, Channels::All).clone();
                 let group = self.frames.warm_up(device, frames)?;
                 Some(Draw { pipeline, groups: vec![group, view.clone()] })
             });
@@ -202,13 +225,17 @@ impl ViewPass {
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         self.frames.prepare(queue, &[camera.into()]);
         let (frames, group) = self.frames.cast();
-        let pipeline = &self.pipelines[frames as usize][Channels::All as usize];
+        let pipeline = self.casts[frames as usize].pipeline(device, self.target, Channels::All);
         self.upscale.cast(device, encoder, size, pipeline, [group, &self.apart.1], timestamps);
     }
 
     /// Fills the viewport with that picture, however often: copied if it has as many pixels, enlarged if it is smaller.
     pub fn paint_apart(&self, pass: &mut wgpu::RenderPass<'_>) {
         self.upscale.paint(pass);
+    }
+
+    fn pipeline(&self, frames: Frames, channels: Channels) -> &wgpu::RenderPipeline {
+        self.casts[frames as usize].pipeline(&self.device, self.target, channels)
     }
 
     fn prepare_views(&self, queue: &wgpu::Queue, views: &[View], background: [f32; 3]) {
@@ -229,7 +256,7 @@ impl ViewPass {
     pub fn paint_eye(&self, pass: &mut wgpu::RenderPass<'_>, eye: Eye, channels: Channels) {
         let (_, bind_group) = &self.eyes[eye as usize];
         let (frames, group) = self.frames.cast();
-        pass.set_pipeline(&self.pipelines[frames as usize][channels as usize]);
+        pass.set_pipeline(self.pipeline(frames, channels));
         pass.set_bind_group(0, group, &[]);
         pass.set_bind_group(1, bind_group, &[]);
         pass.draw(0..3, 0..1);

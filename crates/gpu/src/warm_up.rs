@@ -7,6 +7,7 @@
 
 use std::time::Duration;
 
+use crate::device::{NoAnswer, poll};
 use crate::error::{GpuError, scoped};
 use crate::view_pass::ViewPass;
 
@@ -128,10 +129,14 @@ impl Draw {
         // In short waits: a long one keeps others from destroying what they no longer need.
         let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(WAIT) };
         loop {
-            match device.poll(wait.clone()) {
-                Ok(_) => return Ok(true),
-                Err(wgpu::PollError::Timeout) => {}
-                Err(e) => return Err(GpuError::Failed { what: "drawing one pixel", reason: e.to_string() }),
+            let what = "drawing one pixel";
+            match poll(device, wait.clone()) {
+                Ok(Ok(_)) => return Ok(true),
+                Ok(Err(wgpu::PollError::Timeout)) => {}
+                Ok(Err(e)) => return Err(GpuError::Failed { what, reason: e.to_string() }),
+                Err(NoAnswer) => {
+                    return Err(GpuError::Lost { what, reason: "the device stopped answering".into() });
+                }
             }
         }
     }

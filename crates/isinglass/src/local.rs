@@ -39,7 +39,7 @@ pub(crate) struct FirstLook {
 impl Locals {
     fn backend(&self) -> Result<Backend, String> {
         let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
-        if opened.is_none() {
+        if opened.as_ref().is_none_or(Backend::is_lost) {
             *opened = Some(Backend::open(self.backend).map_err(|e| e.to_string())?);
         }
         opened.clone().ok_or_else(|| "no backend".into())

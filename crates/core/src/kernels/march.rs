@@ -135,6 +135,16 @@ impl Scene {
         self.settings.clip.region(&self.volume.bounds())
     }
 
+    /// Steps of the longest ray.
+    pub fn max_steps(&self) -> u32 {
+        let diagonal = self.volume.bounds().radius() * 2.0;
+        (diagonal / self.step_in_world()).ceil().clamp(1.0, MAX_STEPS) as u32
+    }
+
+    fn step_in_world(&self) -> f32 {
+        self.settings.step_in_voxels * self.volume.spacing().min_element()
+    }
+
     /// The lattice of steps of a ray inside what is left of the volume, in front of the camera's near plane.
     pub fn lattice(&self, ray: &Ray, near: f32) -> Option<Lattice> {
         let (s0, s1) = self.region().clip(ray)?;
@@ -142,8 +152,7 @@ impl Scene {
         if s1 <= s0 {
             return None;
         }
-        let h = self.settings.step_in_voxels * self.volume.spacing().min_element();
-        let n = ((s1 - s0) / h).ceil().clamp(1.0, MAX_STEPS);
+        let n = ((s1 - s0) / self.step_in_world()).ceil().clamp(1.0, MAX_STEPS);
         Some(Lattice { s0, h: (s1 - s0) / n, n: n as u32 })
     }
 }

@@ -58,14 +58,13 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     args.codec.check()?;
     let seen = args.state.read(given)?;
     let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
-    let backend = args.backend.open()?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
     // A mean behind a plane is over a way that no box has.
     let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
     let left = (!is_askew).then(|| opened.scene.region().bounds);
-    let mut renderer = backend.renderer(opened.scene)?;
+    let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
     let start = Instant::now();
     let frame = renderer.generate(FrameHeader::alone(camera, look.k), look.layering)?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;

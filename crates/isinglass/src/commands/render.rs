@@ -62,7 +62,6 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let seen = args.state.read(given)?;
     let lighting = args.light.lighting();
     let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;
-    let backend = args.backend.open()?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
@@ -72,7 +71,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    let mut renderer = backend.renderer(opened.scene)?;
+    let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
     let mut progress = args.turntable.map(|n| Progress::new("turntable", n.into()));
     let start = Instant::now();
     let mut told = None;
