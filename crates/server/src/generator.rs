@@ -207,10 +207,10 @@ impl Generator {
     }
 }
 
-/// On the backend, or on the CPU if that fails by itself.
+/// On the backend, or on the CPU if that fails by itself or is too small.
 pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, GpuError> {
     match backend.renderer(scene.clone()) {
-        Err(e) if e.is_lost() => {
+        Err(e) if e.asks_for_cpu() => {
             tracing::error!("rendering on the CPU: {e}");
             Backend::Cpu.renderer(scene)
         }
@@ -283,6 +283,8 @@ impl Studio {
         }
         let is_set = self.look.marches_like(look);
         if is_set && self.is_final() {
+            // So that it is not the first to go.
+            self.lights.known(look);
             return Ok(());
         }
         match lit.cloned().or_else(|| self.lights.known(look)) {

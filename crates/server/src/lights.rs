@@ -52,9 +52,12 @@ impl Lights {
         !look.lighting.is_on() || self.known(look).is_some()
     }
 
-    /// The scene of a look, if it is there.
+    /// The scene of a look, if it is there. It was used last, then.
     pub(crate) fn known(&self, look: &Look) -> Option<Scene> {
-        self.scenes().iter().find(|(known, _)| known.marches_like(look)).map(|(_, scene)| scene.clone())
+        let mut scenes = self.scenes();
+        let at = scenes.iter().position(|(known, _)| known.marches_like(look))?;
+        scenes[at..].rotate_left(1);
+        scenes.last().map(|(_, scene)| scene.clone())
     }
 
     /// The scene of a look, worked out if it is not there yet. `None` if that failed.

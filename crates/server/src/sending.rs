@@ -30,6 +30,8 @@ pub(crate) struct Ticket {
     pub(crate) reference: Option<Arc<Reference>>,
     /// Whether the same frame was sent before, less fine.
     pub(crate) is_finer: bool,
+    /// Whether the viewer has the exact picture of it already, with another margin.
+    pub(crate) is_margin: bool,
     pub(crate) wish: Wish,
 }
 

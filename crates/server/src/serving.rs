@@ -301,7 +301,9 @@ impl Viewer {
         self.frame = self.frame.next();
         let mut generated = sent.generated;
         generated.frame.header.frame = self.frame;
-        self.send(generated, Ticket { coding, is_finer: true, ..sent.ticket });
+        // It may be too many frames ago by now.
+        let reference = sent.ticket.reference.clone().filter(|r| self.sent.get(r.frame()).is_some());
+        self.send(generated, Ticket { coding, reference, is_finer: true, ..sent.ticket });
     }
 
     /// Takes all that has come by now. Of several looks the newest wins: none is rendered that is out of date.
@@ -436,9 +438,26 @@ impl Viewer {
         self.pilot.handle_generated(generated.generate_micros);
         if self.sending.is_some() {
             let waiting = Instant::now();
-            let ended = finished(&mut self.sending).await;
-            if !self.note_sent(ended) {
-                return false;
+            let (mut is_watching, mut has_changed) = (true, false);
+            while self.sending.is_some() {
+                tokio::select! {
+                    biased;
+                    ended = finished(&mut self.sending) => if !self.note_sent(ended) {
+                        return false;
+                    },
+                    changed = self.session.poses.changed(), if is_watching => {
+                        // Whoever moves does not wait for what only makes a rest finer.
+                        (is_watching, has_changed) = (changed.is_ok(), true);
+                        let newest = *self.session.poses.borrow_and_update();
+                        if let Some(newest) = newest {
+                            self.give_up_finer(&newest);
+                        }
+                    }
+                }
+            }
+            if has_changed {
+                // They have yet to be answered.
+                self.session.poses.mark_changed();
             }
             // Where the network is slower than the renderer, a frame for the newest pose is made sooner than this one
             // has waited. It finds the network free, so no frame is passed over twice in a row.
@@ -453,7 +472,8 @@ impl Viewer {
         self.pilot.handle_turned(request.shown_turn_deg.filter(|_| !is_again));
         let reference = self.sent.next(self.session.frames.newest_decoded()).cloned();
         let num_lists = header.camera.intrinsics.num_pixels();
-        let coding = if self.shows_exactly(&header.camera) {
+        let is_margin = self.shows_exactly(&header.camera);
+        let coding = if is_margin {
             Coding::Exact(Settings { num_groups: 1, ..Settings::default() })
         } else {
             self.pilot.next(num_lists, reference.is_some())
@@ -466,6 +486,7 @@ impl Viewer {
             coding,
             reference,
             is_finer: false,
+            is_margin,
             wish: Wish::default(),
         };
         self.send(generated, ticket);
@@ -530,14 +551,15 @@ impl Viewer {
         self.mode == Mode::Auto && is_exact
     }
 
-    /// Ends the sending of a frame that is not of what is asked for now, if it was only to be finer: the camera moves, or it
-    /// rests and its full size is wished for instead of a moving camera's. Others may name one in blocks, so that is sent to
+    /// Ends the sending of a frame that is not of what is asked for now, if it was only to be finer, or to have a margin for
+    /// the movement that has begun: the camera moves, or it rests and its full size is wished for instead of a moving camera's. Others may name one in blocks, so that is sent to
     /// its end when it has begun.
     fn give_up_finer(&mut self, wanted: &PoseRequest) {
         let version = self.version;
         let is_wanted =
             |r: &PoseRequest| r.pose == wanted.pose && is_same_picture(&r.intrinsics, &wanted.intrinsics);
-        let is_outdated = |t: &Ticket| t.is_finer && (!is_wanted(&t.request) || t.version != version);
+        let is_extra = |t: &Ticket| t.is_finer || t.is_margin;
+        let is_outdated = |t: &Ticket| is_extra(t) && (!is_wanted(&t.request) || t.version != version);
         if let Some(sending) = self.sending.take_if(|s| is_outdated(&s.ticket)) {
             sending.ticket.wish.give_up();
             match sending.ticket.coding {

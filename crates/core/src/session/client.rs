@@ -205,8 +205,11 @@ impl Session {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
-            if self.times_mut(frame).is_some_and(|t| t.complete.is_some()) {
-                return Err(ChunkError::Twice(frame, index));
+            match self.times_mut(frame).map(|t| t.complete.is_some()) {
+                Some(true) => return Err(ChunkError::Twice(frame, index)),
+                // What had come of it was dropped for a newer frame, and does not come again: it can never be whole.
+                Some(false) => return Ok(()),
+                None => {}
             }
             if self.assembling.len() == MAX_ASSEMBLING {
                 self.assembling.pop_first();

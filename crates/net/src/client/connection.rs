@@ -95,6 +95,11 @@ impl Dialer {
                     // Wished for while nobody was there, perhaps minutes ago: it would change what all others see.
                     shared.part.send_if_modified(|wish| wish.take().is_some());
                 }
+                let is_other = |known: &Arc<Welcome>| known.volume != welcome.volume;
+                if shared.status.read().welcome.as_ref().is_some_and(is_other) {
+                    // The look that was asked for was one of the volume before.
+                    shared.look.send_if_modified(|wish| wish.take().is_some());
+                }
                 shared.update(|s| {
                     s.connection = number;
                     s.look = Some((welcome.look_version, Arc::new(welcome.look.clone())));
@@ -356,13 +361,13 @@ async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
 }
 
 /// Another volume is shown from now on. Its look may be another too, which is not to be undone by asking again for the one
-/// before.
+/// before: over the next connection that of the new volume is asked for.
 fn change_volume(shared: &Shared, change: VolumeChange) {
     let VolumeChange { volume, look_version, look } = change;
     let before = shared.status.read().look.clone();
     shared.look.send_if_modified(|wanted| {
         if wanted.is_some() && wanted.as_ref() == before.as_ref().map(|(_, look)| &**look) {
-            *wanted = None;
+            *wanted = Some(look.clone());
         }
         false
     });

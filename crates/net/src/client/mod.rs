@@ -277,6 +277,11 @@ impl Client {
         self.shared.session().ledger().copied().collect()
     }
 
+    /// Number of the newest connection, from 1; 0 before the first.
+    pub fn connection(&self) -> u32 {
+        self.shared.status.read().connection
+    }
+
     /// Where the connection stands.
     pub fn state(&self) -> State {
         self.shared.status.read().state.clone()

@@ -68,12 +68,17 @@ impl FrameSender {
         let stream = self.link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(SHOT_PRIORITY);
         let mut stream = ChunkStream { stream };
-        match stream.stream.write_all(&shot_header(id)).await {
-            Ok(()) => {}
-            Err(WriteError::Stopped(_)) => return Ok(()),
-            Err(_) => return Err(SessionClosed),
+        let header = shot_header(id);
+        for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
+            // Priorities order what is in quinn's window; what gets in there, frames have the first choice of. But for a
+            // piece now and then, or whoever never rests would wait for ever.
+            let mut writing = self.link.num_writing.subscribe();
+            let _ = tokio::time::timeout(SHOT_PATIENCE, writing.wait_for(|num| *num == 0)).await;
+            if !stream.write_part(&self.link, part).await? {
+                return Ok(());
+            }
         }
-        stream.write(&self.link, png).await?;
+        let _ = stream.stream.finish();
         all_delivered(&[stream]).await;
         Ok(())
     }
@@ -121,12 +126,14 @@ impl FrameSender {
             (false, false) => Rank::Base,
             (false, true) => Rank::Refinement,
         };
+        let writing = Writing::of(link);
         let mut streams = Vec::with_capacity(base.len());
         for chunk in base {
             let mut stream = ChunkStream::open(link, frame, &chunk, rank).await?;
             stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
         }
+        drop(writing);
         tracing::trace!("base taken");
         let watched = link.clone();
         tokio::spawn(async move { deliver_base(&watched, frame, streams, is_kept).await }.in_current_span());
@@ -157,6 +164,7 @@ async fn deliver_base(link: &Link, frame: FrameId, streams: Vec<ChunkStream>, is
 async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
     let mut streams = Vec::with_capacity(chunks.len());
     let writing = async {
+        let _writing = Writing::of(link);
         for chunk in &chunks {
             let mut stream = ChunkStream::open(link, frame, chunk, Rank::Refinement).await?;
             stream.write(link, &chunk.bytes).await?;
@@ -170,13 +178,29 @@ async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
         () = superseded(link, frame, false) => {}
         written = writing => if written.is_err() { return },
     }
+    // What has been delivered by then is not given up. Nobody asks for each stream whether it was: quinn would remember the
+    // question for every one that is reset, as long as the connection lasts.
     tokio::select! {
         biased;
-        () = superseded(link, frame, false) => {
-            tracing::trace!("refinements given up");
-            drop(streams);
-        }
-        _ = all_delivered(&streams) => tracing::trace!("refinements delivered"),
+        () = superseded(link, frame, false) => tracing::trace!("refinements given up, if any are left"),
+        _ = link.connection.closed() => {}
+    }
+    drop(streams);
+}
+
+/// A frame is being written, as long as this lives.
+struct Writing<'a>(&'a Link);
+
+impl<'a> Writing<'a> {
+    fn of(link: &'a Link) -> Self {
+        link.num_writing.send_modify(|num| *num += 1);
+        Self(link)
+    }
+}
+
+impl Drop for Writing<'_> {
+    fn drop(&mut self) {
+        self.0.num_writing.send_modify(|num| *num -= 1);
     }
 }
 
@@ -217,19 +241,30 @@ impl ChunkStream {
     /// Writes a whole chunk as the window and the rate let it. A client that stops the stream has no use for it: not an
     /// error.
     async fn write(&mut self, link: &Link, bytes: &[u8]) -> Result<(), SessionClosed> {
+        if self.write_part(link, bytes).await? {
+            let _ = self.stream.finish();
+        }
+        Ok(())
+    }
+
+    /// The same for a part of what the stream carries; whether the client still takes it.
+    async fn write_part(&mut self, link: &Link, bytes: &[u8]) -> Result<bool, SessionClosed> {
         // In pieces, so that the window follows the congestion window while a long chunk is written.
         for piece in bytes.chunks(PIECE) {
-            let at = link.pace().take(Instant::now(), piece.len());
-            tokio::time::sleep_until(at).await;
+            let now = Instant::now();
+            let at = link.pace().take(now, piece.len());
+            // Even a sleep until now would last to the next tick of tokio's clock, which is a millisecond.
+            if at > now {
+                tokio::time::sleep_until(at).await;
+            }
             link.connection.set_send_window(link.connection.stats().path.cwnd + SLACK);
             match self.stream.write_all(piece).await {
                 Ok(()) => {}
-                Err(WriteError::Stopped(_)) => return Ok(()),
+                Err(WriteError::Stopped(_)) => return Ok(false),
                 Err(_) => return Err(SessionClosed),
             }
         }
-        let _ = self.stream.finish();
-        Ok(())
+        Ok(true)
     }
 }
 
@@ -263,8 +298,11 @@ impl Pace {
 const BURST: Duration = Duration::from_millis(16);
 /// Bounds the arithmetic where a rate is absurdly small.
 const MAX_WAIT_SECONDS: f64 = 60.0;
-/// Bytes written at a time.
-const PIECE: usize = 16_000;
+/// Bytes written at a time. quinn frees the window of them when all of them are acknowledged: with much more, a sender that
+/// fills the window looks idle in between, and the congestion window is not widened.
+const PIECE: usize = 4_000;
+/// A picture to keep waits so long for frames before the next piece of it goes out all the same.
+const SHOT_PATIENCE: Duration = Duration::from_millis(250);
 /// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
 /// not widen the congestion window of those. What waits is older than what could be made instead: with 32 kB frames are
 /// twice as old where packets are lost (docs/BENCHMARKS.md).
@@ -279,12 +317,14 @@ mod tests {
         let now = Instant::now();
         let mut pace = Pace { bytes_per_second: Some(1e6), free_at: None };
         let last = (0..100).map(|_| pace.take(now, PIECE)).last().unwrap_or(now);
-        // 1.6 MB at 1 MB/s, less the burst.
-        assert_eq!((last - now).as_millis(), 1600 - BURST.as_millis());
+        // 400 kB at 1 MB/s, less the burst.
+        assert_eq!((last - now).as_millis(), 400 - BURST.as_millis());
         // A pause is worth no more than the burst.
         let later = now + Duration::from_secs(60);
-        assert_eq!(pace.take(later, PIECE), later);
-        assert_eq!((pace.take(later, PIECE) - later).as_millis(), 16);
+        for _ in 0..4 {
+            assert_eq!(pace.take(later, PIECE), later);
+        }
+        assert_eq!((pace.take(later, PIECE) - later).as_millis(), 4);
         // The control: without a rate nothing waits.
         let mut free = Pace::default();
         assert_eq!((0..100).map(|_| free.take(now, PIECE)).last(), Some(now));

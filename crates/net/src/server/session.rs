@@ -147,6 +147,8 @@ pub(super) struct Link {
     pace: Mutex<Pace>,
     /// Sent on whenever a chunk may have been superseded.
     pub(super) progress: watch::Sender<()>,
+    /// Frames that are being written: pictures to keep wait for them.
+    pub(super) num_writing: watch::Sender<usize>,
 }
 
 impl Link {
@@ -181,6 +183,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         state: Mutex::new(server::Session::new(clock.now_micros())),
         pace: Mutex::default(),
         progress: watch::Sender::new(()),
+        num_writing: watch::Sender::new(0),
     });
     let close = Arc::new(CloseOnDrop(connection.clone()));
     let max_viewers = place.shared.options.max_viewers;

@@ -270,6 +270,35 @@ fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
     assert_eq!(decode(&mut s), Some((8, true)));
 }
 
+/// Of what was dropped for a newer frame, the rest comes late: it can never be whole, so nothing waits for it.
+#[test]
+fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
+    let mut s = Session::default();
+    s.handle_connected();
+    let chunk = |s: &mut Session, frame: u32, index: u16, num: u16, prediction: Option<Option<u32>>| {
+        let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
+        let place = ChunkPlace { num_chunks: num, num_base_chunks: num, prediction, ..place(frame, index) };
+        s.handle_chunk(0, 0, place, vec![]).unwrap();
+    };
+    let decode = |s: &mut Session| {
+        let job = s.poll_decode(0)?;
+        let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
+        Some((job.frame.0, is_shown))
+    };
+    chunk(&mut s, 1, 0, 1, Some(None));
+    assert_eq!(decode(&mut s), Some((1, true)));
+    // 2 is lost, and half of 3, which names it. 4 is exact.
+    chunk(&mut s, 3, 0, 2, Some(Some(2)));
+    chunk(&mut s, 4, 0, 1, None);
+    assert_eq!(decode(&mut s), Some((4, true)));
+    chunk(&mut s, 2, 0, 1, Some(Some(1)));
+    assert_eq!(decode(&mut s), Some((2, false)));
+    chunk(&mut s, 3, 1, 2, Some(Some(2)));
+    // The camera rests: the exact frame is shown, and does not wait for 3.
+    chunk(&mut s, 5, 0, 1, None);
+    assert_eq!(decode(&mut s), Some((5, true)));
+}
+
 /// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the late one.
 #[test]
 fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
