@@ -366,6 +366,11 @@ impl<S: FrameSource> ViewerApp<S> {
         self.options.script.is_some() || tracing::enabled!(tracing::Level::TRACE)
     }
 
+    /// Whoever brings the frames.
+    pub(crate) fn source(&self) -> &S {
+        self.viewing.source()
+    }
+
     /// Of the refreshes so far.
     pub(crate) fn waits(&mut self) -> &mut Waits {
         &mut self.waits
@@ -386,6 +391,12 @@ impl<S: FrameSource> ViewerApp<S> {
         let eye_rect = self.stereo().rect_at(rect, ctx.pointer_latest_pos());
         let by_keys = self.keys(&ctx, now, &picture);
         let mut events = ctx.input(|i| i.events.clone());
+        let is_button = |event: &egui::Event| matches!(event, egui::Event::PointerButton { .. });
+        if !ctx.input(|i| i.pointer.any_down()) && !events.iter().any(is_button) {
+            // Another page was shown when it was released.
+            self.pointer.end_drag();
+            self.clip_editor.end_drag();
+        }
         self.drop_empty_clip(now);
         self.drag_clip(&ctx, now, &mut events);
         let free = |at| is_free(&ctx, at);
@@ -484,7 +495,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let is_parallel =
             [&camera, &frame.frame.header.camera].map(|c| c.intrinsics.projection.is_orthographic());
         let other = match is_parallel {
-            [false, false] => self.novel_views.show(ui.ctx(), &frame, &bounds, &camera),
+            [false, false] => {
+                self.novel_views.show(ui.ctx(), &frame, &bounds, &camera, self.aids.linear_background())
+            }
             _ if self.novel_views.selected == 0 => None,
             _ => Some(Shown::Problem("this method goes between perspective views only".into())),
         };
@@ -527,8 +540,9 @@ impl<S: FrameSource> ViewerApp<S> {
             recorder.lock().unwrap_or_else(PoisonError::into_inner).record(at, &pose, &bounds);
         }
         let mut refresh = self.viewing.refresh(now, camera.pose, camera.intrinsics, &bounds);
-        if !self.stereo().is_mono() && refresh.standing == Standing::Exact {
-            // The frame is the middle's between the eyes; each of them sees a novel view.
+        let is_of_other_method = self.novel_views.selected != 0;
+        if (!self.stereo().is_mono() || is_of_other_method) && refresh.standing == Standing::Exact {
+            // The frame is the middle's between the eyes; each of them sees a novel view. And other methods make others.
             refresh.standing = Standing::Settled;
         }
         Some(refresh)

@@ -84,6 +84,11 @@ impl ClipEditor {
         }
     }
 
+    /// Ends a drag whose release was not seen.
+    pub(crate) fn end_drag(&mut self) {
+        self.drag = None;
+    }
+
     /// Whether the pointer is on a handle or drags one.
     pub(crate) fn is_busy(&self) -> bool {
         self.hovered.is_some() || self.drag.is_some()

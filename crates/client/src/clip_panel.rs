@@ -74,13 +74,18 @@ fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb, suffix: &str) {
         row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
             let slider = slider(ui, &mut inner.min[axis], least..=most, format);
             let slider = ui.add(slider.suffix(suffix));
-            inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
+            // A box that is thinner came from elsewhere, and stays as it is.
+            if slider.changed() {
+                inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
+            }
             slider
         });
         row(ui, names[1], "in the unit of the spacing, from the middle of the volume", |ui| {
             let slider = slider(ui, &mut inner.max[axis], least..=most, format);
             let slider = ui.add(slider.suffix(suffix));
-            inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
+            if slider.changed() {
+                inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
+            }
             slider
         });
     }

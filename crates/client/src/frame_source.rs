@@ -20,6 +20,11 @@ pub trait FrameSource {
     /// Where the connection stands.
     fn state(&self) -> State;
 
+    /// Number of the newest connection: over another, the server begins with its own look.
+    fn connection(&self) -> u32 {
+        1
+    }
+
     /// What the connection costs.
     fn stats(&self) -> LinkStats;
 
@@ -100,6 +105,10 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
 
     fn state(&self) -> State {
         (**self).state()
+    }
+
+    fn connection(&self) -> u32 {
+        (**self).connection()
     }
 
     fn stats(&self) -> LinkStats {
@@ -186,6 +195,10 @@ impl FrameSource for Client {
 
     fn state(&self) -> State {
         Client::state(self)
+    }
+
+    fn connection(&self) -> u32 {
+        Client::connection(self)
     }
 
     fn stats(&self) -> LinkStats {

@@ -11,7 +11,6 @@ use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
-use crate::picture::BACKGROUND;
 use crate::window::Waker;
 
 /// A way of making a picture from a layered frame.
@@ -59,6 +58,7 @@ impl NovelViews {
         frame: &Arc<ReceivedFrame>,
         bounds: &Aabb,
         camera: &Camera,
+        background: [f32; 3],
     ) -> Option<Shown> {
         // The other methods composite with over.
         let selected = self.selected.checked_sub(1).filter(|_| !frame.frame.header.mode.is_projection());
@@ -70,7 +70,7 @@ impl NovelViews {
         match worker.take() {
             Some(Ok(picture)) => {
                 let size = [picture.width as usize, picture.height as usize];
-                let image = egui::ColorImage::from_rgb(size, &picture.to_srgb8(BACKGROUND));
+                let image = egui::ColorImage::from_rgb(size, &picture.to_srgb8(background));
                 match &mut self.texture {
                     Some(texture) => texture.set(image, egui::TextureOptions::LINEAR),
                     None => {
@@ -79,7 +79,11 @@ impl NovelViews {
                     }
                 }
             }
-            Some(Err(problem)) => return Some(Shown::Problem(problem)),
+            Some(Err(problem)) => {
+                // What there was is of another frame or camera.
+                self.texture = None;
+                return Some(Shown::Problem(problem));
+            }
             None => {}
         }
         self.texture.as_ref().map(|texture| Shown::Picture(texture.id()))

@@ -60,6 +60,11 @@ impl PartsBar {
         PartsWish::Open(part)
     }
 
+    /// Nothing is asked for any more: what was is lost with its connection.
+    pub(crate) fn forget(&mut self) {
+        self.asked = None;
+    }
+
     /// The height of the bar, with the space below it.
     pub(crate) fn height(&self) -> f32 {
         self.height

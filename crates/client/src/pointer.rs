@@ -63,6 +63,11 @@ impl Pointer {
         input
     }
 
+    /// Ends a drag whose release was not seen.
+    pub(crate) fn end_drag(&mut self) {
+        self.drag = None;
+    }
+
     /// What the light was dragged by since this was asked for, pixels; none if it was not.
     pub(crate) fn take_light_drag(&mut self) -> Option<[f32; 2]> {
         let drag = std::mem::take(&mut self.light);
@@ -96,17 +101,19 @@ fn angle_around(center: Pos2, from: Pos2, to: Pos2) -> f32 {
     (a.x * b.y - a.y * b.x).atan2(a.dot(b))
 }
 
+/// Steps of a wheel; touchpads count points.
+pub(crate) fn notches_of(unit: MouseWheelUnit, delta: f32) -> f32 {
+    match unit {
+        MouseWheelUnit::Line => delta,
+        MouseWheelUnit::Point => delta / POINTS_PER_NOTCH,
+        MouseWheelUnit::Page => delta * NOTCHES_PER_PAGE,
+    }
+}
+
 /// Magnification, natural logarithm.
 fn zoom_of(event: &Event) -> f32 {
     match event {
-        Event::MouseWheel { unit, delta, .. } => {
-            let notches = match unit {
-                MouseWheelUnit::Line => delta.y,
-                MouseWheelUnit::Point => delta.y / POINTS_PER_NOTCH,
-                MouseWheelUnit::Page => delta.y * NOTCHES_PER_PAGE,
-            };
-            notches * ZOOM_PER_NOTCH
-        }
+        Event::MouseWheel { unit, delta, .. } => notches_of(*unit, delta.y) * ZOOM_PER_NOTCH,
         Event::Zoom(factor) if *factor > 0.0 => factor.ln(),
         _ => 0.0,
     }

@@ -11,6 +11,7 @@ use egui::{Align2, Context, RichText, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
 use isinglass_core::ids::ShotId;
+use isinglass_core::space::Aabb;
 use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
 use isinglass_net::State;
 
@@ -30,6 +31,8 @@ pub(crate) struct Subject {
     pub(crate) intrinsics: Intrinsics,
     /// sRGB behind the volume.
     pub(crate) background: [u8; 3],
+    /// The box of the volume.
+    pub(crate) bounds: Aabb,
     /// What a turntable turns about: a point and a unit vector.
     pub(crate) center: Vec3,
     /// See there.
@@ -282,16 +285,18 @@ impl Series {
 
     /// The camera of the next picture: the window's own first.
     fn pose(&self) -> Pose {
-        let Subject { pose, center, up, .. } = self.subject;
+        let Subject { pose, intrinsics, bounds, center, up, .. } = self.subject;
         if self.done == 0 {
             return pose;
         }
         let turn = std::f32::consts::TAU * self.done as f32 / self.total as f32;
         let turn = Quat::from_axis_angle(up, turn);
-        Pose {
+        let turned = Pose {
             eye: center + turn * (pose.eye - center),
             world_from_view: (turn * pose.world_from_view).normalize(),
-        }
+        };
+        // Parallel rays begin at the eye: all of the volume must be in front of it from there, too.
+        if intrinsics.projection.is_orthographic() { turned.before(&bounds) } else { turned }
     }
 
     /// Where it goes.

@@ -12,6 +12,7 @@ use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
 use isinglass_core::space::Aabb;
+use isinglass_core::wire::Welcome;
 use isinglass_net::{ReceivedFrame, State};
 
 use crate::camera_controls::angle_between_degrees;
@@ -137,7 +138,11 @@ pub struct Viewing<S> {
     /// What a list costs the server to generate and encode, as it last said.
     micros_per_list: Option<f32>,
     /// The look that was asked for, until the server has it.
-    wanted_look: Option<Arc<Look>>,
+    wanted_look: Option<WantedLook>,
+    /// The one that was asked for last and that the server has had since.
+    own_look: Option<Arc<Look>>,
+    /// What the server said of its volume, and over which connection.
+    described: Option<(u32, Arc<Welcome>)>,
     look_pace: Pace<Look>,
     /// The server's looks, the newest last.
     looks: VecDeque<(LookVersion, Arc<Look>)>,
@@ -146,6 +151,14 @@ pub struct Viewing<S> {
     older_look_since: Option<Duration>,
     /// The box of the volume that the newest frame is of.
     frame_bounds: Option<Aabb>,
+}
+
+/// A look that was asked for.
+struct WantedLook {
+    look: Arc<Look>,
+    /// The version that the server had then.
+    since: Option<LookVersion>,
+    at: Duration,
 }
 
 impl<S: FrameSource> Viewing<S> {
@@ -166,6 +179,8 @@ impl<S: FrameSource> Viewing<S> {
             refreshed_at: Duration::ZERO,
             micros_per_list: None,
             wanted_look: None,
+            own_look: None,
+            described: None,
             look_pace: Pace::new(LOOK_PERIOD),
             looks: VecDeque::new(),
             look_changed_at: None,
@@ -195,6 +210,7 @@ impl<S: FrameSource> Viewing<S> {
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
         let full = self.frame_size.frame_for(picture, max_side);
         self.began_at.get_or_insert(now);
+        self.keep_look(now);
         self.send_look(now);
         self.note_look();
         let newest = self.source.latest_frame();
@@ -343,7 +359,8 @@ impl<S: FrameSource> Viewing<S> {
 
     /// The look to show as chosen: the one asked for last, until the server has it.
     pub fn look(&self) -> Option<Arc<Look>> {
-        self.wanted_look.clone().or_else(|| self.source.look().map(|(_, look)| look))
+        let wanted = self.wanted_look.as_ref().map(|wanted| wanted.look.clone());
+        wanted.or_else(|| self.source.look().map(|(_, look)| look))
     }
 
     /// Asks for another look; one that cannot be used is ignored. The source is asked no more often than 30 times a
@@ -353,7 +370,7 @@ impl<S: FrameSource> Viewing<S> {
             tracing::warn!("look ignored: {e}");
             return;
         }
-        self.wanted_look = Some(Arc::new(look.clone()));
+        self.want_look(now, Arc::new(look.clone()));
         self.look_changed_at = Some(now);
         if let Some(look) = self.look_pace.offer(now, look) {
             self.source.set_look(look);
@@ -365,15 +382,43 @@ impl<S: FrameSource> Viewing<S> {
         self.look_pace.due()
     }
 
+    fn want_look(&mut self, now: Duration, look: Arc<Look>) {
+        let since = self.source.look().map(|(version, _)| version);
+        self.wanted_look = Some(WantedLook { look, since, at: now });
+    }
+
+    /// After the connection was lost and is there again, the server begins with a look of its own until it hears of the one
+    /// that this viewer had asked for, which the source asks for again. Meanwhile that one stays wanted.
+    fn keep_look(&mut self, now: Duration) {
+        let Some(described) = self.source.description() else { return };
+        let connection = self.source.connection();
+        let Some((last, known)) = self.described.replace((connection, described.clone())) else { return };
+        if Arc::ptr_eq(&known, &described) || self.own_look.is_none() && self.wanted_look.is_none() {
+            return;
+        }
+        if connection == last {
+            // Another part of the file, with its own look: that counts from here on.
+            self.own_look = self.source.look().map(|(_, look)| look).filter(|_| self.own_look.is_some());
+        } else if known.volume != described.volume {
+            // What was asked for was of the volume before.
+            (self.own_look, self.wanted_look) = (None, None);
+        } else if let Some(look) = self.own_look.clone().filter(|_| self.wanted_look.is_none()) {
+            self.want_look(now, look);
+        }
+    }
+
     fn send_look(&mut self, now: Duration) {
         if let Some(look) = self.look_pace.poll(now) {
             self.source.set_look(look);
         }
-        // From here on the server's look is shown, whoever chose it.
-        if self.look_pace.due().is_none()
-            && self.source.look().is_some_and(|(_, l)| Some(l) == self.wanted_look)
-        {
-            self.wanted_look = None;
+        let Some((wanted, (version, look))) = self.wanted_look.as_ref().zip(self.source.look()) else {
+            return;
+        };
+        // Where an earlier wish is still on its way, the look before it is in force once more only after that.
+        let is_answer = wanted.since != Some(version) || now >= wanted.at + LOOK_PATIENCE;
+        if self.look_pace.due().is_none() && look == wanted.look && is_answer {
+            // From here on the server's look is shown, whoever chose it.
+            (self.wanted_look, self.own_look) = (None, Some(look));
         }
     }
 
@@ -520,6 +565,8 @@ const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
 /// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
 /// asked for too early, no more.
 const FINER_PATIENCE: Duration = Duration::from_millis(1500);
+/// An answer to a look is no longer waited for where the server has that look: of several wishes it may answer the last alone.
+const LOOK_PATIENCE: Duration = Duration::from_secs(2);
 /// Looks that are remembered: at 30 a second four seconds' worth.
 const MAX_LOOKS: usize = 128;
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.

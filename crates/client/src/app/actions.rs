@@ -58,7 +58,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     let source = self.viewing.source();
                     let (parts, load) = (source.parts(), source.load());
                     let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
-                    self.do_part(wish);
+                    self.do_part(now, wish);
                 }
                 Action::SaveState => self.do_state(ctx, now, StateWish::Save),
                 Action::OpenFile => self.open_dialog.open(ctx),

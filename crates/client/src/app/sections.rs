@@ -58,12 +58,19 @@ impl<S: FrameSource> ViewerApp<S> {
 
     /// What a picture to keep shows: what is seen, whatever the projection.
     fn subject(&self, camera: &Camera) -> Option<Subject> {
-        let (_, controls) = self.controls.as_ref()?;
+        let (bounds, controls) = self.controls.as_ref()?;
+        // Of two eyes that each have half of the window, what one has in all of it.
+        let camera = match self.window.filter(|_| !self.stereo().is_mono()) {
+            Some(window) if self.is_orthographic => controls.parallel_camera(window, bounds),
+            Some(window) => controls.camera(window, bounds),
+            None => *camera,
+        };
         Some(Subject {
             name: self.viewing.source().description()?.volume.name.clone(),
             pose: camera.pose,
             intrinsics: camera.intrinsics,
             background: self.aids.background,
+            bounds: *bounds,
             center: controls.center(),
             up: self.orientation().up(),
         })
@@ -218,11 +225,18 @@ impl<S: FrameSource> ViewerApp<S> {
         let (parts, load) = (source.parts(), source.load());
         let (right, bindings) = (self.right_width(), &self.options.bindings);
         let wish = self.parts_bar.show(ctx, now, right, bindings, parts.as_deref(), load.as_ref());
-        self.do_part(wish);
+        self.do_part(now, wish);
+        if self.viewing.source().state() != State::Connected {
+            self.parts_bar.forget();
+        }
     }
 
-    pub(super) fn do_part(&mut self, wish: Option<PartsWish>) {
+    pub(super) fn do_part(&mut self, now: Duration, wish: Option<PartsWish>) {
         let Some(wish) = wish else { return };
+        if self.viewing.source().state() != State::Connected {
+            self.notice = Some((NO_SERVER_FOR_PART.into(), now));
+            return;
+        }
         self.viewing.source_mut().open_part(match wish {
             PartsWish::Open(part) => Some(part),
             PartsWish::Cancel => None,
@@ -238,5 +252,7 @@ const BUTTONS_HEIGHT: f32 = 42.0;
 const LEAST_ROOM_AT_TOP: f32 = 180.0;
 /// Of a pane at the bottom.
 const LEAST_ROOM: f32 = 280.0;
+/// Files are the server's.
+const NO_SERVER_FOR_PART: &str = "Nothing else can be opened: there is no connection to the server";
 /// Pictures to keep are the server's work.
 const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";

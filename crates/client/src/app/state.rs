@@ -23,6 +23,8 @@ pub(super) struct ComingState {
     read: ReadState,
     /// Whether it was shown already, of what was there.
     is_shown: bool,
+    /// Whether it was told that it waits for a connection.
+    is_told: bool,
     asked: Option<AskedPart>,
     /// Until then the server may say what its file holds.
     until: Option<Duration>,
@@ -51,7 +53,7 @@ enum AskedStep {
 
 impl ComingState {
     pub(super) fn new(read: ReadState) -> Self {
-        Self { read, is_shown: false, asked: None, until: None }
+        Self { read, is_shown: false, is_told: false, asked: None, until: None }
     }
 }
 
@@ -185,6 +187,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if let Some(look) = &state.look
             && self.viewing.look().as_deref() != Some(look)
         {
+            self.editor.note_present();
             self.viewing.set_look(now, look.clone());
         }
         ctx.request_repaint();
@@ -248,6 +251,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let read = state_of_link(link).map_err(|e| e.to_string());
         match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
             Ok(read) => self.turn_to_state(read),
+            Err(_) if link.trim().parse::<Link>().is_ok() => self.notice = Some((SERVER_LINK.into(), now)),
             Err(problem) => self.notice = Some((problem, now)),
         }
     }
@@ -262,8 +266,11 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(mut coming) = self.coming.take() else { return };
         let source = self.viewing.source();
         if source.state() != State::Connected {
+            if !coming.is_told {
+                self.notice = Some((STATE_WAITS.into(), now));
+            }
             // What was asked for may be lost. Another server may be there next.
-            self.coming = Some(ComingState { asked: None, until: None, ..coming });
+            self.coming = Some(ComingState { asked: None, until: None, is_told: true, ..coming });
             return;
         }
         let (parts, load) = (source.parts(), source.load());
@@ -282,7 +289,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 if std::mem::take(&mut coming.is_shown) {
                     self.notice = None;
                 }
-                self.do_part(Some(wish));
+                self.do_part(now, Some(wish));
                 self.coming = Some(coming);
                 return;
             }
@@ -410,6 +417,8 @@ pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
     }
 }
 
+const STATE_WAITS: &str = "there is no connection to the server: the state is shown when there is one again";
+const SERVER_LINK: &str = "this link leads to a server: paste it on the page for another server or volume";
 /// How long a server that has let a viewer in may take to say what its file holds: it does so at once.
 const PARTS_PATIENCE: Duration = Duration::from_secs(3);
 /// How long it may take to begin to read a part, and to describe it once it is read: it does both at once, whatever it was doing.

@@ -307,14 +307,17 @@ impl Bindings {
         actions
     }
 
-    /// Digits are found by their place on the keyboard: with shift, or in some countries without, they are other signs.
+    /// By the sign, wherever it lies. Digits are found by their place on the keyboard too: with shift, or in some countries
+    /// without, they are other signs, which mean nothing by themselves.
     fn action_of(&self, key: Key, physical_key: Option<Key>, modifiers: Modifiers) -> Option<Action> {
-        let key = physical_key.filter(|k| chord::is_digit(*k)).unwrap_or(key);
-        let fits = |c: &Chord| matches!(c, Chord::Key(m, k) if *k == key && modifiers.matches_exact(*m));
-        entries().zip(&self.chords).find_map(|((_, deed, _), chords)| match deed {
-            Deed::Act(action) if chords.iter().any(fits) => Some(action),
-            _ => None,
-        })
+        let of = |key: Key| {
+            let fits = |c: &Chord| matches!(c, Chord::Key(m, k) if *k == key && modifiers.matches_exact(*m));
+            entries().zip(&self.chords).find_map(|((_, deed, _), chords)| match deed {
+                Deed::Act(action) if chords.iter().any(fits) => Some(action),
+                _ => None,
+            })
+        };
+        of(key).or_else(|| physical_key.filter(|k| chord::is_digit(*k)).and_then(of))
     }
 }
 

@@ -50,6 +50,12 @@ fn digits_are_where_they_are_on_the_keyboard() {
     let opposite = Action::StandardView(Side::Front, true);
     let bindings = Bindings::default();
     assert_eq!(bindings.action_of(Key::Exclamationmark, Some(Key::Num1), Modifiers::SHIFT), Some(opposite));
+    // A sign that means something does so wherever it lies: in France - and, with AltGr, [ are on the digits' keys.
+    let zoom_out = bindings.action_of(Key::Minus, None, NONE);
+    assert!(zoom_out.is_some());
+    assert_eq!(bindings.action_of(Key::Minus, Some(Key::Num6), NONE), zoom_out);
+    let before = bindings.action_of(Key::OpenBracket, Some(Key::Num5), NONE);
+    assert_eq!(before, Some(Action::StepTime(-1)));
     let written = bindings.action_of(Key::A, Some(Key::Q), NONE);
     assert_eq!(written, Some(Action::Axes), "letters are where they are written");
 }

@@ -123,7 +123,7 @@ impl StartWindow {
         self.take_dropped(&ctx);
         self.take_chosen();
         self.go_on(&ctx);
-        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let held = self.held();
         let wish = if self.is_page_shown {
             self.app.warm_up();
             name_window(&ctx, "isinglass");
@@ -181,7 +181,7 @@ impl StartWindow {
 
     /// Begins to open a volume; what is shown stays.
     fn open(&mut self, request: LoadRequest) {
-        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let held = self.held();
         let servers = self.services.servers.clone();
         self.problem = None;
         self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
@@ -199,7 +199,7 @@ impl StartWindow {
                     Opening::connect(&link, &self.clock, &self.wake)?
                 }
                 (None, Some(source)) => {
-                    let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+                    let held = self.held();
                     let servers = self.services.servers.clone();
                     let request = source.request(servers.max_bytes());
                     Opening::local(request, held, servers, &self.clock, &self.wake)
@@ -249,13 +249,19 @@ impl StartWindow {
         }
     }
 
+    /// Bytes of the volume that a server of this window holds: of what it shows now, if it has said so.
+    fn held(&self) -> u64 {
+        let Some((_, bytes)) = self.server else { return 0 };
+        self.app.source().parts().map_or(bytes, |parts| parts.bytes_in_memory)
+    }
+
     fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
         let Opened { source, origin, server, place, shows } = opened;
         let is_volume = matches!(place, RecentPlace::Volume(_));
         let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
         self.recent.note(RecentEntry { place, shows, used_at: (self.services.calendar)() }, folder, ctx);
         later((self.app.turn_to(source, origin), std::mem::replace(&mut self.server, server)));
-        let held = self.server.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let held = self.held();
         self.app.offer_volumes(self.services.servers.clone(), held, self.page.browser.folder());
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
@@ -330,7 +336,7 @@ impl StartWindow {
                 ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
                 if let Some(opening) = &self.opening {
                     ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
-                    wish = opening_rows(ui, opening);
+                    wish = opening_rows(ui, opening, false);
                 } else if let Some(problem) = self.problem.clone() {
                     let color = warning(ui);
                     ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());

@@ -315,15 +315,15 @@ fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<Pag
     sheets(&ui, emblem);
     ui.add_space(6.0);
     ui.add(egui::Label::new(RichText::new(&opening.name).size(18.0)).truncate());
-    let wish = opening_rows(&mut ui, opening);
+    let wish = opening_rows(&mut ui, opening, true);
     if has_session && ui.button("Back to the picture meanwhile").clicked() {
         return Some(PageWish::Back);
     }
     wish
 }
 
-/// How far an opening is, and a button that ends it.
-pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening) -> Option<PageWish> {
+/// How far an opening is, and a button that ends it; so does Escape, if nothing else can be meant by it.
+pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -> Option<PageWish> {
     let color = quiet(ui.ctx());
     if let Some(outline) = opening.outline() {
         let [x, y, z] = outline.dims;
@@ -345,8 +345,10 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening) -> Option<PageWish> {
         named(&bar, egui::Role::ProgressIndicator, "read");
     }
     ui.add_space(4.0);
-    let is_cancelled = ui.button("Cancel").on_hover_text("Esc").clicked()
-        || ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape));
+    let button = ui.button("Cancel");
+    let button = if takes_escape { button.on_hover_text("Esc") } else { button };
+    let is_cancelled =
+        button.clicked() || (takes_escape && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)));
     is_cancelled.then_some(PageWish::Cancel)
 }
 

@@ -210,6 +210,14 @@ impl TransferEditor {
         Step { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
     }
 
+    /// What follows comes from elsewhere, a saved state say, and can be undone.
+    pub(crate) fn note_present(&mut self) {
+        if self.known.is_some() {
+            let present = self.present();
+            self.history.note(present);
+        }
+    }
+
     /// A step of the history; with another preset the view starts anew, as when it was taken.
     fn go_to(&mut self, step: Step, scale: &ValueScale) {
         if step.preset != self.preset {

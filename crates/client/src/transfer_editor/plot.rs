@@ -8,6 +8,7 @@ use egui::{
 use super::TransferEditor;
 use super::curve::Curve;
 use super::scale::{ValueScale, format_in, format_value, height_of, opacity_at};
+use crate::pointer::notches_of;
 
 /// What the pointer holds, and the curve when it took hold.
 #[derive(Clone, Debug)]
@@ -178,7 +179,7 @@ impl TransferEditor {
                 } else {
                     plot.opacity(start.y + moved.y)
                 };
-                before.with_point_at(index, value.clamp(plot.view.0, plot.view.1), opacity)
+                before.with_point_at(index, value.max(plot.view.0).min(plot.view.1), opacity)
             }
             GripKind::Window => {
                 let (level, window) = before.level_and_window();
@@ -200,7 +201,7 @@ impl TransferEditor {
         }
         let steps: f32 = ui.input(|i| {
             let of = |event: &Event| match event {
-                Event::MouseWheel { delta, .. } => delta.y.clamp(-3.0, 3.0),
+                Event::MouseWheel { unit, delta, .. } => notches_of(*unit, delta.y).clamp(-3.0, 3.0),
                 _ => 0.0,
             };
             i.events.iter().map(of).sum()
@@ -211,8 +212,12 @@ impl TransferEditor {
             let zoomed = |v: f32| center + (v - center) * factor;
             let (lo, hi) = (zoomed(plot.view.0), zoomed(plot.view.1));
             let (least, most) = self.widest_view(scale);
-            if (hi - lo) > scale.span() * LEAST_WINDOW {
-                self.view = Some((lo.max(least), hi.min(most)));
+            let (lo, hi) = (lo.max(least), hi.min(most));
+            if hi - lo > scale.span() * LEAST_WINDOW {
+                self.view = Some((lo, hi));
+            } else if plot.view.0 < least || plot.view.1 > most {
+                // The curve has become narrower than what was looked at, which is of no use then.
+                self.fit();
             }
         }
     }

@@ -389,3 +389,29 @@ fn another_volume_is_shown_from_end_to_end_and_a_zoom_stays_with_its_own() {
     h.run();
     assert_eq!(h.state().editor.view, Some((0.0, 9000.0)), "the function and the volume");
 }
+
+/// The curve becomes narrower, by undo say, than what is looked at of it.
+#[test]
+fn a_view_of_nothing_is_not_zoomed_but_left() {
+    let mut h = harness("ct");
+    h.run();
+    let at = point(&h, 2);
+    for view in [(2900.0, 9000.0), (4000.0, 9000.0)] {
+        h.state_mut().editor.view = Some(view);
+        h.event(Event::PointerMoved(at));
+        h.run();
+        for _ in 0..3 {
+            h.event(Event::MouseWheel {
+                unit: egui::MouseWheelUnit::Line,
+                delta: vec2(0.0, 1.0),
+                phase: egui::TouchPhase::Move,
+                source: egui::MouseWheelSource::Unknown,
+                modifiers: Modifiers::NONE,
+            });
+            h.run();
+        }
+        let (lo, hi) = h.state().editor.view.unwrap();
+        assert!(lo < hi && hi <= 3000.0, "{lo} {hi}");
+        drag(&mut h, at, vec2(20.0, 20.0));
+    }
+}

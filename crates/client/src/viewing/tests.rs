@@ -25,6 +25,9 @@ pub(crate) struct FakeSource {
     pub(crate) in_blocks: bool,
     /// Frames of older looks are of the volume before.
     pub(crate) volume_since: LookVersion,
+    /// Number of the connection, and the volume that is there.
+    pub(crate) connection: u32,
+    pub(crate) volume: &'static str,
     /// Why there is no connection.
     pub(crate) refused: Option<ConnectError>,
 }
@@ -42,13 +45,17 @@ impl FrameSource for FakeSource {
         self.refused.clone().map_or(State::Connected, State::Refused)
     }
 
+    fn connection(&self) -> u32 {
+        self.connection
+    }
+
     fn stats(&self) -> LinkStats {
         self.stats
     }
 
     fn description(&self) -> Option<Arc<Welcome>> {
         let volume = VolumeDescription {
-            name: "cube".into(),
+            name: self.volume.into(),
             dims: [2, 2, 2],
             spacing: [1.0; 3],
             unit: None,
@@ -406,6 +413,58 @@ fn a_look_that_is_on_its_way_is_not_exact() {
     v.set_look(ms(60), Look { k: 0, ..look("no such thing") });
     assert_eq!(v.look(), Some(Arc::new(look("skin"))));
     assert_eq!(v.refresh(ms(4_000), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
+}
+
+/// Changed and changed back within a round trip: the answer to the first wish comes when the second is long made.
+#[test]
+fn a_look_that_was_changed_back_is_not_undone_by_a_late_answer() {
+    let mut v = viewing();
+    let in_force = |v: &mut Viewing<FakeSource>, version, name| {
+        v.source.look = Some((LookVersion(version), Arc::new(look(name))));
+    };
+    in_force(&mut v, 1, "bone");
+    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+    v.set_look(ms(100), look("skin"));
+    v.set_look(ms(200), look("bone"));
+    for (now, version, name) in [(210, 1, "bone"), (300, 2, "skin"), (400, 3, "bone")] {
+        in_force(&mut v, version, name);
+        v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
+        assert_eq!(v.look(), Some(Arc::new(look("bone"))), "at {now}");
+    }
+    // From then on the server's counts again, also where it has answered the last wish alone.
+    in_force(&mut v, 4, "flesh");
+    assert_eq!(v.look(), Some(Arc::new(look("flesh"))));
+    v.set_look(ms(500), look("flesh"));
+    v.refresh(ms(2600), at(0.0), PICTURE, &BOUNDS);
+    in_force(&mut v, 5, "bone");
+    assert_eq!(v.look(), Some(Arc::new(look("bone"))));
+}
+
+#[test]
+fn over_another_connection_the_look_that_was_asked_for_stays() {
+    for (volume, expected) in [("cube", "skin"), ("sphere", "first")] {
+        let mut v = viewing();
+        (v.source.max_side, v.source.connection, v.source.volume) = (Some(1000), 1, "cube");
+        v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
+        v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+        v.set_look(ms(10), look("skin"));
+        v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
+        v.refresh(ms(20), at(0.0), PICTURE, &BOUNDS);
+        // The server's own, until it hears of this viewer's.
+        (v.source.connection, v.source.volume) = (2, volume);
+        v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
+        v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS);
+        assert_eq!(v.look(), Some(Arc::new(look(expected))), "{volume}");
+    }
+    // A viewer that never asked for one has the server's.
+    let mut v = viewing();
+    (v.source.max_side, v.source.connection) = (Some(1000), 1);
+    v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
+    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+    v.source.connection = 2;
+    v.source.look = Some((LookVersion(1), Arc::new(look("second"))));
+    v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.look(), Some(Arc::new(look("second"))));
 }
 
 #[test]
