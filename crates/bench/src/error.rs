@@ -87,6 +87,11 @@ pub enum BenchError {
 }
 
 impl BenchError {
+    /// Whether something was asked for that there is not.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::UnknownScene { .. } | Self::UnknownCodec { .. } | Self::Mode { .. })
+    }
+
     /// For `map_err` on anything that touches `path`.
     pub fn io(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
         move |cause| Self::Io { path: path.display().to_string(), cause }

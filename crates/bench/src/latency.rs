@@ -125,7 +125,11 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
                     rows.push(LatencyRow {
                         scene: scene.name.clone(),
                         method: demo.method.name_with(demo.layering),
-                        layering: demo.layering.name(),
+                        layering: match demo.mode.is_projection() {
+                            true => demo.layering.of_projection(),
+                            false => demo.layering,
+                        }
+                        .name(),
                         k: demo.k,
                         degrees_per_second,
                         report,

@@ -9,6 +9,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageReader};
 
 use crate::error::BenchError;
+use crate::progress::note;
 
 /// Writes `bytes` to `path` through a file beside it that is renamed at the end: whoever looks sees the old file or
 /// the new one. A device or pipe is written to as it is.
@@ -90,7 +91,11 @@ impl Rgb8 {
             return Err(BenchError::Picture { path: path.display().to_string(), cause });
         }
         let decoded = reader.decode().map_err(broken)?;
-        let has_alpha = decoded.color().has_alpha();
+        let color = decoded.color();
+        if color.bytes_per_pixel() > color.channel_count() {
+            note(&format!("note: {} has 16 bits a channel, of which the upper 8 are taken", path.display()));
+        }
+        let has_alpha = color.has_alpha();
         let (width, height) = (decoded.width(), decoded.height());
         if !has_alpha {
             return Ok(Self { width, height, bytes: decoded.into_rgb8().into_raw() });

@@ -70,6 +70,8 @@ pub struct Origin {
 /// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
 pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
+    // A link is followed, so that the file it names is replaced and not the link.
+    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let mut temporary = OsString::from(path);
     temporary.push(format!(".{}.part", std::process::id()));
     let result = File::create(&temporary)

@@ -49,8 +49,20 @@ pub(crate) struct Plan {
 }
 
 impl LensArgs {
-    /// `bounds` is a box around the volume with its centre and its bounding sphere, whose axes point to `letters`.
-    pub(crate) fn plan(&self, camera: &Camera, bounds: &Aabb, letters: Option<&str>) -> Result<Plan> {
+    /// Whether a picture has two eyes.
+    pub(crate) fn has_two_eyes(&self) -> bool {
+        self.stereo.is_some()
+    }
+
+    /// `bounds` is a box around the volume with its centre and its bounding sphere, whose axes point to `letters`. On a
+    /// turntable the camera has been turned by so many degrees, and where the shutter closes is to be, too.
+    pub(crate) fn plan(
+        &self,
+        camera: &Camera,
+        bounds: &Aabb,
+        letters: Option<&str>,
+        turned_degrees: f32,
+    ) -> Result<Plan> {
         let (center, radius) = (bounds.center(), bounds.radius());
         let of_center = (center - camera.pose.eye).dot(camera.pose.forward());
         let needs_focus = self.stereo.is_some() || self.aperture.is_some();
@@ -65,7 +77,10 @@ impl LensArgs {
         let shutter = self.shutter.map(|close| {
             let distance = camera.pose.eye.distance(center) / radius;
             let distance_in_radii = close.distance_in_radii.or(Some(distance));
-            Orbit { distance_in_radii, ..close }.upright(letters).pose(&camera.intrinsics, bounds)
+            let azimuth_degrees = close.azimuth_degrees + turned_degrees;
+            Orbit { azimuth_degrees, distance_in_radii, ..close }
+                .upright(letters)
+                .pose(&camera.intrinsics, bounds)
         });
         let exposure = Exposure {
             aperture_radius: self.aperture.unwrap_or(0.0) * radius,

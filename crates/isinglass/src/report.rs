@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::error::ErrorKind;
+use isinglass_bench::BenchError;
 use isinglass_bench::output::one_line;
 use isinglass_bench::progress::note;
 use serde::Serialize;
@@ -52,13 +53,14 @@ pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     if let Some(error) = error.downcast_ref() {
         return usage(error);
     }
+    let is_usage = error.downcast_ref().is_some_and(BenchError::is_usage);
     let mut line = String::new();
     for cause in error.chain() {
         let separator = if line.is_empty() { "isinglass: " } else { ": " };
         let _ = write!(line, "{separator}{cause}");
     }
     note(&without_tokens(&one_line(&line)));
-    ExitCode::FAILURE
+    if is_usage { ExitCode::from(USAGE) } else { ExitCode::FAILURE }
 }
 
 /// A line in which links, which may have been given where something else belongs, keep their secret: it may go to a log that

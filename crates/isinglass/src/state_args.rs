@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
+use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::OpenedScene;
 use isinglass_bench::view::Orbit;
 use isinglass_client::Bindings;
@@ -16,7 +17,8 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
-    ReadState, SavedCamera, SavedState, SavedVolume, Srgb, read_state, state_from_link, state_to_link,
+    ReadState, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state, state_from_link,
+    state_to_link,
 };
 use isinglass_net::{Link, LinkError, state_of_link};
 
@@ -38,6 +40,11 @@ impl StateArgs {
     /// Whether one was named.
     pub(crate) fn is_some(&self) -> bool {
         self.state.is_some()
+    }
+
+    /// The file or link.
+    pub(crate) fn text(&self) -> Option<&str> {
+        self.state.as_deref()
     }
 
     /// Reads the one that was named, or else the one that stands in a link that is followed.
@@ -79,6 +86,16 @@ impl Seen {
     /// Whether a flag was given that says how a volume looks.
     pub(crate) fn has_flags_of_look(&self) -> bool {
         OF_LOOK.iter().any(|field| self.given.has(field))
+    }
+
+    /// Says what a state has that no rendering shows.
+    pub(crate) fn note_what_is_not_drawn(&self, has_two_eyes: bool) {
+        if self.state.view.stereo.is_some_and(|s| s != StereoPicture::Off) && !has_two_eyes {
+            note("note: the state is of two eyes, and one is drawn; see --stereo");
+        }
+        if let Some(method) = self.state.view.method.as_deref().filter(|m| *m != Method::Layers.name()) {
+            note(&format!("note: the state's picture is by {method}, and the volume itself is drawn"));
+        }
     }
 
     /// The volume that was named, or else the state's.

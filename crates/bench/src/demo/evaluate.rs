@@ -4,7 +4,8 @@ use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_gpu::Backend;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use super::DemoOptions;
 use super::play::Played;
@@ -18,6 +19,8 @@ use crate::rivals::Method;
 pub(crate) struct Evaluation {
     /// In the order of time.
     pub(crate) pictures: Vec<Evaluated>,
+    /// How long pictures of one frame took, once it was ready for views.
+    pub(crate) view_ms: Vec<f64>,
     /// Pictures to look at.
     pub(crate) samples: Vec<Sample>,
 }
@@ -31,8 +34,6 @@ pub(crate) struct Evaluated {
     pub(crate) shown: ImageError,
     /// The newest server image unchanged against the truth.
     pub(crate) last_image: ImageError,
-    /// Shown against the server's own image of the frame: means something where the cameras agree.
-    pub(crate) frame_max_abs_255: u8,
     pub(crate) frame_age: Option<Duration>,
 }
 
@@ -69,7 +70,13 @@ pub(crate) fn evaluate(
                     std::iter::once(frame).chain(tick.older.iter().map(|f| &f.frame)).collect();
                 backend.combine(&frames, &bounds, &tick.camera)?
             }
-            method => method.draw(backend, frame, &bounds, &tick.camera)?,
+            method => {
+                let mut views = method.prepare(backend, Arc::new(frame.clone()), &bounds)?;
+                let started = Instant::now();
+                let picture = views.view(&tick.camera)?;
+                evaluation.view_ms.push(started.elapsed().as_secs_f64() * 1e3);
+                picture
+            }
         });
         let truth = rgb(renderer.render(&tick.camera)?);
         let last = frame.flatten();
@@ -88,7 +95,6 @@ pub(crate) fn evaluate(
             azimuth_degrees: tick.azimuth_degrees,
             shown: errors(&shown, &truth)?,
             last_image: errors(&last, &truth)?,
-            frame_max_abs_255: errors(&shown, &last)?.max_abs_255,
             frame_age: tick.frame_age,
         });
         // From the middle of each stretch: the first picture is the settled one.

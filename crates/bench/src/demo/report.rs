@@ -37,8 +37,11 @@ pub struct Report {
     pub dssim_shown_p95: f64,
     /// Mean DSSIM of the newest server image at the same moments, shown unchanged.
     pub dssim_last_image_mean: f64,
-    /// Refreshes from an input to the first picture with that camera, at most.
+    /// Refreshes from an input to the first picture with that camera, at most: those that the picture was chosen late by, and
+    /// those that pass while a picture is made, by the median time of one.
     pub pose_lag_frames_max: usize,
+    /// Median time of a picture of one frame, once that was ready for views; without anything beside it, after the playing.
+    pub novel_view_ms: f64,
     /// Mean time since the pose that the frame on screen answers was set, while the camera moved.
     pub frame_age_ms_mean: f64,
     /// Mean angle between the poses of the frame on screen and of the picture, while the camera moved.
@@ -52,9 +55,10 @@ pub struct Report {
     /// Mean size of the server frames shown, as far as they had arrived when the next one took their place.
     pub bytes_per_frame_mean: f64,
     /// Gaps between new server frames on the screen while the camera moved that were longer than three mean gaps and
-    /// longer than a mean gap and 150 ms (the freeze of the WebRTC statistics).
+    /// longer than a mean gap and 150 ms (the freeze of the WebRTC statistics). The time from the start of a movement, but
+    /// for a round trip, and that to its end count as gaps, too.
     pub freezes: usize,
-    /// Greatest difference between the picture at the end of a rest and the server's own image of its frame.
+    /// Greatest difference between the picture at the end of a rest and a full rendering by the server's renderer.
     pub rest_max_abs_255: u8,
 }
 
@@ -75,6 +79,8 @@ impl Report {
         let ages: Vec<f64> = moving().filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
         let turns: Vec<f64> = moving().filter_map(|t| Some(t.turned_degrees?.into())).collect();
         let link = &options.link;
+        let novel_view_ms = percentile(evaluation.view_ms.clone(), 0.5);
+        let refreshes_a_view = (novel_view_ms * 1e-3 * f64::from(options.refresh_hz)) as usize;
         Self {
             rtt_ms: link.rtt.as_secs_f64() * 1e3,
             jitter_ms: link.jitter.as_secs_f64() * 1e3,
@@ -85,16 +91,17 @@ impl Report {
             dssim_shown_mean: mean(&|p| p.shown.dssim),
             dssim_shown_p95: percentile(counted.iter().map(|p| p.shown.dssim).collect(), 0.95),
             dssim_last_image_mean: mean(&|p| p.last_image.dssim),
-            pose_lag_frames_max: pose_lag(&played.ticks),
+            pose_lag_frames_max: pose_lag(&played.ticks) + refreshes_a_view,
+            novel_view_ms,
             frame_age_ms_mean: ages.iter().sum::<f64>() / ages.len().max(1) as f64,
             frame_turned_deg_mean: turns.iter().sum::<f64>() / turns.len().max(1) as f64,
             predict: options.foresight.predicts,
             guard_band: options.foresight.guards,
             kept_frames: options.foresight.keeps,
             bytes_per_frame_mean: bytes_per_frame(&played.ticks),
-            freezes: freezes(script, &played.ticks),
+            freezes: freezes(script, &played.ticks, link.rtt),
             rest_max_abs_255: rest_pictures(script, &evaluation.pictures)
-                .map(|p| p.frame_max_abs_255)
+                .map(|p| p.shown.max_abs_255)
                 .max()
                 .unwrap_or(u8::MAX),
         }
@@ -166,8 +173,8 @@ pub(super) fn text(
     line(
         "pictures shown",
         format!(
-            "{} at {:.0} Hz; the camera is at most {} behind the hand",
-            report.frames_shown, options.refresh_hz, report.pose_lag_frames_max
+            "{} at {:.0} Hz; the camera is at most {} behind the hand, a picture takes {:.1} ms",
+            report.frames_shown, options.refresh_hz, report.pose_lag_frames_max, report.novel_view_ms
         ),
     );
     line(
@@ -195,7 +202,7 @@ pub(super) fn text(
     );
     line(
         "at rest",
-        format!("the server's own image to {}/255; exact {settled} after the stop", report.rest_max_abs_255),
+        format!("the full rendering to {}/255; exact {settled} after the stop", report.rest_max_abs_255),
     );
     if let Some(folder) = files.first().and_then(|f| f.parent()) {
         text += &format!("In {}:\n", folder.display());
@@ -250,20 +257,31 @@ fn bytes_per_frame(ticks: &[Tick]) -> f64 {
     bytes.iter().sum::<u64>() as f64 / bytes.len().max(1) as f64
 }
 
-fn freezes(script: &Script, ticks: &[Tick]) -> usize {
-    let mut gaps = Vec::new();
-    let mut since: Option<Duration> = None;
+fn freezes(script: &Script, ticks: &[Tick], round_trip: Duration) -> usize {
+    // Between two new frames, and those that are still open when the movement ends. Before the first one a round trip goes by
+    // in any case.
+    let (mut closed, mut open) = (Vec::new(), Vec::new());
+    // Since when, and whether that is a frame.
+    let mut since: Option<(Duration, bool)> = None;
     for pair in ticks.windows(2) {
         let [before, now] = pair else { continue };
-        if !script.is_moving(now.at) {
-            since = None;
-        } else if before.frame != now.frame {
-            gaps.extend(since.map(|s| (now.at - s).as_secs_f64()));
-            since = Some(now.at);
+        let gap = |until: Duration, from: Duration| until.saturating_sub(from).as_secs_f64();
+        match since {
+            None if script.is_moving(now.at) => since = Some((now.at + round_trip, false)),
+            None => {}
+            Some((from, _)) if !script.is_moving(now.at) => {
+                open.push(gap(before.at, from));
+                since = None;
+            }
+            Some((from, is_frame)) if before.frame != now.frame => {
+                if is_frame { &mut closed } else { &mut open }.push(gap(now.at, from));
+                since = Some((now.at, true));
+            }
+            Some(_) => {}
         }
     }
-    let mean = gaps.iter().sum::<f64>() / gaps.len().max(1) as f64;
-    gaps.iter().filter(|&&gap| gap > (3.0 * mean).max(mean + 0.150)).count()
+    let mean = closed.iter().sum::<f64>() / closed.len().max(1) as f64;
+    closed.iter().chain(&open).filter(|&&gap| gap > (3.0 * mean).max(mean + 0.150)).count()
 }
 
 /// The last compared picture of each rest.
@@ -339,13 +357,19 @@ mod tests {
         let script =
             Script::new(Motion::Orbit { start: Orbit::default(), degrees_per_second: 30.0 }, Duration::ZERO);
         let steady: Vec<u32> = (1..20).collect();
-        assert_eq!(freezes(&script, &ticks(&steady, 0)), 0);
+        let freezes = |frames: &[u32]| freezes(&script, &ticks(frames, 0), Duration::from_millis(200));
+        assert_eq!(freezes(&steady), 0);
         let mut stuck = steady.clone();
         stuck[8..13].fill(8);
-        assert_eq!(freezes(&script, &ticks(&stuck, 0)), 1);
+        assert_eq!(freezes(&stuck), 1);
         // A server that is slow all the time does not freeze.
         let slow: Vec<u32> = (1..20).map(|i| i / 4).collect();
-        assert_eq!(freezes(&script, &ticks(&slow, 0)), 0);
+        assert_eq!(freezes(&slow), 0);
+        // One that is there no more, from the start, in the midst or after a frame, does.
+        let tail = |n: u32| (1..60).map(|i: u32| i.min(n)).collect::<Vec<_>>();
+        assert_eq!([1, 5, 15].map(|n| freezes(&tail(n))), [2, 2, 2], "in both movements");
+        let late: Vec<u32> = (1..30).map(|i: u32| if i < 18 { 1 } else { i }).collect();
+        assert_eq!(freezes(&late), 1);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use isinglass_net::LinkModel;
 
-use super::parse_duration;
+use super::{parse_duration, usage_error};
 
 /// What the link between server and viewer is like, beside its round-trip time.
 #[derive(Args, Clone, Debug)]
@@ -31,7 +31,7 @@ impl LinkArgs {
     pub(crate) fn model(&self, rtt: Duration) -> Result<LinkModel> {
         let &Self { jitter, loss, bandwidth: bandwidth_mbit, seed } = self;
         let model = LinkModel { rtt, jitter, loss, bandwidth_mbit, seed, ..LinkModel::default() };
-        model.validate()?;
+        model.validate().map_err(usage_error)?;
         Ok(model)
     }
 }

@@ -1,6 +1,6 @@
 //! How matter looks, and which segments it becomes.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use clap::{Args, ValueEnum};
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
@@ -9,7 +9,7 @@ use isinglass_core::mode::{Isos, Mode as RenderMode};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Lighting;
 
-use super::parse_k;
+use super::{parse_k, usage_error};
 use crate::clip_args::ClipArgs;
 
 /// How matter looks.
@@ -53,7 +53,7 @@ impl LookArgs {
         match (self.mode, self.iso) {
             (None, Some(_)) => Ok((RenderMode::Iso, isos)),
             (Some(mode), Some(_)) if mode != RenderMode::Iso => {
-                bail!("--iso: found --mode {mode}, expected --mode iso")
+                Err(usage_error(format!("--iso: found --mode {mode}, expected --mode iso")))
             }
             (mode, _) => Ok((mode.unwrap_or_default(), isos)),
         }

@@ -15,7 +15,8 @@ pub(crate) use look::{LayeringArgs, LookArgs, Switch};
 pub(crate) use method::{BackendArgs, MethodArgs};
 pub(crate) use motion::{ForesightArgs, PathArgs};
 pub(crate) use parse::{
-    parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output, parse_picture, parse_size,
+    not_an_input, parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output,
+    parse_picture, parse_size, usage_error,
 };
 pub(crate) use view::{ViewArgs, orthographic};
 pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, open_to_serve, open_volume};

@@ -42,7 +42,7 @@ pub(crate) struct PathArgs {
     /// Play the camera path in FILE, as `view --record` writes it, in place of the orbit; or builtin:stops,
     /// builtin:flicks, builtin:zoom-pan
     #[arg(long, value_name = "FILE")]
-    path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
 }
 
 impl PathArgs {

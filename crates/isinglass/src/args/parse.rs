@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use clap::error::ErrorKind;
 use isinglass_core::camera::MAX_SIDE;
 use isinglass_core::layer::MAX_K;
 
@@ -15,6 +16,25 @@ pub(crate) fn parse_output(text: &str) -> Result<PathBuf, String> {
         Some(_) if !folder.is_dir() => Err(format!("there is no folder {}", folder.display())),
         Some(_) if path.is_dir() => Err("found a folder, expected the name of a file".into()),
         Some(_) => Ok(path),
+    }
+}
+
+/// Bad usage that only several arguments together show.
+pub(crate) fn usage_error(text: impl std::fmt::Display) -> anyhow::Error {
+    clap::Error::raw(ErrorKind::ValueValidation, text).into()
+}
+
+/// Refuses to write over what is read: the names of inputs may be no files.
+pub(crate) fn not_an_input<'a>(
+    output: &Path,
+    inputs: impl IntoIterator<Item = Option<&'a str>>,
+) -> anyhow::Result<()> {
+    // What is not there yet is nobody's input.
+    let Ok(output) = output.canonicalize() else { return Ok(()) };
+    let is_output = |name: &&str| Path::new(name).canonicalize().is_ok_and(|input| input == output);
+    match inputs.into_iter().flatten().find(is_output) {
+        Some(name) => Err(usage_error(format!("{name} would be read and written, expected two files"))),
+        None => Ok(()),
     }
 }
 

@@ -30,7 +30,7 @@ use serde::Serialize;
 use super::demo::parse_speed;
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
-    Switch, parse_duration, parse_fov, parse_k, parse_output, parse_size,
+    Switch, not_an_input, parse_duration, parse_fov, parse_k, parse_output, parse_size,
 };
 use crate::report::{print, print_json};
 
@@ -123,6 +123,10 @@ impl CommonArgs {
 
     /// Refuses a file that cannot be written to.
     fn check_output(&self) -> Result<()> {
+        if let Some(output) = &self.output {
+            let transfer = std::iter::once(self.look.tf.as_deref());
+            not_an_input(output, self.scenes.iter().map(|scene| Some(scene.as_str())).chain(transfer))?;
+        }
         self.output.iter().try_for_each(|path| Ok(check_writable(path)?))
     }
 

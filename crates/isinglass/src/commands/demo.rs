@@ -97,7 +97,7 @@ pub(crate) struct DemoArgs {
 
 pub(crate) fn run(args: DemoArgs, given: Given) -> Result<()> {
     let link = args.link.model(args.rtt)?;
-    if args.headless || args.out.is_some() || args.json {
+    if args.headless || args.out.is_some() || args.json || args.path.path.is_some() {
         return headless(args, link);
     }
     if !display_available() {

@@ -13,7 +13,8 @@ use isinglass_formats::iglf::{self, Origin};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_output,
+    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input,
+    parse_output, usage_error,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -56,11 +57,17 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
     args.codec.check()?;
+    let inputs = [args.volume.volume.as_deref(), args.state.text(), args.look.tf.as_deref()];
+    not_an_input(&args.output, inputs)?;
     let seen = args.state.read(given)?;
     let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
+    if args.codec.codec == CodecChoice::Blocks && args.codec.bound.is_none() && look.mode.is_projection() {
+        let found = format!("--codec blocks: found --mode {}, expected --codec exact with it", look.mode);
+        return Err(usage_error(found));
+    }
     // A mean behind a plane is over a way that no box has.
     let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
     let left = (!is_askew).then(|| opened.scene.region().bounds);
@@ -79,7 +86,11 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             "backend": backend.description(),
             "tf": opened.transfer.name,
             "mode": frame.header.mode.name(),
-            "layering": look.layering.name(),
+            "layering": match look.mode.is_projection() {
+                true => look.layering.of_projection(),
+                false => look.layering,
+            }
+            .name(),
             "k": look.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
@@ -111,9 +122,6 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
     let turn_deg = args.turn.map(|t| t.round() as u8);
     let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
-        (CodecChoice::Blocks, _) if frame.header.mode.is_projection() => {
-            bail!("--codec blocks: found --mode {}, expected --codec exact with it", frame.header.mode)
-        }
         // Nobody waits for a part of a file.
         (CodecChoice::Exact, _) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
         (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality.unwrap_or(QUALITY))),

@@ -11,7 +11,7 @@ use isinglass_bench::view::Orbit;
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, parse_background, parse_picture,
+    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input, parse_background, parse_picture,
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;
@@ -59,7 +59,12 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         let text = format!("{}: found a folder, expected the name of a file", args.output.display());
         return Err(clap::Error::raw(ErrorKind::ValueValidation, text).into());
     }
+    if args.turntable.is_none() {
+        let inputs = [args.volume.volume.as_deref(), args.state.text(), args.look.tf.as_deref()];
+        not_an_input(&args.output, inputs)?;
+    }
     let seen = args.state.read(given)?;
+    seen.note_what_is_not_drawn(args.lens.has_two_eyes());
     let lighting = args.light.lighting();
     let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;
     let bounds = opened.scene.volume.bounds();
@@ -78,7 +83,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     for number in 0..num_pictures {
         let degrees = 360.0 * number as f32 / num_pictures as f32;
         let camera = seen.camera(&orbit, degrees, &args.view, &bounds);
-        let plan = args.lens.plan(&camera, &bounds, letters.as_deref())?;
+        let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), degrees)?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let picture = plan.compose(&pictures, seen.background(args.background));

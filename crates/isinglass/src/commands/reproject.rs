@@ -17,7 +17,8 @@ use isinglass_formats::iglf::{self, Origin, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, MethodArgs, orthographic, parse_background, parse_fov, parse_picture, parse_size,
+    BackendArgs, MethodArgs, not_an_input, orthographic, parse_background, parse_fov, parse_picture,
+    parse_size,
 };
 use crate::clip_args::ClipArgs;
 use crate::lens_args::LensArgs;
@@ -62,6 +63,7 @@ pub(crate) struct ReprojectArgs {
 }
 
 pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
+    not_an_input(&args.output, [args.frame.to_str()])?;
     let StoredFrame { frame, origin: Origin { orientation, bounds } } = iglf::read(&args.frame)?;
     let header = frame.header;
     let mut intrinsics = header.camera.intrinsics;
@@ -77,7 +79,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     };
     let camera =
         if args.orthographic { orthographic(&camera, &sphere_box_from_header(&header)) } else { camera };
-    let plan = args.lens.plan(&camera, &sphere_box_from_header(&header), orientation.as_deref())?;
+    let plan = args.lens.plan(&camera, &sphere_box_from_header(&header), orientation.as_deref(), 0.0)?;
     let method = args.method.method;
     if method != Method::Layers && !plan.is_plain() {
         bail!(
