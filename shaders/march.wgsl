@@ -22,6 +22,7 @@ struct Lattice {
     s0: f32,
     h: f32,
     n: u32,
+    unit: f32,
 }
 
 // A visible step of a march.
@@ -56,10 +57,13 @@ fn scene_lattice(ray: Ray, near: f32) -> Lattice {
     let s0 = max(clipped.s0, near);
     let s1 = clipped.s1;
     if (s1 <= s0) {
-        return Lattice(0.0, 0.0, 0u);
+        return Lattice(0.0, 0.0, 0u, 0.0);
     }
-    let n = clamp(ceil((s1 - s0) / scene.step_length), 1.0, MAX_STEPS);
-    return Lattice(s0, (s1 - s0) / n, u32(n));
+    let v = scene.voxel_from_world;
+    let share = min(length(ray.dir * v) / max(max(v.x, v.y), v.z), 1.0);
+    let n = clamp(ceil((s1 - s0) / scene.step_length * share), 1.0, MAX_STEPS);
+    let h = (s1 - s0) / n;
+    return Lattice(s0, h, u32(n), h * share);
 }
 
 // STRIDE behind matter that nothing can be seen through.

@@ -73,7 +73,7 @@ fn key_of_piece(piece: Piece) -> f32 {
 
 fn error_of(piece: Piece) -> f32 {
     let length = piece.s1 - piece.s0;
-    let h = sink.lattice.h;
+    let h = sink.lattice.unit;
     if IS_MEAN {
         let per_brightness = 1.0 / max(piece.first, BRIGHTNESS_LEAST);
         let mean = piece.second * per_brightness;
@@ -90,7 +90,9 @@ fn error_of(piece: Piece) -> f32 {
 // What joining piece i with `behind` adds to the sum of errors.
 fn growth(i: u32, behind: Piece) -> f32 {
     let front = sink.pieces[i];
-    return error_of(joined(front, behind)) - error_of(front) - error_of(behind);
+    let growth = error_of(joined(front, behind)) - error_of(front) - error_of(behind);
+    // Not a number where errors are infinite: pieces must be joined.
+    return select(0.0, growth, growth <= 0.0 || growth > 0.0);
 }
 
 fn sink_step(step: Step) -> u32 {
@@ -130,13 +132,15 @@ fn add_to_cut(piece: Piece) {
 // Of OPEN + 1 pieces merges neighbours, and raises the tolerance to where most of the cheap pairs merge.
 fn thin_out() {
     var sum_of_inverses = 0.0;
+    var least = INFINITE_COST;
     for (var i = 0u; i < OPEN; i++) {
         let cost = growth(i, sink.pieces[i + 1u]);
         sink.cost[i] = cost;
         sum_of_inverses += 1.0 / max(cost, COST_LEAST);
+        least = min(least, cost);
     }
     sink.cost[OPEN] = INFINITE_COST;
-    sink.tolerance = max(f32(OPEN) / sum_of_inverses, 2.0 * sink.tolerance);
+    sink.tolerance = max(max(f32(OPEN) / sum_of_inverses, 2.0 * sink.tolerance), least);
     var kept = 0u;
     var i = 0u;
     while (i <= OPEN) {

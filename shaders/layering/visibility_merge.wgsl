@@ -25,7 +25,7 @@ struct Gather {
 var<private> sink: Gather;
 
 fn gather(ray: Ray, lattice: Lattice, tolerance: f32) {
-    sink.h = lattice.h;
+    sink.h = lattice.unit;
     sink.tolerance = tolerance;
     sink.transmittance = 1.0;
     list.len = 0u;

@@ -27,7 +27,8 @@ fn crossing(step: Step, to_greater: bool, lattice: Lattice) -> u32 {
     }
     pending = Pending(step, place, enters, pace != 0u);
     pending.step.s0 = select(before, place, enters);
-    return pace;
+    // No strides: a thin sheet would be stepped over.
+    return min(pace, 1u);
 }
 
 // `most` bounds what is behind the place.

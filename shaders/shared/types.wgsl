@@ -26,7 +26,7 @@ struct Scene {
     bounds_max: vec3f,
     x_offset: f32,
     voxel_from_world: vec3f,
-    // Greatest step, world units.
+    // Greatest step along the shortest side of voxels, world units.
     step_length: f32,
     half_dims: vec3f,
     // Whether to shade at all.

@@ -261,16 +261,20 @@ impl<S: FrameSource> Viewing<S> {
             true => (*self.frame_bounds.insert(*bounds), camera),
             false => (drawn, scaled(&camera, bounds, &drawn)),
         };
+        let standing = self.standing(now, frame.as_deref(), (pose, full), picture);
         let mut kept = Vec::new();
         if let Some(frame) = frame.as_ref().filter(|_| self.foresight.keeps) {
             self.kept.note(frame, &drawn);
-            kept = self.kept.choose(frame, &camera, &drawn);
+            // The server's own picture lacks nothing, also where the eye is inside and sees nothing nearer than the near plane.
+            if standing != Standing::Exact {
+                kept = self.kept.choose(frame, &camera, &drawn);
+            }
         }
         let turned_degrees = frame.as_deref().map(|f| turned_degrees(f, &camera, &drawn));
         let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
-            standing: self.standing(now, frame.as_deref(), (pose, full), picture),
+            standing,
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, (pose, full))),
             turned_degrees,
             is_ahead: predicted.is_some(),

@@ -7,12 +7,13 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render, render_through};
 use isinglass_core::picture::Picture;
+use isinglass_core::space::Ray;
 use isinglass_core::transfer::{
     ControlPoint, Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength,
 };
-use isinglass_core::volume::Occupancy;
 use isinglass_core::volume::fields::Field;
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{Occupancy, Volume, VolumeInfo, Voxels};
 
 /// A table with σ = value and white matter, for values up to `sigma_max`.
 fn identity_table(sigma_max: f32) -> TransferTable {
@@ -128,6 +129,39 @@ fn half_steps_converge() {
         // Trapezoidal sums converge with the square of the step until the kinks of the grid show (first order).
         assert!(w[1] < 0.6 * w[0], "{steps:?}");
     }
+}
+
+/// Thick slices are marched by half a voxel, too, and errors are counted alike along every axis.
+#[test]
+fn steps_go_with_the_voxels_along_a_ray() {
+    let p = |x| ControlPoint { x, color: [1.0; 3], opacity: x };
+    let transfer = TransferFunction {
+        name: "ramp".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::World(5.0),
+        points: vec![p(0.0), p(1.0)],
+    };
+    let scene = |step_in_voxels, spacing| {
+        let voxels = Voxels::U8((0..512u32).map(|i| (i * 37 % 251) as u8).collect());
+        let volume = Volume::new([8; 3], spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+        let settings = MarchSettings { step_in_voxels, shading: None, ..Default::default() };
+        Scene::new(Arc::new(volume), &transfer, settings)
+    };
+    let thick = scene(0.5, Vec3::new(1.0, 1.0, 10.0));
+    for (dir, step) in [(Vec3::X, 0.5), (Vec3::Y, 0.5), (Vec3::Z, 5.0)] {
+        let ray = Ray { origin: dir * -100.0, dir };
+        let lattice = thick.lattice(&ray, 0.0).unwrap();
+        assert_eq!((lattice.n, lattice.h, lattice.unit), (16, step, 0.5), "{dir}");
+    }
+    // And the picture is the one of many more steps, which single ones of ten voxels would not give.
+    let fine = scene(0.05, Vec3::new(1.0, 1.0, 10.0));
+    let coarse = scene(10.0, Vec3::new(1.0, 1.0, 10.0));
+    let pictures = [&fine, &thick, &coarse].map(|scene| render_through(scene, &camera(scene, 0.4)));
+    let apart = |i: usize| {
+        let pairs = pictures[0].pixels.iter().flatten().zip(pictures[i].pixels.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    assert!(apart(1) < 0.02 && apart(2) > 0.04, "{} {}", apart(1), apart(2));
 }
 
 fn cubus_scene() -> Scene {

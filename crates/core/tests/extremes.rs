@@ -12,6 +12,7 @@ use isinglass_core::kernels::layering::{Layering, generate};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::FrameHeader;
+use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
@@ -65,6 +66,33 @@ fn voxels_of_any_size_are_pictures() {
                 // What has a range is seen through its own domain, however large or small the numbers.
                 let is_seen = picture.pixels.iter().any(|p| p[3] > 0.1);
                 assert!(is_seen || lo == hi || domain != Domain::Full, "{lo} to {hi}, {spacing}");
+            }
+        }
+    }
+}
+
+/// The moments of a mean are sums of squares of distances, which overflow first.
+#[test]
+fn projections_of_any_size_are_pictures() {
+    let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.2], opacity: x };
+    let (name, unit_length) = ("ramp".into(), UnitLength::Voxel);
+    let transfer = TransferFunction { name, domain: Domain::Full, unit_length, points: vec![p(0.0), p(1.0)] };
+    for spacing in [1e-12, 1.0, 1e12] {
+        for mode in [Mode::Average, Mode::Mip, Mode::MinIp] {
+            let voxels = Voxels::U8((0..48 * 48 * 48u32).map(|i| (i * 37 % 251) as u8).collect());
+            let info = VolumeInfo::default();
+            let volume = Volume::new([48; 3], Vec3::splat(spacing), voxels, (1.0, 0.0), info).unwrap();
+            let settings = MarchSettings { mode, ..MarchSettings::default() };
+            let scene = Scene::new(Arc::new(volume), &transfer, settings);
+            let bounds = scene.volume.bounds();
+            let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.3, 80.0 * spacing);
+            let camera = Camera::new(pose, Intrinsics::perspective(24, 24, 0.9), &bounds);
+            for k in [1, 8, 32] {
+                let made = generate(&scene, FrameHeader::alone(camera, k), Layering::VisibilityMerge);
+                made.validate().unwrap();
+                let shown = raycast(&made, &bounds, &camera);
+                assert!(is_finite(&shown), "{mode} {spacing} {k}");
+                assert!(shown.pixels.iter().any(|p| p[0] > 0.1), "{mode} {spacing} {k}");
             }
         }
     }

@@ -163,12 +163,12 @@ fn bad_pictures_and_tables_are_code_1() {
         bench.fails(&format!("compare out.png {other}"), 1, words);
     }
     for table in ["quality", "speed", "latency"] {
-        bench.fails(&format!("bench {table} bonzai -o table.json"), 1, &["bonzai", "bonsai", "mouse_brain"]);
+        bench.fails(&format!("bench {table} bonzai -o table.json"), 2, &["bonzai", "bonsai", "mouse_brain"]);
     }
     bench.fails("bench speed cloud --method layers@all-samples -o table.json", 1, &["layers@all-samples"]);
     bench.fails("bench quality bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
     bench.fails("demo builtin:cloud@8 --headless --out out.png --backend cpu", 1, &["out.png", "folder"]);
-    bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 1, &["loss", "1.5"]);
+    bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 2, &["loss", "1.5"]);
     bench.fails("demo builtin:cloud@64 --headless --max-memory 1kB", 1, &["memory", "1000"]);
     bench.fails("reproject out.png -o b.png", 1, &["out.png", "PNG", "a layered frame"]);
     for line in [
@@ -177,7 +177,7 @@ fn bad_pictures_and_tables_are_code_1() {
         "bench speed builtin:cloud@8 --method",
         "bench latency builtin:cloud@8 --method",
     ] {
-        bench.fails(&format!("{line} slabs-mesh --mode mip"), 1, &["slabs-mesh", "expected layers"]);
+        bench.fails(&format!("{line} slabs-mesh --mode mip"), 2, &["slabs-mesh", "expected layers"]);
     }
     if cfg!(unix) {
         bench.fails("layers builtin:cloud@8 --backend cpu -o /dev/null", 1, &["/dev/null", "regular file"]);
@@ -185,6 +185,30 @@ fn bad_pictures_and_tables_are_code_1() {
         assert!(!std::fs::metadata("/dev/null").unwrap().is_file());
     }
     bench.fails("demo builtin:fog --headless --out new --backend cpu", 1, &["fog"]);
+}
+
+/// A scan that is written over is gone.
+#[test]
+fn nothing_that_is_read_is_written_over() {
+    let bench = Bench::new();
+    bench.ok("layers builtin:shells@16 --size 16x16 --backend cpu -o a.iglf");
+    let scan =
+        [b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\n".to_vec(), vec![7; 64]];
+    bench.write("scan.nrrd", scan.concat());
+    bench.write("state.toml", "");
+    for (line, file) in [
+        ("render scan.nrrd --size 8x8 -o scan.nrrd", "scan.nrrd"),
+        ("layers scan.nrrd --size 8x8 -o ./scan.nrrd", "scan.nrrd"),
+        ("layers scan.nrrd --size 8x8 --tf state.toml -o state.toml", "state.toml"),
+        ("reproject a.iglf -o a.iglf", "a.iglf"),
+        ("bench quality scan.nrrd -o scan.nrrd", "scan.nrrd"),
+    ] {
+        let before = std::fs::read(bench.path(file)).unwrap();
+        bench.fails(line, 2, &[file, "two files"]);
+        assert_eq!(std::fs::read(bench.path(file)).unwrap(), before, "{line}");
+    }
+    // The control: over what is not read.
+    bench.ok("render scan.nrrd --size 8x8 --backend cpu -o a.iglf");
 }
 
 /// Cut and changed at many places: an error of one line or, where the change is harmless, a picture.
@@ -253,10 +277,10 @@ fn without_a_display_the_viewer_says_so() {
         (&*format!("view {link} --tf ct"), &["--tf", "give them to `serve`"][..]),
         ("view --mode mip", &["--tf", "found none"]),
         ("view builtin:cloud --tf nothing", &["preset", "nothing"]),
-        ("view builtin:cloud --mode mip --iso 3", &["--iso", "expected --mode iso"]),
     ] {
         bench.fails(line, 1, words);
     }
+    bench.fails("view builtin:cloud --mode mip --iso 3", 2, &["--iso", "expected --mode iso"]);
 }
 
 /// A link where something else belongs is told of without its secret.

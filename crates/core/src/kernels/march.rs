@@ -124,7 +124,13 @@ impl Scene {
     /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
-        let occupancy = modes::occupancy(&self.bricks, settings.mode, &table, &surfaces);
+        // A clip or a light that is dragged leaves what can be seen of a brick as it is.
+        let is_seen_alike =
+            (self.settings.mode, &self.table, &self.surfaces) == (settings.mode, &table, &surfaces);
+        let occupancy = match is_seen_alike {
+            true => self.occupancy.clone(),
+            false => modes::occupancy(&self.bricks, settings.mode, &table, &surfaces),
+        };
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &self.volume, &settings.clip);
         let illumination = illuminate(&self.volume, &table, &surfaces, settings, Some(&self.illumination));
         Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
@@ -137,8 +143,7 @@ impl Scene {
 
     /// Steps of the longest ray.
     pub fn max_steps(&self) -> u32 {
-        let diagonal = self.volume.bounds().radius() * 2.0;
-        (diagonal / self.step_in_world()).ceil().clamp(1.0, MAX_STEPS) as u32
+        (self.volume.dims_f32().length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
     }
 
     fn step_in_world(&self) -> f32 {
@@ -152,8 +157,14 @@ impl Scene {
         if s1 <= s0 {
             return None;
         }
-        let n = ((s1 - s0) / self.step_in_world()).ceil().clamp(1.0, MAX_STEPS);
-        Some(Lattice { s0, h: (s1 - s0) / n, n: n as u32 })
+        // Along sides of voxels that are longer, a step is longer too: between two voxels no ray meets more than along the
+        // shortest.
+        let voxel_from_world = self.volume.spacing().recip();
+        let voxels = (ray.dir * voxel_from_world).length();
+        let share = (voxels / voxel_from_world.max_element()).min(1.0);
+        let n = ((s1 - s0) / self.step_in_world() * share).ceil().clamp(1.0, MAX_STEPS);
+        let h = (s1 - s0) / n;
+        Some(Lattice { s0, h, n: n as u32, unit: h * share })
     }
 }
 
@@ -202,6 +213,8 @@ pub struct Lattice {
     pub h: f32,
     /// Number of steps, at least 1.
     pub n: u32,
+    /// The length that the errors of merging are counted in: about the least step of all rays, whichever way this one goes.
+    pub unit: f32,
 }
 
 /// A visible step of a march.
@@ -348,7 +361,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// and then taken in order.
     #[inline(always)]
     fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
-        let Lattice { s0, h, n } = lattice;
+        let Lattice { s0, h, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let dir = safe_dir(ray.dir) * self.voxel_from_world;
         let skipper = Skipper::new(self, origin, dir, lattice);

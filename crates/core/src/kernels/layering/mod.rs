@@ -309,7 +309,7 @@ fn generate_list<T: Texels>(
             let most =
                 if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
             let tolerance = visibility_merge::tolerance(threshold, k);
-            gather.begin(lattice.h, tolerance);
+            gather.begin(lattice.unit, tolerance);
             marcher.march(ray, lattice, gather);
             gather.reduce(most, threshold, list);
             return;

@@ -151,7 +151,7 @@ impl<'a> Gather<'a> {
         Self {
             scene,
             compositing: scene.settings.mode.compositing(),
-            lattice: Lattice { s0: 0.0, h: 1.0, n: 1 },
+            lattice: Lattice { s0: 0.0, h: 1.0, n: 1, unit: 1.0 },
             tolerance: 0.0,
             num_cuts: 0,
             len: 0,
@@ -166,13 +166,15 @@ impl<'a> Gather<'a> {
     }
 
     fn error(&self, piece: &Piece) -> f32 {
-        piece.error(self.compositing, self.lattice.h, self.lattice.s0)
+        piece.error(self.compositing, self.lattice.unit, self.lattice.s0)
     }
 
     /// What joining piece `i` with `behind` adds to the sum of errors.
     fn growth(&self, i: usize, behind: &Piece) -> f32 {
         let front = &self.pieces[i];
-        self.error(&front.with(behind)) - self.error(front) - self.error(behind)
+        let growth = self.error(&front.with(behind)) - self.error(front) - self.error(behind);
+        // Of volumes so large that errors are infinite, nothing is known but that pieces must be joined.
+        if growth.is_nan() { 0.0 } else { growth }
     }
 
     fn add(&mut self, piece: Piece) {
@@ -208,12 +210,14 @@ impl<'a> Gather<'a> {
     /// costs more than the one behind it waits for another time, as does one with a piece that was merged just now.
     fn thin_out(&mut self) {
         let mut cost = [f32::INFINITY; MAX_K + 1];
-        let mut sum_of_inverses = 0.0;
+        let (mut sum_of_inverses, mut least) = (0.0, f32::INFINITY);
         for (i, cost) in cost.iter_mut().enumerate().take(MAX_K) {
             *cost = self.growth(i, &self.pieces[i + 1]);
             sum_of_inverses += 1.0 / cost.max(COST_LEAST);
+            least = least.min(*cost);
         }
-        self.tolerance = (MAX_K as f32 / sum_of_inverses).max(2.0 * self.tolerance);
+        // The harmonic mean is no less than the least but for rounding.
+        self.tolerance = (MAX_K as f32 / sum_of_inverses).max(2.0 * self.tolerance).max(least);
         let (mut kept, mut i) = (0, 0);
         while i <= MAX_K {
             let mut piece = self.pieces[i];

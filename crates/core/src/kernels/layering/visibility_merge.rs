@@ -53,7 +53,7 @@ pub const fn sample_stride(width: u32, height: u32) -> u32 {
 /// The cost at which rays stop joining, see the module.
 pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
     threshold_by(scene, camera, k, Gather::default, |gather, ray, lattice, sample| {
-        gather.begin(lattice.h, 0.0);
+        gather.begin(lattice.unit, 0.0);
         marcher.march(ray, lattice, gather);
         let num_pieces = gather.finish();
         sample.add(num_pieces, |note| gather.join_all(note));

@@ -39,7 +39,7 @@ impl<'a> Skipper<'a> {
     /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; or n.
     #[inline(always)]
     pub(super) fn skip(&self, mut i: u32, stride: u32, least: f32) -> u32 {
-        let Lattice { s0, h, n } = self.lattice;
+        let Lattice { s0, h, n, .. } = self.lattice;
         let (mut brick, mut empty) = self.brick_at(i, least);
         while empty > 0 {
             // The last lattice point inside of the invisible bricks around.

@@ -98,7 +98,8 @@ impl<S: Sink> Sink for Thicken<'_, S> {
         let s0 = if enters { place } else { before };
         self.pending = Some(Pending { step: Step { s0, ..step }, place, enters });
         self.has_stopped = pace == Pace::Stop;
-        pace
+        // By strides a thin sheet is stepped over, and lists lack a wall: no integral tells of it.
+        if pace == Pace::Stride { Pace::Step } else { pace }
     }
 }
 
