@@ -514,7 +514,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let stereo = self.stereo();
         let quality = self.quality.quality(refresh.standing == Standing::Moving);
-        let kept = if quality.keeps { refresh.kept.clone() } else { Vec::new() };
+        // The server's own picture lacks nothing, also where the eye is inside and sees nothing nearer than the near plane.
+        let keeps = quality.keeps && refresh.standing != Standing::Exact;
+        let kept = if keeps { refresh.kept.clone() } else { Vec::new() };
         let background = self.aids.linear_background();
         ui.painter().add(
             PicturePaint { rect, frame, kept, camera, bounds, clip, stereo, quality, background }.shape(),

@@ -82,7 +82,7 @@ impl<S: FrameSource> HeadlessViewer<S> {
             at: now,
             camera: refresh.camera,
             frame: refresh.frame,
-            kept: refresh.kept,
+            kept: if refresh.standing == Standing::Exact { Vec::new() } else { refresh.kept },
             standing: refresh.standing,
             frame_age: refresh.frame_age,
             turned_degrees: refresh.turned_degrees,

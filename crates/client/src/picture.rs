@@ -47,7 +47,7 @@ pub(crate) struct PictureStatus {
     /// Whether the adapter can measure.
     pub(crate) has_timer: bool,
     problem: Mutex<Option<String>>,
-    /// What the device said beside that since the last refresh: that it has no memory left, say.
+    /// What the device said beside that since a frame came: that it has no memory left, say.
     complaint: Arc<Mutex<Option<String>>>,
     warm_up: Mutex<Option<WarmUpDraws>>,
 }
@@ -110,11 +110,13 @@ pub(crate) fn install(
         });
     });
     let complaint: Arc<Mutex<Option<String>>> = Arc::default();
-    let heard = complaint.clone();
+    let (heard, waking) = (complaint.clone(), ctx.clone());
     device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
         let text = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         tracing::error!("uncaptured GPU error: {text}");
         *heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
+        let ctx = waking.clone();
+        std::thread::spawn(move || ctx.request_repaint());
     }));
     let pass = ViewPass::new(device, state.target_format).map_err(|e| e.to_string())?;
     let draws = warm_up(&pass, state, ctx).map_err(|e| e.to_string())?;
@@ -180,10 +182,13 @@ impl PictureResources {
         paint: &PicturePaint,
     ) -> Result<(), String> {
         let frames: Vec<&Arc<ReceivedFrame>> = std::iter::once(&paint.frame).chain(&paint.kept).collect();
-        let pass = &mut self.pass;
+        let (pass, complaint) = (&mut self.pass, &self.status.complaint);
         let mut places = self
             .slots
-            .refresh(&frames, |slot, frame| pass.upload(device, queue, slot, &frame.frame, &paint.bounds))
+            .refresh(&frames, |slot, frame| {
+                *complaint.lock().unwrap_or_else(PoisonError::into_inner) = None;
+                pass.upload(device, queue, slot, &frame.frame, &paint.bounds)
+            })
             .into_iter();
         let newest = places.next().transpose()?;
         let slots: Vec<usize> = newest.into_iter().chain(places.flatten()).collect();
@@ -255,7 +260,6 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         resources: &mut egui_wgpu::CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
         let Some(r) = resources.get_mut::<PictureResources>() else { return Vec::new() };
-        *r.status.complaint.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let problem = r.show(device, queue, self).err();
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let num_samples = self.quality.num_samples;

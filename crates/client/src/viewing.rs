@@ -261,20 +261,16 @@ impl<S: FrameSource> Viewing<S> {
             true => (*self.frame_bounds.insert(*bounds), camera),
             false => (drawn, scaled(&camera, bounds, &drawn)),
         };
-        let standing = self.standing(now, frame.as_deref(), (pose, full), picture);
         let mut kept = Vec::new();
         if let Some(frame) = frame.as_ref().filter(|_| self.foresight.keeps) {
             self.kept.note(frame, &drawn);
-            // The server's own picture lacks nothing, also where the eye is inside and sees nothing nearer than the near plane.
-            if standing != Standing::Exact {
-                kept = self.kept.choose(frame, &camera, &drawn);
-            }
+            kept = self.kept.choose(frame, &camera, &drawn);
         }
         let turned_degrees = frame.as_deref().map(|f| turned_degrees(f, &camera, &drawn));
         let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
-            standing,
+            standing: self.standing(now, frame.as_deref(), (pose, full), picture),
             frame_age: frame.as_deref().and_then(|f| self.age(now, f, (pose, full))),
             turned_degrees,
             is_ahead: predicted.is_some(),
@@ -387,15 +383,25 @@ impl<S: FrameSource> Viewing<S> {
     }
 
     fn want_look(&mut self, now: Duration, look: Arc<Look>) {
-        let since = self.source.look().map(|(version, _)| version);
+        let in_force = self.source.look();
+        if self.wanted_look.is_none() && in_force.as_ref().is_some_and(|(_, known)| *known == look) {
+            // Nothing is to be changed, and no earlier wish is on its way.
+            self.own_look = Some(look);
+            return;
+        }
+        let since = in_force.map(|(version, _)| version);
         self.wanted_look = Some(WantedLook { look, since, at: now });
     }
 
     /// After the connection was lost and is there again, the server begins with a look of its own until it hears of the one
     /// that this viewer had asked for, which the source asks for again. Meanwhile that one stays wanted.
     fn keep_look(&mut self, now: Duration) {
-        let Some(described) = self.source.description() else { return };
         let connection = self.source.connection();
+        let Some(described) = self.source.description() else { return };
+        if self.source.connection() != connection {
+            // Between the two there was another: the next refresh sees both of that one.
+            return;
+        }
         let Some((last, known)) = self.described.replace((connection, described.clone())) else { return };
         if Arc::ptr_eq(&known, &described) || self.own_look.is_none() && self.wanted_look.is_none() {
             return;
@@ -403,8 +409,14 @@ impl<S: FrameSource> Viewing<S> {
         if connection == last {
             // Another part of the file, with its own look: that counts from here on.
             self.own_look = self.source.look().map(|(_, look)| look).filter(|_| self.own_look.is_some());
-        } else if known.volume != described.volume {
-            // What was asked for was of the volume before.
+            let before = self.looks.back().map(|(_, look)| look.clone());
+            if self.look_pace.due().is_none() && self.wanted_look.as_ref().map(|w| &w.look) == before.as_ref()
+            {
+                // That it was in force already needs no answer any more.
+                self.wanted_look = None;
+            }
+        } else if known.volume.name != described.volume.name {
+            // What was asked for was of the file before.
             (self.own_look, self.wanted_look) = (None, None);
         } else if let Some(look) = self.own_look.clone().filter(|_| self.wanted_look.is_none()) {
             self.want_look(now, look);

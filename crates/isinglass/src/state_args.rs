@@ -88,6 +88,17 @@ impl Seen {
         OF_LOOK.iter().any(|field| self.given.has(field))
     }
 
+    /// What may be files that are read for a picture.
+    pub(crate) fn inputs<'a>(
+        &'a self,
+        volume: &'a VolumeArgs,
+        state: &'a StateArgs,
+        look: &'a LookArgs,
+    ) -> [Option<&'a str>; 3] {
+        let source = || self.state.volume.as_ref()?.source.as_deref();
+        [volume.volume.as_deref().or_else(source), state.text(), look.transfer_file()]
+    }
+
     /// Says what a state has that no rendering shows.
     pub(crate) fn note_what_is_not_drawn(&self, has_two_eyes: bool) {
         if self.state.view.stereo.is_some_and(|s| s != StereoPicture::Off) && !has_two_eyes {

@@ -189,6 +189,12 @@ impl Librarian {
         let Some(loader) = self.loader.clone() else {
             return Ended::Failed("this server shows this part of its file only".into());
         };
+        if self.backend.is_lost() {
+            let lost = self.backend.clone();
+            if let Ok(backend) = tokio::task::spawn_blocking(move || lost.reopened()).await {
+                self.backend = backend;
+            }
+        }
         let held = self.present.borrow().bytes;
         let look = self.present.borrow().greeting.look.clone();
         let cancel = CancelOnDrop::default();
@@ -218,7 +224,7 @@ impl Librarian {
             }
             let look = Look { transfer: loaded.transfer, ..look };
             let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
-            let renderer = renderer_of(&backend.reopened(), scene.clone()).map_err(|e| e.to_string())?;
+            let renderer = renderer_of(&backend, scene.clone()).map_err(|e| e.to_string())?;
             Ok::<_, String>((scene, renderer, look, survey.parts))
         });
         let read = tokio::select! {
@@ -254,7 +260,7 @@ impl Librarian {
         if has_failed {
             // The memory of the part before is free now.
             let backend = self.backend.clone();
-            let again = tokio::task::spawn_blocking(move || backend.reopened().renderer(scene)).await;
+            let again = tokio::task::spawn_blocking(move || backend.renderer(scene)).await;
             if let Ok(Ok(renderer)) = again {
                 tracing::info!("the GPU has room for this part now");
                 self.generator.replace(renderer, look, number, lights).await;

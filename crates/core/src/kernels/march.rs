@@ -4,7 +4,7 @@
 //! of a layered frame ([`super::layering`]).
 //!
 //! The interval of the ray inside the volume's box is divided into n equal steps of at most
-//! `step_in_voxels`·(least spacing). Both ends of a step are sampled trilinearly and the step is classified by the
+//! `step_in_voxels` in the space of the voxels, whichever way it runs. Both ends of a step are sampled trilinearly and the step is classified by the
 //! pre-integrated table ([`crate::transfer`]), so the step length changes neither opacity nor which features are
 //! seen. Steps between lattice points that lie in one invisible brick are jumped; the lattice stays, so the picture
 //! with and without skipping is the same.

@@ -8,6 +8,7 @@ use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::mode::{Isos, Mode as RenderMode};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Lighting;
+use isinglass_formats::preset;
 
 use super::{parse_k, usage_error};
 use crate::clip_args::ClipArgs;
@@ -45,6 +46,11 @@ impl LookArgs {
     /// Whether gradients shade.
     pub(crate) fn is_shaded(&self) -> bool {
         self.shading == Switch::On
+    }
+
+    /// The transfer function, if no preset is meant.
+    pub(crate) fn transfer_file(&self) -> Option<&str> {
+        self.tf.as_deref().filter(|name| preset(name).is_none())
     }
 
     /// The mode, and its surfaces.

@@ -24,14 +24,14 @@ pub(crate) fn usage_error(text: impl std::fmt::Display) -> anyhow::Error {
     clap::Error::raw(ErrorKind::ValueValidation, text).into()
 }
 
-/// Refuses to write over what is read: the names of inputs may be no files.
+/// Refuses to write over what is read, also in a folder that is: the names of inputs may be no files.
 pub(crate) fn not_an_input<'a>(
     output: &Path,
     inputs: impl IntoIterator<Item = Option<&'a str>>,
 ) -> anyhow::Result<()> {
     // What is not there yet is nobody's input.
     let Ok(output) = output.canonicalize() else { return Ok(()) };
-    let is_output = |name: &&str| Path::new(name).canonicalize().is_ok_and(|input| input == output);
+    let is_output = |name: &&str| Path::new(name).canonicalize().is_ok_and(|input| output.starts_with(input));
     match inputs.into_iter().flatten().find(is_output) {
         Some(name) => Err(usage_error(format!("{name} would be read and written, expected two files"))),
         None => Ok(()),

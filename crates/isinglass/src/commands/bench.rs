@@ -124,7 +124,7 @@ impl CommonArgs {
     /// Refuses a file that cannot be written to.
     fn check_output(&self) -> Result<()> {
         if let Some(output) = &self.output {
-            let transfer = std::iter::once(self.look.tf.as_deref());
+            let transfer = std::iter::once(self.look.transfer_file());
             not_an_input(output, self.scenes.iter().map(|scene| Some(scene.as_str())).chain(transfer))?;
         }
         self.output.iter().try_for_each(|path| Ok(check_writable(path)?))

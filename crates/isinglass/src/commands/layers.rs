@@ -57,9 +57,8 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
     args.codec.check()?;
-    let inputs = [args.volume.volume.as_deref(), args.state.text(), args.look.tf.as_deref()];
-    not_an_input(&args.output, inputs)?;
     let seen = args.state.read(given)?;
+    not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
     let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());

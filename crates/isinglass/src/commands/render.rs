@@ -59,11 +59,10 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         let text = format!("{}: found a folder, expected the name of a file", args.output.display());
         return Err(clap::Error::raw(ErrorKind::ValueValidation, text).into());
     }
-    if args.turntable.is_none() {
-        let inputs = [args.volume.volume.as_deref(), args.state.text(), args.look.tf.as_deref()];
-        not_an_input(&args.output, inputs)?;
-    }
     let seen = args.state.read(given)?;
+    if args.turntable.is_none() {
+        not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
+    }
     seen.note_what_is_not_drawn(args.lens.has_two_eyes());
     let lighting = args.light.lighting();
     let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;

@@ -95,9 +95,9 @@ impl Dialer {
                     // Wished for while nobody was there, perhaps minutes ago: it would change what all others see.
                     shared.part.send_if_modified(|wish| wish.take().is_some());
                 }
-                let is_other = |known: &Arc<Welcome>| known.volume != welcome.volume;
+                let is_other = |known: &Arc<Welcome>| known.volume.name != welcome.volume.name;
                 if shared.status.read().welcome.as_ref().is_some_and(is_other) {
-                    // The look that was asked for was one of the volume before.
+                    // The look that was asked for was one of another file. Of another part of a file it stays.
                     shared.look.send_if_modified(|wish| wish.take().is_some());
                 }
                 shared.update(|s| {
