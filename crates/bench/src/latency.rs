@@ -14,7 +14,7 @@ use crate::demo::{DemoOptions, Report, run_headless};
 use crate::error::BenchError;
 use crate::progress::note;
 use crate::scenes::SceneSource;
-use crate::subject::{Subject, SubjectConditions};
+use crate::subject::{Subject, SubjectConditions, each_scene};
 
 /// `METHOD[@RULE][:no-prediction]`: a method, the rule by which the server makes its frames, and whether frames are
 /// asked for from where the camera will be.
@@ -112,7 +112,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     let lists = [options.scenes.len(), options.methods.len(), options.degrees_per_second.len()];
     let num_runs = lists.iter().product::<usize>() * options.rtts.len();
     let mut rows = Vec::with_capacity(num_runs);
-    for scene in &options.scenes {
+    let failures = each_scene(&options.scenes, |scene| {
         for &rtt in &options.rtts {
             for &degrees_per_second in &options.degrees_per_second {
                 for &method in &options.methods {
@@ -137,10 +137,12 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
                 }
             }
         }
-    }
+        Ok(())
+    });
     let demo = &options.demo;
     let conditions = LatencyConditions {
-        subject: subject_of(options).conditions(rayon::current_num_threads()),
+        subject: subject_of(options)
+            .conditions(rayon::current_num_threads(), failures.lines(rows.is_empty())?),
         backend: demo.backend.to_string(),
         refresh_hz: demo.refresh_hz,
         plays_path: demo.path.is_some(),

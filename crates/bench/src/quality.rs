@@ -25,7 +25,7 @@ use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::rivals::Method;
 use crate::scenes::SceneSource;
-use crate::subject::{Subject, SubjectConditions};
+use crate::subject::{Subject, SubjectConditions, each_scene};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -89,6 +89,8 @@ pub struct QualityRow {
     pub method: String,
     /// Rule of the frame; none for `last-image`.
     pub layering: Option<&'static str>,
+    /// Where the novel view was made: rival methods run on the CPU; none for `last-image`.
+    pub view_backend: Option<String>,
     /// How lists were read; none for what does not ray-cast.
     pub reconstruction: Option<&'static str>,
     /// K of the rule; 0 for `last-image`, 255 for lists without an end.
@@ -129,11 +131,12 @@ pub fn run(options: &QualityOptions) -> Result<QualityReport, BenchError> {
     let frames: usize = of_rules.iter().map(|(rule, _)| rule.ks(&options.subject.ks).len()).sum();
     let mut progress = Progress::new("quality", (options.subject.scenes.len() * (1 + frames)) as u64);
     let mut rows = Vec::new();
-    for source in &options.subject.scenes {
-        measure_scene(&backend, options, source, &mut rows, &mut progress)?;
-    }
+    let failures = each_scene(&options.subject.scenes, |source| {
+        measure_scene(&backend, options, source, &mut rows, &mut progress)
+    });
     progress.finish();
-    Ok(QualityReport { conditions: conditions(options, &backend), rows })
+    let failed = failures.lines(rows.is_empty())?;
+    Ok(QualityReport { conditions: conditions(options, &backend, failed), rows })
 }
 
 /// A table for people, in the order of measuring.
@@ -204,9 +207,9 @@ pub fn timed<T>(mut body: impl FnMut() -> Result<T, BenchError>) -> Result<(T, f
     Ok((result, ms))
 }
 
-fn conditions(options: &QualityOptions, backend: &Backend) -> Conditions {
+fn conditions(options: &QualityOptions, backend: &Backend, failed: Vec<String>) -> Conditions {
     Conditions {
-        subject: options.subject.conditions(rayon::current_num_threads()),
+        subject: options.subject.conditions(rayon::current_num_threads(), failed),
         backend: backend.description(),
         frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
         color_bits: options.codec.color_bits,
@@ -344,6 +347,7 @@ fn measure_method(
             }
             rows.push(QualityRow {
                 layering: Some(made.rule.name()),
+                view_backend: Some(method.backend(backend).description()),
                 reconstruction: reconstruction.map(reconstruction_name),
                 dssim_wire: decoded.is_some().then(|| wire.mean(|e| e.dssim)),
                 generate_ms: Some(made.generate_ms),
@@ -390,6 +394,7 @@ impl Mean {
             scene: source.name.clone(),
             method: method.to_owned(),
             layering: None,
+            view_backend: None,
             reconstruction: None,
             k,
             angle_deg,

@@ -8,6 +8,7 @@ use isinglass_core::volume::Volume;
 use serde::Serialize;
 
 use crate::error::BenchError;
+use crate::progress::note;
 use crate::quality::march_settings;
 use crate::scenes::{OpenedScene, SceneSource, open_scene};
 use crate::view::Orbit;
@@ -51,7 +52,7 @@ impl Subject {
     }
 
     /// What holds for all of its rows.
-    pub(crate) fn conditions(&self, threads: usize) -> SubjectConditions {
+    pub(crate) fn conditions(&self, threads: usize, failed: Vec<String>) -> SubjectConditions {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii, .. } = self.orbit;
         SubjectConditions {
@@ -67,7 +68,42 @@ impl Subject {
             isos: self.isos,
             clip: self.clip,
             threads,
+            failed,
         }
+    }
+}
+
+/// Measures scene by scene, and returns what failed: a scene that cannot be measured to its end costs its own rows, not
+/// the hours of others.
+pub(crate) fn each_scene(
+    scenes: &[SceneSource],
+    mut measure: impl FnMut(&SceneSource) -> Result<(), BenchError>,
+) -> Failures {
+    let mut failures = Failures::default();
+    for source in scenes {
+        if let Err(error) = measure(source) {
+            note(&format!("{}: {error}", source.name));
+            failures.0.push((source.name.clone(), error));
+        }
+    }
+    failures
+}
+
+/// Scenes that were not measured to their end.
+#[derive(Debug, Default)]
+pub(crate) struct Failures(Vec<(String, BenchError)>);
+
+impl Failures {
+    pub(crate) fn append(&mut self, mut others: Self) {
+        self.0.append(&mut others.0);
+    }
+
+    /// A line each for the report; the first error if there is nothing to report.
+    pub(crate) fn lines(mut self, is_nothing_measured: bool) -> Result<Vec<String>, BenchError> {
+        if is_nothing_measured && !self.0.is_empty() {
+            return Err(self.0.swap_remove(0).1);
+        }
+        Ok(self.0.into_iter().map(|(scene, error)| format!("{scene}: {error}")).collect())
     }
 }
 
@@ -98,6 +134,9 @@ pub struct SubjectConditions {
     pub shading: bool,
     /// Threads of the CPU.
     pub threads: usize,
+    /// Scenes whose rows are missing or not all there, with the cause.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<String>,
 }
 
 #[cfg(test)]
@@ -105,6 +144,26 @@ mod tests {
     use isinglass_core::volume::procedural::Builtin;
 
     use super::*;
+
+    #[test]
+    fn a_scene_that_fails_costs_its_own_rows() {
+        let scenes = ["a", "b", "c"].map(|name| SceneSource::new(name, name));
+        let mut seen = Vec::new();
+        let mut run = |bad: &[&str]| {
+            each_scene(&scenes, |source| {
+                seen.push(source.name.clone());
+                match bad.contains(&&*source.name) {
+                    true => Err(BenchError::NoScene(format!("{} is no volume", source.name))),
+                    false => Ok(()),
+                }
+            })
+        };
+        assert_eq!(run(&["b"]).lines(false).unwrap(), ["b: no scene to measure: b is no volume"]);
+        assert!(run(&[]).lines(true).unwrap().is_empty());
+        let error = run(&["a", "b", "c"]).lines(true).unwrap_err();
+        assert_eq!(error.to_string(), "no scene to measure: a is no volume");
+        assert_eq!(seen.concat(), "abcabcabc");
+    }
 
     #[test]
     fn the_orbit_is_upright_as_it_is_for_render() {

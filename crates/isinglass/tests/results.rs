@@ -337,7 +337,7 @@ fn speed_has_a_row_for_each_choice() {
             row,
             "scene dims backend method layering k frame_size angle_deg render_ms render_through_ms generate_ms encode_ms \
              decode_ms prepare_ms novel_view_ms fps render_fps view_over_render generate_over_through empty_share ssim \
-             dssim bytes segments_mean segments_total",
+             dssim dssim_object psnr_db bytes segments_mean segments_total",
         );
         for ratio in ["view_over_render", "generate_over_through", "fps", "ssim"] {
             assert!(row[ratio].as_f64().is_some_and(|r| r > 0.0), "{ratio}: {row}");
@@ -349,6 +349,65 @@ fn speed_has_a_row_for_each_choice() {
             row["render_gpu_ms"].is_null() && row["novel_view_gpu_ms"].is_null(),
             "the CPU has no such clock"
         );
+    }
+}
+
+/// A row for each setting and turn, with the fields of the other tables.
+#[test]
+fn codec_has_a_row_for_each_setting_and_turn() {
+    let bench = Bench::new();
+    let report = bench.json(
+        "bench codec builtin:shells@24 --size 48x48 --backend cpu --k 4 --angles 0,10 --codec exact,raw-zstd --json",
+    );
+    let rows = report["rows"].as_array().unwrap();
+    for row in rows {
+        assert_has(
+            row,
+            "scene method k angle_deg dssim dssim_object psnr_db generate_ms novel_view_ms bytes segments_mean lists \
+             settings encode_ms is_on_front",
+        );
+    }
+    let of = |method: &str, angle: f64| {
+        let of = rows.iter().filter(|r| r["method"] == method && r["angle_deg"] == angle);
+        of.collect::<Vec<_>>()
+    };
+    assert!(of("exact", 0.0).len() > 1 && of("exact", 0.0).len() == of("exact", 10.0).len());
+    let (still, turned) = (of("raw-zstd", 0.0)[0], of("raw-zstd", 10.0)[0]);
+    assert_eq!(still["bytes"], turned["bytes"]);
+    assert!(still["dssim"].as_f64() < turned["dssim"].as_f64());
+    // What is larger and no better is not on the front.
+    let num_on_front = |angle| of("exact", angle).iter().filter(|r| r["is_on_front"] == true).count();
+    assert!(num_on_front(0.0) > 0 && num_on_front(0.0) < of("exact", 0.0).len());
+}
+
+/// A volume whose header is as it should be and whose values are not all there.
+#[test]
+fn a_scene_that_fails_leaves_the_rows_of_others() {
+    let bench = Bench::new();
+    let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: gzip\n\n";
+    std::fs::write(bench.path("torn.nrrd"), [header.as_bytes(), b"\x1f\x8b no more"].concat()).unwrap();
+    for table in [
+        "quality --angles 5 --k 2",
+        "speed --repeats 1 --k 2",
+        "codec --angles 0 --codec raw-zstd --k 2",
+        "latency --rtt 20ms --speed 90 --compared 2",
+    ] {
+        let common = "--size 24x24 --backend cpu --json -o table.json";
+        let output = bench.run(&format!("bench {table} torn.nrrd builtin:cloud@16 {common}"));
+        assert_eq!(output.status.code(), Some(1), "{table}");
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(told.lines().last().unwrap().contains("torn.nrrd"), "{told}");
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let rows = report["rows"].as_array().unwrap();
+        assert!(!rows.is_empty() && rows.iter().all(|r| r["scene"] == "builtin:cloud@16"), "{report}");
+        assert!(report["conditions"]["failed"][0].as_str().unwrap().contains("torn.nrrd"), "{report}");
+        let written = std::fs::read(bench.path("table.json")).unwrap();
+        assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
+        // Alone it leaves nothing.
+        std::fs::remove_file(bench.path("table.json")).unwrap();
+        let alone = bench.run(&format!("bench {table} torn.nrrd {common}"));
+        assert!(alone.status.code() == Some(1) && alone.stdout.is_empty(), "{table}");
+        assert!(!bench.path("table.json").exists(), "{table}");
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
+use std::time::Instant;
 
 use isinglass_core::camera::Camera;
 use isinglass_core::codec::{self, Coding};
@@ -32,7 +33,11 @@ pub struct Distortion {
     /// Against the full volume rendering, see [`isinglass_core::image_error::ImageError`].
     pub dssim: f64,
     /// The same.
+    pub dssim_object: f64,
+    /// The same.
     pub psnr_db: f64,
+    /// Time to make the picture.
+    pub novel_view_ms: f64,
 }
 
 /// A frame coded with one setting.
@@ -60,10 +65,19 @@ pub(crate) fn distortion_of(
     let mut caster = backend.reprojector(Arc::new(frame), bounds)?;
     let mut all = Vec::with_capacity(truths.len());
     for (angle_deg, camera, truth) in truths {
-        let view = black_srgb8(&caster.raycast_with(camera, &CastOptions::default())?);
+        let start = Instant::now();
+        let view = caster.raycast_with(camera, &CastOptions::default())?;
+        let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
+        let view = black_srgb8(&view);
         let size = camera.intrinsics;
         let error = compare(&view, truth, size.width as usize, size.height as usize, [0; 3])?;
-        all.push(Distortion { angle_deg: *angle_deg, dssim: error.dssim, psnr_db: error.psnr_db });
+        all.push(Distortion {
+            angle_deg: *angle_deg,
+            dssim: error.dssim,
+            dssim_object: error.dssim_object,
+            psnr_db: error.psnr_db,
+            novel_view_ms,
+        });
     }
     Ok(all)
 }

@@ -35,13 +35,14 @@ mod times;
 mod webp;
 
 use std::collections::BTreeMap;
+use std::time::Instant;
 
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_gpu::{Backend, BackendChoice};
 use rayon::ThreadPool;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use self::bd::{RatePoint, bd_rate, front};
 use self::contenders::{AS_PUBLISHED, Contender, PUBLISHED};
@@ -50,7 +51,7 @@ use crate::error::BenchError;
 use crate::progress::{Progress, note};
 use crate::quality::black_srgb8;
 use crate::scenes::SceneSource;
-use crate::subject::{Subject, SubjectConditions};
+use crate::subject::{Subject, SubjectConditions, each_scene};
 
 pub use self::measure::Distortion;
 pub use self::plot::svg;
@@ -104,7 +105,8 @@ pub struct CodecReport {
     pub conditions: Conditions,
     /// Frames that no codec has touched.
     pub uncoded: Vec<Uncoded>,
-    /// Every setting that was measured.
+    /// Every setting that was measured: in JSON a [`Row`] for each turn.
+    #[serde(rename = "rows", serialize_with = "rows_of")]
     pub points: Vec<Point>,
     /// Codecs against the anchor, scene by scene.
     pub bd_rates: Vec<BdRow>,
@@ -145,6 +147,10 @@ pub struct Uncoded {
     pub lists: [u32; 2],
     /// Segments of the frame.
     pub segments: usize,
+    /// Segments in a list, over lists that have any.
+    pub segments_mean: f64,
+    /// Time to make the frame.
+    pub generate_ms: f64,
     /// From every turn.
     pub distortion: Vec<Distortion>,
 }
@@ -157,9 +163,16 @@ pub struct Point {
     /// K of the rule.
     pub k: u8,
     /// The codec.
+    #[serde(rename = "method")]
     pub codec: &'static str,
     /// The rule of its frame.
     pub layering: &'static str,
+    /// Columns and rows of lists.
+    pub lists: [u32; 2],
+    /// Segments in a list of the frame before it was coded, over lists that have any.
+    pub segments_mean: f64,
+    /// Time to make that frame.
+    pub generate_ms: f64,
     /// Its settings.
     pub settings: String,
     /// Bytes of the coded frame.
@@ -183,9 +196,32 @@ pub struct Point {
     /// Cycles to decode a pixel.
     pub decode_cycles_per_pixel: Option<f64>,
     /// From every turn.
+    #[serde(skip)]
     pub distortion: Vec<Distortion>,
     /// Turns at which no other setting of the codec beats this one in bytes and DSSIM both, degrees.
+    #[serde(skip)]
     pub on_front_deg: Vec<f32>,
+}
+
+/// A coded frame from one turn, as it is told in JSON.
+#[derive(Serialize)]
+struct Row<'a> {
+    #[serde(flatten)]
+    point: &'a Point,
+    #[serde(flatten)]
+    seen: &'a Distortion,
+    /// Whether no other setting of the codec beats this one in bytes and DSSIM both.
+    is_on_front: bool,
+}
+
+fn rows_of<S: Serializer>(points: &[Point], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(points.iter().flat_map(|point| {
+        point.distortion.iter().map(move |seen| Row {
+            point,
+            seen,
+            is_on_front: point.on_front_deg.contains(&seen.angle_deg),
+        })
+    }))
 }
 
 /// A codec against the anchor.
@@ -257,16 +293,14 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, BenchError> {
         sequences: Vec::new(),
         times: Vec::new(),
     };
-    for source in &options.subject.scenes {
-        run.measure_scene(source, &mut progress)?;
-    }
+    let failures = each_scene(&options.subject.scenes, |source| run.measure_scene(source, &mut progress));
     progress.finish();
     let Run { uncoded, mut points, sequences, times, clock_mhz, .. } = run;
     mark_fronts(&mut points, &options.subject.angles_degrees);
     let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
     let bd_means = means(&bd_rates);
     let conditions = Conditions {
-        subject: options.subject.conditions(THREADS),
+        subject: options.subject.conditions(THREADS, failures.lines(uncoded.is_empty())?),
         backend: backend.description(),
         clock_mhz,
         anchor: anchor.map(str::to_owned),
@@ -325,6 +359,14 @@ struct Run<'a> {
     times: Vec<TimeRow>,
 }
 
+/// A frame of the generating camera.
+struct Generated {
+    layering: Layering,
+    frame: LayeredFrame,
+    segments_mean: f64,
+    generate_ms: f64,
+}
+
 impl Run<'_> {
     fn measure_scene(&mut self, source: &SceneSource, progress: &mut Progress) -> Result<(), BenchError> {
         let options = self.options;
@@ -341,25 +383,31 @@ impl Run<'_> {
         let judge = Judge { backend: self.backend, bounds, orbit, truths, pool: self.pool };
         progress.advance(1, &format!("{}: truth rendered", source.name));
         for &k in &options.subject.ks {
-            let mut frames: Vec<(Layering, LayeredFrame)> = Vec::new();
+            let mut frames: Vec<Generated> = Vec::new();
             for intrinsics in options.frame_intrinsics() {
                 let camera = orbit.camera(intrinsics, &bounds);
                 for contender in self.contenders.iter().filter(|c| options.takes(c, intrinsics)) {
                     let layering = contender.layering();
-                    let is_made = |(of, frame): &(Layering, LayeredFrame)| {
-                        *of == layering && frame.header.camera.intrinsics == intrinsics
+                    let is_made = |made: &Generated| {
+                        made.layering == layering && made.frame.header.camera.intrinsics == intrinsics
                     };
                     if !frames.iter().any(is_made) {
+                        let start = Instant::now();
                         let frame = renderer.generate(FrameHeader::alone(camera, k), layering)?;
+                        let generate_ms = start.elapsed().as_secs_f64() * 1e3;
+                        let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+                        let segments_mean = frame.num_segments() as f64 / num_filled.max(1) as f64;
                         self.uncoded.push(Uncoded {
                             scene: source.name.clone(),
                             k,
                             layering: layering.name(),
                             lists: [intrinsics.width, intrinsics.height],
                             segments: frame.num_segments(),
+                            segments_mean,
+                            generate_ms,
                             distortion: judge.distortion(frame.clone())?,
                         });
-                        frames.push((layering, frame));
+                        frames.push(Generated { layering, frame, segments_mean, generate_ms });
                     }
                 }
             }
@@ -367,13 +415,12 @@ impl Run<'_> {
             for contender in self.contenders {
                 progress.begin(&format!("{}: K = {k}, {}", source.name, contender.name));
                 let layering = contender.layering();
-                for (_, frame) in frames.iter().filter(|(of, _)| *of == layering) {
-                    let lists = frame.header.camera.intrinsics;
-                    if !options.takes(contender, lists) {
+                for made in frames.iter().filter(|made| made.layering == layering) {
+                    if !options.takes(contender, made.frame.header.camera.intrinsics) {
                         continue;
                     }
-                    let measured = judge.measure(contender, frame)?;
-                    let points = measured.into_iter().map(|m| self.point(source, k, contender, m, lists));
+                    let measured = judge.measure(contender, &made.frame)?;
+                    let points = measured.into_iter().map(|m| self.point(source, k, contender, m, made));
                     let points: Vec<Point> = points.collect();
                     self.points.extend(points);
                 }
@@ -402,8 +449,9 @@ impl Run<'_> {
         k: u8,
         contender: &Contender,
         measured: Measured,
-        lists: Intrinsics,
+        made: &Generated,
     ) -> Point {
+        let lists = made.frame.header.camera.intrinsics;
         let picture = self.options.subject.intrinsics;
         let pixels = picture.num_pixels() as f64;
         let of_lists = match lists == picture {
@@ -419,6 +467,9 @@ impl Run<'_> {
             k,
             codec: contender.name,
             layering: contender.layering().name(),
+            lists: [lists.width, lists.height],
+            segments_mean: made.segments_mean,
+            generate_ms: made.generate_ms,
             settings: measured.settings + &of_lists,
             bytes: measured.bytes,
             bytes_color_opacity_depth: measured.parts,

@@ -189,7 +189,9 @@ impl Seen {
         }
         for (mean, one) in self.distortion.iter_mut().zip(of_frame) {
             mean.dssim += (one.dssim - mean.dssim) / self.num;
+            mean.dssim_object += (one.dssim_object - mean.dssim_object) / self.num;
             mean.psnr_db += (one.psnr_db - mean.psnr_db) / self.num;
+            mean.novel_view_ms += (one.novel_view_ms - mean.novel_view_ms) / self.num;
         }
     }
 }
@@ -522,7 +524,13 @@ mod tests {
             distortion: [0.0, 10.0]
                 .into_iter()
                 .zip(dssim)
-                .map(|(angle_deg, dssim)| Distortion { angle_deg, dssim, psnr_db: 30.0 })
+                .map(|(angle_deg, dssim)| Distortion {
+                    angle_deg,
+                    dssim,
+                    dssim_object: dssim,
+                    psnr_db: 30.0,
+                    novel_view_ms: 1.0,
+                })
                 .collect(),
             dssim: None,
             psnr_db: None,

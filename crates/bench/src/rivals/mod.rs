@@ -85,6 +85,11 @@ impl Method {
         }
     }
 
+    /// Where its pictures are made: rivals run on the CPU.
+    pub fn backend(self, backend: &Backend) -> &Backend {
+        if self == Self::Layers { backend } else { &Backend::Cpu }
+    }
+
     /// Makes a frame ready for any number of views. `bounds` is the box of the volume. Only [`Method::Layers`] runs on
     /// `backend`.
     pub fn prepare(

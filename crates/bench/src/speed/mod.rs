@@ -16,7 +16,7 @@ use serde::Serialize;
 use crate::choices::MethodChoice;
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::subject::{Subject, SubjectConditions};
+use crate::subject::{Failures, Subject, SubjectConditions, each_scene};
 
 pub use targets::TargetRow;
 
@@ -131,6 +131,10 @@ pub struct SpeedRow {
     pub ssim: f64,
     /// DSSIM of the same.
     pub dssim: f64,
+    /// The same over the bounding rectangle of what is not background.
+    pub dssim_object: f64,
+    /// Peak signal to noise ratio of the same.
+    pub psnr_db: f64,
     /// Bytes of the encoded frame.
     pub bytes: usize,
     /// Segments in a list, over lists that have any.
@@ -142,10 +146,11 @@ pub struct SpeedRow {
 /// Measures.
 pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
     let (mut rows, mut targets) = (Vec::new(), Vec::new());
+    let mut failures = Failures::default();
     let num_runs = options.backends.len() * options.subject.scenes.len();
     for &choice in &options.backends {
         let backend = Backend::open(choice)?;
-        for source in &options.subject.scenes {
+        failures.append(each_scene(&options.subject.scenes, |source| {
             // A step for each round and one for the preparation, and one for the targets.
             let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
             progress.begin(&format!("{} on {}", source.name, backend.description()));
@@ -161,10 +166,11 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
             if num_runs > 1 {
                 crate::progress::note(&format!("measured {} on {choice}", source.name));
             }
-        }
+            Ok(())
+        }));
     }
     let conditions = SpeedConditions {
-        subject: options.subject.conditions(rayon::current_num_threads()),
+        subject: options.subject.conditions(rayon::current_num_threads(), failures.lines(rows.is_empty())?),
         repeats: options.repeats,
         statistic: "least of the rounds; all tasks of a scene and backend take turns",
     };

@@ -219,9 +219,7 @@ impl<'a> Tasks<'a> {
                     skips_empty_space,
                     ..CastOptions::default()
                 };
-                timed(view_backend(backend, views[i].method), || {
-                    views[i].views.view_with(&turned[angle], &cast)
-                })
+                timed(views[i].method.backend(backend), || views[i].views.view_with(&turned[angle], &cast))
             }
         }
     }
@@ -288,7 +286,7 @@ impl<'a> Tasks<'a> {
             scene: source.name.clone(),
             dims: self.dims,
             backend: self.backend.description(),
-            view_backend: view_backend(self.backend, method).description(),
+            view_backend: method.backend(self.backend).description(),
             method: method.name_on(made.rule).to_owned(),
             layering: made.rule.name(),
             reconstruction: reconstruction.map(reconstruction_name),
@@ -316,16 +314,13 @@ impl<'a> Tasks<'a> {
             empty_share: EmptySpace::new(&made.frame).empty_share(),
             ssim: error.ssim,
             dssim: error.dssim,
+            dssim_object: error.dssim_object,
+            psnr_db: error.psnr_db,
             bytes: made.encoded.num_bytes(),
             segments_mean: made.frame.num_segments() as f64 / num_filled.max(1) as f64,
             segments_total: made.frame.num_segments(),
         })
     }
-}
-
-/// Where a method makes its views: only the ray cast runs on GPUs.
-fn view_backend(backend: &Backend, method: Method) -> &Backend {
-    if method == Method::Layers { backend } else { &Backend::Cpu }
 }
 
 /// One time in units of another: by the device's clock where both have it.

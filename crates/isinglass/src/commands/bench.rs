@@ -130,13 +130,14 @@ impl CommonArgs {
         self.output.iter().try_for_each(|path| Ok(check_writable(path)?))
     }
 
-    /// Prints, then writes: what was measured is not lost with a file.
-    fn publish(&self, report: &impl Serialize, table: &str) -> Result<()> {
+    /// Prints, then writes: what was measured is not lost with a file, nor with a scene that failed, which is told last.
+    fn publish(&self, report: &impl Serialize, table: &str, failed: &[String]) -> Result<()> {
         let printed = if self.json { print_json(report) } else { print(table) };
         if let Some(path) = &self.output {
             write_whole(path, (serde_json::to_string_pretty(report)? + "\n").as_bytes())?;
         }
-        printed
+        printed?;
+        if failed.is_empty() { Ok(()) } else { bail!("not measured to the end: {}", failed.join("; ")) }
     }
 }
 
@@ -343,7 +344,7 @@ fn run_quality(args: QualityArgs) -> Result<()> {
         codec: codec::Settings::default(),
         measures_wire: args.wire == Switch::On,
     })?;
-    common.publish(&report, &quality::table(&report))
+    common.publish(&report, &quality::table(&report), &report.conditions.subject.failed)
 }
 
 fn run_speed(args: SpeedArgs) -> Result<()> {
@@ -373,7 +374,7 @@ fn run_speed(args: SpeedArgs) -> Result<()> {
         repeats: args.repeats,
         target_fps: distinct(args.target_fps),
     })?;
-    common.publish(&report, &speed::table(&report))
+    common.publish(&report, &speed::table(&report), &report.conditions.subject.failed)
 }
 
 fn run_latency(args: LatencyArgs) -> Result<()> {
@@ -411,7 +412,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             ..DemoOptions::default()
         },
     })?;
-    common.publish(&report, &latency::table(&report))
+    common.publish(&report, &latency::table(&report), &report.conditions.subject.failed)
 }
 
 fn run_codec(args: CodecArgs) -> Result<()> {
@@ -439,11 +440,11 @@ fn run_codec(args: CodecArgs) -> Result<()> {
         times: (!args.threads.is_empty())
             .then_some(codecs::TimeOptions { threads: distinct(args.threads), rounds: args.repeats }),
     })?;
-    common.publish(&report, &codecs::table(&report))?;
-    match &args.plot {
-        Some(path) => Ok(write_whole(path, codecs::svg(&report)?.as_bytes())?),
-        None => Ok(()),
+    let published = common.publish(&report, &codecs::table(&report), &report.conditions.subject.failed);
+    if let Some(path) = &args.plot {
+        write_whole(path, codecs::svg(&report)?.as_bytes())?;
     }
+    published
 }
 
 /// As many as a large machine has.

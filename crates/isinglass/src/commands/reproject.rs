@@ -120,7 +120,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
             "method": method.name(),
             "mode": header.mode.name(),
             "lens": plan.json,
-            "backend": backend.description(),
+            "backend": method.backend(&backend).description(),
             "novel_view_ms": novel_view_ms,
         }))?;
     }
