@@ -84,8 +84,6 @@ pub struct LatencyConditions {
     pub backend: String,
     /// Pictures shown in a second.
     pub refresh_hz: f32,
-    /// Whether a recorded path was played in place of the orbit, whose speed then counts for nothing.
-    pub plays_path: bool,
 }
 
 /// One run.
@@ -93,15 +91,7 @@ pub struct LatencyConditions {
 pub struct LatencyRow {
     /// Name of the scene.
     pub scene: String,
-    /// Layering rule, or the rival method that made the pictures.
-    pub method: &'static str,
-    /// Rule of the frames.
-    pub layering: &'static str,
-    /// K of the rule.
-    pub k: u8,
-    /// Speed of the camera.
-    pub degrees_per_second: f32,
-    /// The figures of the run.
+    /// What was played, and the figures of the run.
     #[serde(flatten)]
     pub report: Report,
 }
@@ -122,18 +112,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
                     let demo = demo_of(&options.demo, scene, method, degrees_per_second, rtt);
                     let out = options.out.as_ref().map(|out| out.join(name.replace([':', '/', '@'], "-")));
                     let report = run_headless(&demo, out.as_deref())?.report;
-                    rows.push(LatencyRow {
-                        scene: scene.name.clone(),
-                        method: demo.method.name_with(demo.layering),
-                        layering: match demo.mode.is_projection() {
-                            true => demo.layering.of_projection(),
-                            false => demo.layering,
-                        }
-                        .name(),
-                        k: demo.k,
-                        degrees_per_second,
-                        report,
-                    });
+                    rows.push(LatencyRow { scene: scene.name.clone(), report });
                 }
             }
         }
@@ -145,7 +124,6 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
             .conditions(rayon::current_num_threads(), failures.lines(rows.is_empty())?),
         backend: demo.backend.to_string(),
         refresh_hz: demo.refresh_hz,
-        plays_path: demo.path.is_some(),
     };
     Ok(LatencyReport { conditions, rows })
 }
@@ -217,9 +195,9 @@ pub fn table(report: &LatencyReport) -> String {
         text += &format!(
             "{:<12} {:<21} {:>7} {:>5.0} {:>7.0} {:>8.4} {:>8.4} {:>8.4} {:>6.1} {:>4} {:>8.0} {:>9.0} {:>7} {:>5}\n",
             row.scene,
-            row.method,
+            r.method,
             if r.predict { "yes" } else { "no" },
-            row.degrees_per_second,
+            r.degrees_per_second,
             r.rtt_ms,
             r.dssim_shown_mean,
             r.dssim_shown_p95,

@@ -5,6 +5,7 @@ use isinglass_core::clip::Clip;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::volume::Volume;
+use isinglass_formats::Selection;
 use serde::Serialize;
 
 use crate::error::BenchError;
@@ -67,6 +68,7 @@ impl Subject {
             mode: self.mode.name(),
             isos: self.isos,
             clip: self.clip,
+            part: self.scenes.first().map(|scene| scene.volume.selection).unwrap_or_default(),
             threads,
             failed,
         }
@@ -130,6 +132,8 @@ pub struct SubjectConditions {
     pub isos: Isos,
     /// What of the volumes was looked at.
     pub clip: Clip,
+    /// What was taken of files.
+    pub part: Selection,
     /// Whether gradients shade.
     pub shading: bool,
     /// Threads of the CPU.

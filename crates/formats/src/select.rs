@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 /// What to take of a file; what is not named is the first channel and time, the finest level that fits into memory, the
 /// largest series, and the whole of it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Selection {
     /// Channel, component or array, from 0.
     pub channel: Option<u32>,
@@ -20,7 +20,7 @@ pub struct Selection {
 }
 
 /// A box of voxels, counted along the axes of the volume as it is shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Region {
     /// First voxel along x, y, z.
     pub min: [u32; 3],

@@ -510,6 +510,8 @@ fn the_headless_demo_reports_what_was_shown() {
         "backend",
         "bandwidth_mbit",
         "bytes_per_frame_mean",
+        "codec",
+        "degrees_per_second",
         "dssim_last_image_mean",
         "dssim_shown_mean",
         "dssim_shown_p95",
@@ -519,15 +521,28 @@ fn the_headless_demo_reports_what_was_shown() {
         "freezes",
         "guard_band",
         "jitter_ms",
+        "k",
         "kept_frames",
+        "layering",
         "loss",
+        "method",
         "novel_view_ms",
+        "part",
+        "plays_path",
         "pose_lag_frames_max",
         "predict",
+        "quality",
         "rest_max_abs_255",
         "rtt_ms",
+        "seed",
+        "size",
+        "source",
     ];
     assert_eq!(keys(&report), promised);
+    assert_eq!(
+        (report["source"].as_str(), report["codec"].as_str()),
+        (Some("builtin:cloud@32"), Some("auto"))
+    );
     assert_eq!((report["rtt_ms"].as_f64(), report["jitter_ms"].as_f64()), (Some(60.0), Some(2.0)));
     assert!(report["pose_lag_frames_max"].as_u64() <= Some(1), "{report}");
     assert!(report["rest_max_abs_255"].as_u64() <= Some(1), "{report}");

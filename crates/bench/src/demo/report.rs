@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use isinglass_client::Standing;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_formats::Selection;
 use isinglass_gpu::Backend;
 use serde::Serialize;
 
@@ -19,6 +20,28 @@ use crate::output::{Rgb8, write_whole};
 /// for 1.5 s after each stop; the first frame was on the screen before it began to move.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
+    /// The volume.
+    pub source: String,
+    /// What was taken of its file.
+    pub part: Selection,
+    /// Columns and rows of the pictures.
+    pub size: [u32; 2],
+    /// Layering rule, or the rival method that made the pictures.
+    pub method: &'static str,
+    /// Rule of the frames.
+    pub layering: &'static str,
+    /// K of the rule.
+    pub k: u8,
+    /// How frames were coded.
+    pub codec: &'static str,
+    /// Best quality of frames in blocks.
+    pub quality: u8,
+    /// Speed of the camera.
+    pub degrees_per_second: f32,
+    /// Whether a recorded path was played in place of the orbit, whose speed then counts for nothing.
+    pub plays_path: bool,
+    /// Seed of the link's draws.
+    pub seed: u64,
     /// Delay of the link, there and back.
     pub rtt_ms: f64,
     /// Greatest additional delay, each way.
@@ -82,6 +105,21 @@ impl Report {
         let novel_view_ms = percentile(evaluation.view_ms.clone(), 0.5);
         let refreshes_a_view = (novel_view_ms * 1e-3 * f64::from(options.refresh_hz)) as usize;
         Self {
+            source: options.source.clone(),
+            part: options.selection,
+            size: [options.intrinsics.width, options.intrinsics.height],
+            method: options.method.name_with(options.layering),
+            layering: match options.mode.is_projection() {
+                true => options.layering.of_projection(),
+                false => options.layering,
+            }
+            .name(),
+            k: options.k,
+            codec: options.plan.mode.name(),
+            quality: options.plan.quality,
+            degrees_per_second: options.degrees_per_second,
+            plays_path: options.path.is_some(),
+            seed: link.seed,
             rtt_ms: link.rtt.as_secs_f64() * 1e3,
             jitter_ms: link.jitter.as_secs_f64() * 1e3,
             loss: link.loss,

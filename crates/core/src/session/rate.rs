@@ -19,6 +19,17 @@ pub enum Mode {
     Auto,
 }
 
+impl Mode {
+    /// As it is asked for.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Blocks => "blocks",
+            Self::Auto => "auto",
+        }
+    }
+}
+
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
