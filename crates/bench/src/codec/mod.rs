@@ -105,7 +105,7 @@ pub struct CodecReport {
     pub conditions: Conditions,
     /// Frames that no codec has touched.
     pub uncoded: Vec<Uncoded>,
-    /// Every setting that was measured: in JSON a [`Row`] for each turn.
+    /// Every setting that was measured: in JSON a row for each turn.
     #[serde(rename = "rows", serialize_with = "rows_of")]
     pub points: Vec<Point>,
     /// Codecs against the anchor, scene by scene.
