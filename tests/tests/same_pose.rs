@@ -198,7 +198,7 @@ fn of_the_other_modes() {
         let (scene, transfer) = scene_of(&source);
         for (look, scene) in in_other_modes(&scene, &transfer) {
             let mode = scene.settings.mode;
-            let is_of_mode = |l: &Layering| !mode.is_projection() || l.of_projection() == *l;
+            let is_of_mode = |l: &Layering| l.in_mode(mode) == *l;
             let rules: Vec<_> = one_of_each().filter(is_of_mode).collect();
             check_scene(&format!("{source}, {look}"), &scene, backends, &rules);
         }

@@ -43,7 +43,7 @@ impl Rule {
     /// The rule that stands for this one in a mode.
     fn in_mode(self, mode: Mode) -> Self {
         match self {
-            Self::Layering(layering) if mode.is_projection() => Self::Layering(layering.of_projection()),
+            Self::Layering(layering) => Self::Layering(layering.in_mode(mode)),
             _ => self,
         }
     }

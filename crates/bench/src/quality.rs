@@ -326,8 +326,7 @@ fn measure_method(
         Method::Layers => options.reconstructions.iter().copied().map(Some).collect(),
         _ => vec![None],
     };
-    let num_segments = made.frame.num_segments();
-    let num_filled = made.frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+    let segments_mean = made.frame.segments_mean();
     for reconstruction in reconstructions {
         let cast =
             CastOptions { reconstruction: reconstruction.unwrap_or_default(), ..CastOptions::default() };
@@ -354,8 +353,8 @@ fn measure_method(
                 prepare_ms: Some(prepare_ms),
                 novel_view_ms: Some(ms_sum / num),
                 bytes: made.wire.as_ref().map(|(_, bytes)| *bytes),
-                segments_mean: Some(num_segments as f64 / num_filled.max(1) as f64),
-                segments_total: Some(num_segments),
+                segments_mean: Some(segments_mean),
+                segments_total: Some(made.frame.num_segments()),
                 ..mean.row(source, method.name_on(made.rule), made.k, angle)
             });
         }

@@ -84,14 +84,19 @@ pub(crate) fn each_scene(
     let mut failures = Failures::default();
     for source in scenes {
         if let Err(error) = measure(source) {
-            note(&format!("{}: {error}", source.name));
-            failures.0.push((source.name.clone(), error));
+            let line = match error.to_string() {
+                // That of a file names it already.
+                told if told.starts_with(&format!("{}:", source.name)) => told,
+                told => format!("{}: {told}", source.name),
+            };
+            note(&line);
+            failures.0.push((line, error));
         }
     }
     failures
 }
 
-/// Scenes that were not measured to their end.
+/// Scenes that were not measured to their end: a line about each, and why.
 #[derive(Debug, Default)]
 pub(crate) struct Failures(Vec<(String, BenchError)>);
 
@@ -105,7 +110,7 @@ impl Failures {
         if is_nothing_measured && !self.0.is_empty() {
             return Err(self.0.swap_remove(0).1);
         }
-        Ok(self.0.into_iter().map(|(scene, error)| format!("{scene}: {error}")).collect())
+        Ok(self.0.into_iter().map(|(line, _)| line).collect())
     }
 }
 
@@ -164,6 +169,8 @@ mod tests {
         };
         assert_eq!(run(&["b"]).lines(false).unwrap(), ["b: no scene to measure: b is no volume"]);
         assert!(run(&[]).lines(true).unwrap().is_empty());
+        let told = each_scene(&scenes[..1], |_| Err(BenchError::NoScene("a.nrrd".into()))).lines(false);
+        assert_eq!(told.unwrap(), ["a: no scene to measure: a.nrrd"]);
         let error = run(&["a", "b", "c"]).lines(true).unwrap_err();
         assert_eq!(error.to_string(), "no scene to measure: a is no volume");
         assert_eq!(seen.concat(), "abcabcabc");

@@ -110,6 +110,16 @@ impl LayeredFrame {
         self.depth.len()
     }
 
+    /// Number of lists that have any segments.
+    pub fn num_filled(&self) -> usize {
+        self.offsets.windows(2).filter(|ends| ends[1] > ends[0]).count()
+    }
+
+    /// Segments in a list, over lists that have any; 0 if there are none.
+    pub fn segments_mean(&self) -> f64 {
+        self.num_segments() as f64 / self.num_filled().max(1) as f64
+    }
+
     /// The indices of the segments of list `i`.
     pub fn list(&self, i: usize) -> std::ops::Range<usize> {
         self.offsets[i] as usize..self.offsets[i + 1] as usize

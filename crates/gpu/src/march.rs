@@ -103,7 +103,7 @@ impl GpuRenderer {
         let Self { gpu, on_gpu, frame, .. } = self;
         gpu.attempt("generating a layered frame", || {
             let mode = on_gpu.mode;
-            let layering = if mode.is_projection() { layering.of_projection() } else { layering };
+            let layering = layering.in_mode(mode);
             let target = match frame.take().filter(|target| target.fits(&header, layering)) {
                 Some(target) => frame.insert(target),
                 None => frame.insert(FrameTarget::new(gpu, &header, layering)?),

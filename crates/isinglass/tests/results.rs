@@ -396,7 +396,7 @@ fn a_scene_that_fails_leaves_the_rows_of_others() {
         let output = bench.run(&format!("bench {table} torn.nrrd builtin:cloud@16 {common}"));
         assert_eq!(output.status.code(), Some(1), "{table}");
         let told = String::from_utf8(output.stderr).unwrap();
-        assert!(told.lines().last().unwrap().contains("torn.nrrd"), "{told}");
+        assert_eq!(told.lines().last().unwrap().matches("torn.nrrd").count(), 1, "{told}");
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
         let rows = report["rows"].as_array().unwrap();
         assert!(!rows.is_empty() && rows.iter().all(|r| r["scene"] == "builtin:cloud@16"), "{report}");

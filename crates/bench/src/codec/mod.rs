@@ -395,8 +395,7 @@ impl Run<'_> {
                         let start = Instant::now();
                         let frame = renderer.generate(FrameHeader::alone(camera, k), layering)?;
                         let generate_ms = start.elapsed().as_secs_f64() * 1e3;
-                        let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
-                        let segments_mean = frame.num_segments() as f64 / num_filled.max(1) as f64;
+                        let segments_mean = frame.segments_mean();
                         self.uncoded.push(Uncoded {
                             scene: source.name.clone(),
                             k,

@@ -109,11 +109,7 @@ impl Report {
             part: options.selection,
             size: [options.intrinsics.width, options.intrinsics.height],
             method: options.method.name_with(options.layering),
-            layering: match options.mode.is_projection() {
-                true => options.layering.of_projection(),
-                false => options.layering,
-            }
-            .name(),
+            layering: options.layering.in_mode(options.mode).name(),
             k: options.k,
             codec: options.plan.mode.name(),
             quality: options.plan.quality,

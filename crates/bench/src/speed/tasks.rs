@@ -281,7 +281,6 @@ impl<'a> Tasks<'a> {
         let generate = time(Task::Generate(of));
         let view = time(Task::View(i, angle, reading, true));
         let no_grid = (method == Method::Layers).then(|| time(Task::View(i, angle, reading, false)));
-        let num_filled = made.frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
         Ok(SpeedRow {
             scene: source.name.clone(),
             dims: self.dims,
@@ -317,7 +316,7 @@ impl<'a> Tasks<'a> {
             dssim_object: error.dssim_object,
             psnr_db: error.psnr_db,
             bytes: made.encoded.num_bytes(),
-            segments_mean: made.frame.num_segments() as f64 / num_filled.max(1) as f64,
+            segments_mean: made.frame.segments_mean(),
             segments_total: made.frame.num_segments(),
         })
     }

@@ -52,7 +52,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
     let size = [camera.intrinsics.width, camera.intrinsics.height];
     let fov_deg = camera.intrinsics.fov_y().to_degrees();
     let num_lists = camera.intrinsics.num_pixels();
-    let num_filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
+    let num_filled = frame.num_filled();
     let (segments, eye) = (frame.num_segments(), camera.pose.eye.to_array());
     if is_json {
         return print_json(&json!({
@@ -67,7 +67,7 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
             "lists": num_lists,
             "lists_filled": num_filled,
             "segments": segments,
-            "segments_mean": segments as f64 / num_filled.max(1) as f64,
+            "segments_mean": frame.segments_mean(),
             "bytes": spent.bytes(|_| true),
             "bytes_per_segment": per(spent.bytes(|_| true), segments),
             "bytes_by_plane": spent.parts().map(|p| (p.to_owned(), spent.of_part(p, |_| true).into())).collect::<Map<_, _>>(),

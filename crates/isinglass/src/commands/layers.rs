@@ -85,11 +85,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             "backend": backend.description(),
             "tf": opened.transfer.name,
             "mode": frame.header.mode.name(),
-            "layering": match look.mode.is_projection() {
-                true => look.layering.of_projection(),
-                false => look.layering,
-            }
-            .name(),
+            "layering": look.layering.in_mode(look.mode).name(),
             "k": look.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),

@@ -25,6 +25,7 @@ use super::march::{Marcher, Scene, Step, Texels, with_texels};
 use super::raycast::opacity;
 use crate::camera::{Basis, Intrinsics};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+use crate::mode::Mode;
 use crate::space::Ray;
 use crate::wanted::{ALWAYS, Wanted};
 
@@ -95,11 +96,12 @@ impl Layering {
         longest as u8
     }
 
-    /// The rule that stands for this one in a projection.
-    pub fn of_projection(self) -> Self {
+    /// The rule that stands for this one in a mode: projections have but some.
+    pub fn in_mode(self, mode: Mode) -> Self {
         match self {
             Self::EqualLength | Self::SingleDepth(_) | Self::VisibilityMergeFixed => self,
-            _ => Self::VisibilityMerge,
+            _ if mode.is_projection() => Self::VisibilityMerge,
+            _ => self,
         }
     }
 }
@@ -187,7 +189,7 @@ fn generate_with<T: Texels>(
     let basis = camera.basis();
     let k = usize::from(header.k).clamp(1, MAX_K);
     let mode = scene.settings.mode;
-    let layering = if mode.is_projection() { layering.of_projection() } else { layering };
+    let layering = layering.in_mode(mode);
     let header = FrameHeader { k: layering.longest_list(header.k), mode, ..header };
     let longest = usize::from(header.k);
     let threshold = match layering {
