@@ -19,7 +19,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{self, Reference, References, reference_named};
 use isinglass_core::codec::{
     Assembly, Coding, EncodedFrame, HEADER_BYTES, MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS, Settings,
-    decode_chunk, encode, peek, spent,
+    decode_chunk, decode_whole, encode, peek, spent,
 };
 use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
@@ -182,11 +182,13 @@ fn references(seed: &Seed, all: &[Arc<Reference>], random: &mut Random) -> Refer
     some
 }
 
-/// How many inputs there were, and how many of them decoded, without and with a reference.
+/// How many inputs there were, how many of them decoded, how many of these with a reference, and how many made a frame with
+/// the others of their own that needs no assembly.
 struct Tally {
     inputs: u64,
     decoded: u64,
     predicted: u64,
+    whole: u64,
 }
 
 /// Runs for so long or so many inputs from one seed.
@@ -194,7 +196,7 @@ fn fuzz(duration: Duration, most: u64, seed: u64) -> Tally {
     let (seeds, all) = seeds();
     let mut random = Random(seed);
     let start = Instant::now();
-    let mut tally = Tally { inputs: 0, decoded: 0, predicted: 0 };
+    let mut tally = Tally { inputs: 0, decoded: 0, predicted: 0, whole: 0 };
     let (mut slowest, mut largest) = (Duration::ZERO, 0);
     while tally.inputs < most && start.elapsed() < duration {
         let state = random.0;
@@ -227,23 +229,31 @@ fn fuzz(duration: Duration, most: u64, seed: u64) -> Tally {
         for other in chunks {
             let _ = assembly.insert(decode_chunk(&other.bytes, &seed.references).expect("valid bytes"));
         }
+        let index = chunk.header().index;
+        let fellows = chunks.iter().filter(|other| other.index != index).map(|other| &other.bytes[..]);
+        let fellows: Vec<_> = fellows.chain([&bytes[..]]).collect();
+        let is_one_group = !is_rate && chunks.iter().all(|other| other.is_base);
+        let whole = (is_one_group && assembly.complete()).then(|| assembly.to_frame());
+        assert!(decode_whole(&fellows).ok().flatten() == whole, "state {state:#x}");
+        tally.whole += u64::from(whole.is_some());
         alone.insert(chunk).expect("valid bytes");
         for assembly in [alone, assembly] {
             assembly.to_frame().validate().unwrap_or_else(|e| panic!("{e}, state {state:#x}"));
         }
     }
-    let Tally { inputs, decoded, predicted } = tally;
+    let Tally { inputs, decoded, predicted, whole } = tally;
     eprintln!(
-        "{inputs} inputs, {decoded} decoded, {predicted} of them with a reference, slowest {slowest:?}, largest {largest} bytes"
+        "{inputs} inputs, {decoded} decoded, {predicted} of them with a reference, {whole} whole frames, slowest {slowest:?}, largest {largest} bytes"
     );
     tally
 }
 
 #[test]
 fn some_mutations_find_nothing() {
-    let Tally { inputs, decoded, predicted } = fuzz(Duration::MAX, 5_000, 2);
+    let Tally { inputs, decoded, predicted, whole } = fuzz(Duration::MAX, 5_000, 2);
     // Damage that is never met, or nothing but damage, would test nothing.
     assert!(predicted > 0 && predicted < decoded && decoded < inputs, "{predicted}, {decoded}, {inputs}");
+    assert!(whole > 0 && whole < decoded, "{whole}, {decoded}");
 }
 
 /// `ISINGLASS_FUZZ_SECONDS`, 900 if it is not set, and `ISINGLASS_FUZZ_SEED`.

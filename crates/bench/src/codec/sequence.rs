@@ -455,7 +455,7 @@ impl Coder for InBlocks<'_> {
         let mut kept = None;
         if is_kept {
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-            let decode = || timed(|| Ok(codec::assemble(&chunks, &self.references)?.to_frame()));
+            let decode = || timed(|| Ok(codec::decode_with(&chunks, &self.references)?));
             let (decoded, ms) = self.pool.install(decode)?;
             kept = Some(decoded);
             self.coded.decode_ms.push(ms);

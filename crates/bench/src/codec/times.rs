@@ -112,7 +112,7 @@ fn sequence(coding: &Coding, frames: &[LayeredFrame]) -> Result<(Times, Option<T
         let encode_ms = start.elapsed().as_secs_f64() * 1e3;
         let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
         let start = Instant::now();
-        let decoded = codec::assemble(&chunks, &references)?.to_frame();
+        let decoded = codec::decode_with(&chunks, &references)?;
         let decode_ms = start.elapsed().as_secs_f64() * 1e3;
         drop(decoded);
         all.push(Times { encode_ms, decode_ms, bytes: encoded.num_bytes() });

@@ -5,19 +5,62 @@ use rayon::prelude::*;
 use super::bands::Borders;
 use super::header::ChunkHeader;
 use super::planes::DecodedChunk;
-use super::{CodecError, MAX_FRAME_SEGMENTS, at_most};
+use super::{CodecError, MAX_FRAME_SEGMENTS, at_most, split_off};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
+
+/// Which chunks of a frame are there.
+#[derive(Clone, Debug)]
+pub(super) struct Roll {
+    first: ChunkHeader,
+    /// As the chunks that are there say.
+    borders: Option<Borders>,
+    seen: u32,
+    pub(super) num_segments: usize,
+}
+
+impl Roll {
+    /// Of the frame that `header` belongs to, without chunks.
+    pub(super) fn new(header: &ChunkHeader) -> Self {
+        Self { first: *header, borders: None, seen: 0, num_segments: 0 }
+    }
+
+    /// Whether a chunk may be added: whether it is one of this frame, agrees with those before, and is not there.
+    pub(super) fn check(
+        &self,
+        header: &ChunkHeader,
+        borders: Option<Borders>,
+        num_segments: usize,
+    ) -> Result<(), CodecError> {
+        if let Some(what) = header.difference(&self.first) {
+            return Err(header.contradicts(what));
+        }
+        if self.contains(header.index) {
+            return Err(CodecError::Duplicate(header.index));
+        }
+        if self.seen != 0 && borders != self.borders {
+            return Err(header.contradicts("other borders of bands"));
+        }
+        at_most("segments in a frame", self.num_segments + num_segments, MAX_FRAME_SEGMENTS)
+    }
+
+    /// Adds a chunk that may be added.
+    pub(super) fn add(&mut self, header: &ChunkHeader, borders: Option<Borders>, num_segments: usize) {
+        self.seen |= 1 << header.index.0;
+        self.borders = borders;
+        self.num_segments += num_segments;
+    }
+
+    fn contains(&self, index: ChunkIndex) -> bool {
+        self.seen.checked_shr(index.0.into()).unwrap_or(0) & 1 == 1
+    }
+}
 
 /// Collects the chunks of one frame.
 #[derive(Clone, Debug)]
 pub(super) struct Assembly {
-    first: ChunkHeader,
-    /// As the chunks that are there say.
-    borders: Option<Borders>,
+    roll: Roll,
     bands: Vec<Band>,
-    seen: u32,
-    num_segments: usize,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -30,22 +73,22 @@ impl Assembly {
     /// An assembly without chunks for the frame that `header` belongs to.
     pub(super) fn new(header: &ChunkHeader) -> Self {
         let bands = vec![Band::default(); usize::from(header.num_base)];
-        Self { first: *header, borders: None, bands, seen: 0, num_segments: 0 }
+        Self { roll: Roll::new(header), bands }
     }
 
     /// The frame.
     pub(super) fn header(&self) -> &FrameHeader {
-        &self.first.frame
+        &self.roll.first.frame
     }
 
     /// Chunks the frame has.
     pub(super) fn num_chunks(&self) -> usize {
-        self.first.num_chunks.into()
+        self.roll.first.num_chunks.into()
     }
 
     /// Chunks that are there.
     pub(super) fn num_inserted(&self) -> usize {
-        self.seen.count_ones() as usize
+        self.roll.seen.count_ones() as usize
     }
 
     /// Whether the frame can be shown: the base of every band is there.
@@ -60,59 +103,47 @@ impl Assembly {
 
     /// Whether the chunk is there.
     pub(super) fn contains(&self, index: ChunkIndex) -> bool {
-        self.seen.checked_shr(index.0.into()).unwrap_or(0) & 1 == 1
+        self.roll.contains(index)
     }
 
     /// Adds a chunk. An error leaves the assembly as it was.
     pub(super) fn insert(&mut self, chunk: DecodedChunk) -> Result<(), CodecError> {
         let header = &chunk.header;
-        let contradiction =
-            |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
-        if let Some(what) = header.difference(&self.first) {
-            return Err(contradiction(what));
-        }
-        if self.contains(header.index) {
-            return Err(CodecError::Duplicate(header.index));
-        }
-        if self.seen != 0 && chunk.borders != self.borders {
-            return Err(contradiction("other borders of bands"));
-        }
-        at_most("segments in a frame", self.num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
+        self.roll.check(header, chunk.borders, chunk.num_segments())?;
         let Band { base, refinement } = &mut self.bands[usize::from(header.band)];
         let (slot, other) = if header.is_base() { (base, refinement) } else { (refinement, base) };
         if slot.is_some() {
-            return Err(contradiction("its band and group are there under another index"));
+            return Err(header.contradicts("its band and group are there under another index"));
         }
         if let Some(other) = other {
             if !is_disjoint(&chunk, other) {
-                return Err(contradiction("its segments overlap those of the other group"));
+                return Err(header.contradicts("its segments overlap those of the other group"));
             }
             let k = header.frame.k;
             if chunk.counts.iter().zip(&other.counts).any(|(a, b)| a + b > k) {
-                return Err(contradiction("its lists are too long with those of the other group"));
+                return Err(header.contradicts("its lists are too long with those of the other group"));
             }
         }
-        self.seen |= 1 << header.index.0;
-        self.borders = chunk.borders;
-        self.num_segments += chunk.num_segments();
+        self.roll.add(header, chunk.borders, chunk.num_segments());
         *slot = Some(chunk);
         Ok(())
     }
 
     /// The frame as far as it is there; lists of missing bands are empty. Always valid. Bands are merged in parallel.
     pub(super) fn to_frame(&self) -> LayeredFrame {
-        let mut frame = LayeredFrame::empty(self.first.frame);
-        frame.depth = vec![0; self.num_segments];
-        frame.c_rg = vec![0; self.num_segments];
-        frame.c_b_tau = vec![0; self.num_segments];
+        let Roll { first, borders, num_segments, .. } = self.roll;
+        let mut frame = LayeredFrame::empty(first.frame);
+        frame.depth = vec![0; num_segments];
+        frame.c_rg = vec![0; num_segments];
+        frame.c_b_tau = vec![0; num_segments];
 
-        let width = self.first.frame.camera.intrinsics.width as usize;
+        let width = first.frame.camera.intrinsics.width as usize;
         let mut lists = &mut frame.offsets[1..];
         let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
         let mut work = Vec::with_capacity(self.bands.len());
         let mut offset = 0;
         for (number, band) in self.bands.iter().enumerate() {
-            let rows = ChunkHeader { band: number as u8, ..self.first }.rows(self.borders);
+            let rows = ChunkHeader { band: number as u8, ..first }.rows(borders);
             let count = band.num_segments();
             work.push((
                 band,
@@ -196,11 +227,4 @@ fn is_disjoint(a: &DecodedChunk, b: &DecodedChunk) -> bool {
         (i, j) = (end_i, end_j);
         disjoint
     })
-}
-
-/// Cuts the first `n` elements off a slice.
-fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
-    let (head, tail) = std::mem::take(slice).split_at_mut(n);
-    *slice = tail;
-    head
 }

@@ -140,10 +140,7 @@ impl Assembly {
         match (&mut self.0, chunk) {
             (Kind::Exact(a), DecodedChunk::Exact(chunk)) => a.insert(chunk),
             (Kind::Blocks(a), DecodedChunk::Blocks(chunk)) => a.insert(chunk),
-            (_, chunk) => {
-                let ChunkHeader { index, frame, .. } = *chunk.header();
-                Err(CodecError::Contradiction { index, frame: frame.frame, what: "another mode" })
-            }
+            (_, chunk) => Err(chunk.header().contradicts("another mode")),
         }
     }
 

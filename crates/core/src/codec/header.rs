@@ -70,6 +70,11 @@ impl ChunkHeader {
         edge(rows.start)..edge(rows.end)
     }
 
+    /// The error of a chunk that is not as its frame's others are.
+    pub(super) fn contradicts(&self, what: &'static str) -> CodecError {
+        CodecError::Contradiction { index: self.index, frame: self.frame.frame, what }
+    }
+
     /// Length of the whole chunk, header included.
     pub fn chunk_bytes(&self) -> usize {
         HEADER_BYTES + self.payload_bytes as usize

@@ -10,12 +10,12 @@ use super::contexts::{
     readers,
 };
 use super::header::{ChunkHeader, HEADER_BYTES, num_tiles, peek};
-use super::predict::{self, Misordered};
+use super::predict::{self, Misordered, Row};
 use super::quantize::Lists;
-use super::rows::Rows;
+use super::rows::{Matter, Rows};
 use super::scale::{self, Scale};
 use super::spent::{Spent, TileClass};
-use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most};
+use super::{CodecError, MAX_CHUNK_SEGMENTS, TILE, at_most, split_off};
 use crate::camera::Intrinsics;
 
 /// The segments of one chunk, in the packed form of [`crate::layer::LayeredFrame`]. Every list is in order and within
@@ -63,7 +63,8 @@ pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<V
             let (codes, below) = rest.split_at(num_segments(counts));
             rest = below;
             rows.fill(counts, codes);
-            predict::row(&mut recorder.planes, scale, &mut rows, counts).map_err(misordered)?;
+            let row = Row { planes: &mut recorder.planes, rows: &mut rows, counts, scale };
+            predict::code(row).map_err(misordered)?;
         }
         recorder.finish(&mut payload);
         Ok(payload)
@@ -72,44 +73,75 @@ pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<V
 
 /// Decodes one chunk.
 pub(super) fn decode_chunk(bytes: &[u8]) -> Result<DecodedChunk, CodecError> {
-    let header = peek(bytes)?;
-    let intrinsics = header.frame.camera.intrinsics;
-    let (borders, tiles, streams) = split(&header, bytes)?;
-    let mut counts = vec![0; header.rows(borders).len() * intrinsics.width as usize];
-    if streams.is_empty() && tiles.are_empty() {
-        return Ok(DecodedChunk { header, borders, counts, depth: vec![], c_rg: vec![], c_b_tau: vec![] });
-    }
-    let scale = scale::of(header.color_bits)?;
-    let parts = split_parts(streams)?;
-    let mut readers = readers(&parts).map_err(|problem| damaged(TABLES, problem))?;
-    let width = intrinsics.width as usize;
-    walk_lengths(&mut readers[LENGTHS], &tiles, &mut counts, width);
-    let limit = header.frame.k;
-    if let Some(count) = counts.iter().find(|&&count| count > limit) {
-        let problem = format!("a list of {count} segments, expected at most {limit}");
-        return Err(damaged(PLANE_NAMES[LENGTHS], problem));
-    }
-    let num_segments = num_segments(&counts);
-    at_most("segments in a chunk", num_segments, MAX_CHUNK_SEGMENTS)?;
+    let mut opened = Opened::new(bytes)?;
+    let [mut depth, mut c_rg, mut c_b_tau] = [(); 3].map(|()| vec![0; opened.num_segments]);
+    decode(&mut opened, [&mut depth, &mut c_rg, &mut c_b_tau])?;
+    let Opened { header, borders, counts, .. } = opened;
+    Ok(DecodedChunk { header, borders, counts, depth, c_rg, c_b_tau })
+}
 
+/// A chunk whose lists are known, and whose segments are still to be decoded.
+pub(super) struct Opened<'a> {
+    pub(super) header: ChunkHeader,
+    pub(super) borders: Option<Borders>,
+    /// Length of each list.
+    pub(super) counts: Vec<u8>,
+    pub(super) num_segments: usize,
+    scale: &'static Scale,
+    readers: [PlaneReader<'a>; NUM_PLANES],
+}
+
+impl<'a> Opened<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, CodecError> {
+        let header = peek(bytes)?;
+        let scale = scale::of(header.color_bits)?;
+        let width = header.frame.camera.intrinsics.width as usize;
+        let (borders, tiles, streams) = split(&header, bytes)?;
+        let mut counts = vec![0; header.rows(borders).len() * width];
+        if streams.is_empty() && tiles.are_empty() {
+            return Ok(Self { header, borders, counts, num_segments: 0, scale, readers: Default::default() });
+        }
+        let parts = split_parts(streams)?;
+        let mut readers = readers(&parts).map_err(|problem| damaged(TABLES, problem))?;
+        walk_lengths(&mut readers[LENGTHS], &tiles, &mut counts, width);
+        let limit = header.frame.k;
+        if let Some(count) = counts.iter().find(|&&count| count > limit) {
+            let problem = format!("a list of {count} segments, expected at most {limit}");
+            return Err(damaged(PLANE_NAMES[LENGTHS], problem));
+        }
+        let num_segments = num_segments(&counts);
+        at_most("segments in a chunk", num_segments, MAX_CHUNK_SEGMENTS)?;
+        Ok(Self { header, borders, counts, num_segments, scale, readers })
+    }
+}
+
+/// The words of so many segments, as planes of [`crate::layer::LayeredFrame`]: depths, red and green, blue and τ.
+pub(super) type Words<'a> = [&'a mut [u32]; 3];
+
+/// Decodes the segments of a chunk, into as many words.
+pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), CodecError> {
+    let Opened { header, counts, scale, readers, .. } = opened;
     let half_c = |q: u16| u32::from(scale.color_half[usize::from(q)]);
     let half_tau = |q: u8| u32::from(scale.tau_half[usize::from(q)]);
-    let mut depth = Vec::with_capacity(num_segments);
-    let mut c_rg = Vec::with_capacity(num_segments);
-    let mut c_b_tau = Vec::with_capacity(num_segments);
-    let mut rows = Rows::new(scale, &counts, width);
+    let width = header.frame.camera.intrinsics.width as usize;
+    let mut rows = Rows::new(scale, counts, width);
+    let mut words = words;
     for counts in counts.chunks_exact(width) {
         rows.advance(counts);
-        predict::row(&mut readers, scale, &mut rows, counts).map_err(misordered)?;
-        let slots = rows.links.iter().map(|link| link.slot as usize);
-        depth.extend(slots.clone().map(|slot| rows.depths[slot]));
-        let matters = slots.map(|slot| &rows.matters[slot]);
-        c_rg.extend(matters.clone().map(|m| half_c(m.c[0]) | half_c(m.c[1]) << 16));
-        c_b_tau.extend(matters.map(|m| half_c(m.c[2]) | half_tau(m.tau) << 16));
+        predict::code(Row { planes: readers, rows: &mut rows, counts, scale }).map_err(misordered)?;
+        let Rows { links, depths, matters, .. } = &rows;
+        let [depth, c_rg, c_b_tau] = words.each_mut().map(|plane| split_off(plane, links.len()));
+        for (((link, depth), c_rg), c_b_tau) in links.iter().zip(depth).zip(c_rg).zip(c_b_tau) {
+            let slot = link.slot as usize;
+            let Matter { c: [r, g, b], tau, .. } = matters[slot];
+            *depth = depths[slot];
+            *c_rg = half_c(r) | half_c(g) << 16;
+            *c_b_tau = half_c(b) | half_tau(tau) << 16;
+        }
     }
     match readers.iter().position(|plane| !PlaneReader::ended(plane)) {
         Some(plane) => Err(damaged(PLANE_NAMES[plane], "its stream does not end with its last number")),
-        None => Ok(DecodedChunk { header, borders, counts, depth, c_rg, c_b_tau }),
+        None => Ok(()),
     }
 }
 

@@ -7,7 +7,9 @@
 //! a segment holds: C is E·α, and on the square-root scale its code goes with √α. So the optical depth is expected from
 //! the thickness and the neighbours' extinction, green from the optical depth, and red and blue as green turned out.
 
-use std::hint::select_unpredictable;
+use std::hint::{cold_path, select_unpredictable};
+use std::iter::Zip;
+use std::slice;
 
 use super::contexts::{NUM_PLANES, Plane};
 use super::rows::{Link, Matter, Rows, Tint};
@@ -17,20 +19,23 @@ use super::scale::{self, Scale};
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Misordered(pub(super) [u32; 3]);
 
-/// Codes the segments of a row of lists of lengths `counts`. A decoder fills them in.
-pub(super) fn row<P: Plane>(
-    planes: &mut [P; NUM_PLANES],
-    scale: &Scale,
-    rows: &mut Rows,
-    counts: &[u8],
-) -> Result<(), Misordered> {
+/// A row of lists that is coded: its planes, itself with the one above, and the lengths of its lists.
+pub(super) struct Row<'a, P> {
+    pub(super) planes: &'a mut [P; NUM_PLANES],
+    pub(super) rows: &'a mut Rows,
+    pub(super) counts: &'a [u8],
+    pub(super) scale: &'a Scale,
+}
+
+/// Codes the segments of a row. A decoder fills them in.
+pub(super) fn code<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
     #[cfg(target_arch = "x86_64")]
     if has_wide_instructions() {
         #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
         // SAFETY: this processor has them.
-        return unsafe { row_wide(planes, scale, rows, counts) };
+        return unsafe { code_wide(row) };
     }
-    passes(planes, scale, rows, counts)
+    passes(row)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -44,26 +49,17 @@ fn has_wide_instructions() -> bool {
 /// The same with instructions for shifts and leading zeros. No multiplication is fused with an addition.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn row_wide<P: Plane>(
-    planes: &mut [P; NUM_PLANES],
-    scale: &Scale,
-    rows: &mut Rows,
-    counts: &[u8],
-) -> Result<(), Misordered> {
-    passes(planes, scale, rows, counts)
+fn code_wide<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
+    passes(row)
 }
 
 /// One plane after the other where that is possible: segments of a plane hardly depend on each other, so that a processor
 /// works on several at once, while the planes of a segment each wait for the one before.
 #[inline(always)]
-fn passes<P: Plane>(
-    planes: &mut [P; NUM_PLANES],
-    scale: &Scale,
-    rows: &mut Rows,
-    counts: &[u8],
-) -> Result<(), Misordered> {
-    let [_, front, back, tau, green, red, blue] = planes;
-    depths([front, back], rows, counts)?;
+fn passes<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
+    let Row { planes: [_, front, back, tau, green, red, blue], rows, counts, scale } = row;
+    let mut walk = Walk::new([front, back], rows, counts);
+    while walk.step()? {}
     optical_depths(tau, scale, rows);
     greens(green, scale, rows);
     reds_and_blues([red, blue], scale, rows);
@@ -76,56 +72,94 @@ pub(super) fn length_context(left: u8, above: u8) -> usize {
         + usize::from(left.abs_diff(above).min(2))
 }
 
-/// Codes where the segments begin and end, and notes which others each is expected to be like.
-#[inline(always)]
-fn depths<P: Plane>([fronts, backs]: [&mut P; 2], rows: &mut Rows, counts: &[u8]) -> Result<(), Misordered> {
-    let Rows { depths, links, above, own, .. } = rows;
-    let (depths, mut links) = (&mut depths[..], &mut links[..]);
-    let mut left = 0;
-    for ((&count, &above), &own) in counts.iter().zip(&*above).zip(&*own) {
-        if count > 0 {
-            let links = links.split_off_mut(..usize::from(count)).unwrap_or_default();
-            list([fronts, backs], depths, [left, above as usize], own as usize, links)?;
-        }
-        left = own as usize;
-    }
-    Ok(())
+/// Codes where the segments of a row begin and end, one segment a step, and notes which others each is expected to be like.
+struct Walk<'a, P> {
+    fronts: &'a mut P,
+    backs: &'a mut P,
+    depths: &'a mut [u32],
+    links: slice::IterMut<'a, Link>,
+    /// Lengths of the lists that are still to come, and numbers of the first segments above and in them.
+    lists: Zip<Zip<slice::Iter<'a, u8>, slice::Iter<'a, u32>>, slice::Iter<'a, u32>>,
+    /// The first segment of the list on the left of the next.
+    beside: usize,
+    /// Segments left of the list.
+    num_left: u8,
+    is_first: bool,
+    /// The next one.
+    slot: usize,
+    /// The segments of the neighbours that are looked at.
+    left: usize,
+    above: usize,
+    last_back: u32,
 }
 
-#[inline(always)]
-fn list<P: Plane>(
-    [fronts, backs]: [&mut P; 2],
-    depths: &mut [u32],
-    [mut left, mut above]: [usize; 2],
-    own: usize,
-    links: &mut [Link],
-) -> Result<(), Misordered> {
-    let mut last_back = 0;
-    let last = links.len() - 1;
-    for (number, link) in links.iter_mut().enumerate() {
+impl<'a, P: Plane> Walk<'a, P> {
+    #[inline(always)]
+    fn new([fronts, backs]: [&'a mut P; 2], rows: &'a mut Rows, counts: &'a [u8]) -> Self {
+        let Rows { depths, links, above, own, .. } = rows;
+        Self {
+            fronts,
+            backs,
+            depths,
+            links: links.iter_mut(),
+            lists: counts.iter().zip(&*above).zip(&*own),
+            beside: 0,
+            num_left: 0,
+            is_first: false,
+            slot: 0,
+            left: 0,
+            above: 0,
+            last_back: 0,
+        }
+    }
+
+    /// Goes on to the next list that has segments.
+    #[inline(always)]
+    fn next_list(&mut self) {
+        for ((&count, &above), &own) in self.lists.by_ref() {
+            let left = std::mem::replace(&mut self.beside, own as usize);
+            if count > 0 {
+                (self.num_left, self.is_first, self.slot) = (count, true, own as usize);
+                (self.left, self.above, self.last_back) = (left, above as usize, 0);
+                return;
+            }
+        }
+    }
+
+    /// Codes the next segment; whether there was one.
+    #[inline(always)]
+    fn step(&mut self) -> Result<bool, Misordered> {
+        let Some(link) = self.links.next() else { return Ok(false) };
+        if self.num_left == 0 {
+            self.next_list();
+        }
+        let Self { depths, last_back, is_first, slot, .. } = self;
+        let (depths, last_back, is_first, slot) = (&mut **depths, *last_back, *is_first, *slot);
         if last_back == NONE {
             return Err(Misordered([last_back; 3]));
         }
-        let slot = own + number;
         let given = depths[slot];
-        let is_first = number == 0;
-        left = pass(depths, left, last_back);
-        above = pass(depths, above, last_back);
+        let mut left = pass(depths, self.left, last_back);
+        let mut above = pass(depths, self.above, last_back);
         let ahead = Ahead::new(depths, left, above, last_back);
-        let coded = fronts.code::<true>(ahead.context(is_first), || match front_of(given) == last_back {
-            true => 0,
-            false => 1 + zigzag(front_of(given).wrapping_sub(ahead.expected)),
-        });
-        let behind_gap = ahead.expected.wrapping_add(unzigzag(coded.wrapping_sub(1))) & 0xffff;
-        let front = select_unpredictable(coded > 0, behind_gap, last_back);
-        if front < last_back || front == NONE {
-            return Err(Misordered([front, front, last_back]));
+        let coded =
+            self.fronts.code::<true>(ahead.context(is_first), || match front_of(given) == last_back {
+                true => 0,
+                false => 1 + zigzag(front_of(given).wrapping_sub(ahead.expected)),
+            });
+        let mut front = last_back;
+        // A branch, so that the back is looked for before the front is known: most segments begin where the one before ends.
+        if coded > 0 {
+            front = ahead.expected.wrapping_add(unzigzag(coded - 1)) & 0xffff;
+            if front < last_back || front == NONE {
+                return Err(Misordered([front, front, last_back]));
+            }
+            left = pass(depths, left, front);
+            above = pass(depths, above, front);
         }
-        left = pass(depths, left, front);
-        above = pass(depths, above, front);
 
-        let (context, expected) = back(depths, left, above, front, number == last);
-        let coded = backs.code::<false>(context, || zigzag(back_of(given).wrapping_sub(expected)));
+        let (context, expected) = back(depths, left, above, front, self.num_left == 1);
+        let coded = self.backs.code::<false>(context, || zigzag(back_of(given).wrapping_sub(expected)));
         let back = expected.wrapping_add(unzigzag(coded)) & 0xffff;
         if back <= front {
             return Err(Misordered([front, back, last_back]));
@@ -146,9 +180,12 @@ fn list<P: Plane>(
             kind,
             is_first,
         };
-        last_back = back;
+        (self.left, self.above, self.last_back) = (left, above, back);
+        self.num_left -= 1;
+        self.slot += 1;
+        self.is_first = false;
+        Ok(true)
     }
-    Ok(())
 }
 
 fn front_of(depths: u32) -> u32 {
@@ -221,8 +258,9 @@ impl Ahead {
 #[inline(always)]
 fn back(depths: &[u32], left: usize, above: usize, front: u32, is_last: bool) -> (usize, u32) {
     let ahead = |at: usize| {
-        let here = depths[at];
-        back_of(depths[at + usize::from(front_of(here) + back_of(here) <= 2 * front)])
+        let (here, next) = (depths[at], depths[at + 1]);
+        let is_behind_middle = front_of(here) + back_of(here) <= 2 * front;
+        select_unpredictable(is_behind_middle, back_of(next), back_of(here))
     };
     let (disagreement, expected) = agreed(ahead(left), ahead(above), (front + 1).min(NONE));
     (disagreement + usize::from(is_last) * 15, expected)
@@ -259,7 +297,12 @@ fn optical_depths<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
             let log_extinction = matters[like as usize].log_extinction;
             u32::from(scale.tau_from_log(log_extinction + log_thickness))
         });
-        let context = link.context(a.abs_diff(b)) + usize::from(kappa < HIDDEN) * 12;
+        let mut context = link.context(a.abs_diff(b));
+        // A branch, so that the next one is looked for before this transmittance is known.
+        if kappa < HIDDEN {
+            cold_path();
+            context += 12;
+        }
         let expected = ((a + b) / 2) as u8;
         let coded = coder.code::<true>(context, || zigzag8(given.wrapping_sub(expected)).into());
         let tau = expected.wrapping_add(unzigzag(coded) as u8);
@@ -277,7 +320,8 @@ fn optical_depths<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
 fn greens<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
     let Rows { matters, links, tints, .. } = rows;
     let (matters, mut coder) = (&mut matters[..], std::mem::take(plane));
-    let most = u32::from(scale.max_code()) << 6;
+    let max_code = u32::from(scale.max_code());
+    let most = max_code << 6;
     for (link, tint) in links.iter().zip(tints) {
         let slot = link.slot as usize;
         let Matter { tau, c: [_, given, _], .. } = matters[slot];
@@ -287,7 +331,7 @@ fn greens<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
         let b = source(matters, link.like[1], times[1], 1);
         let expected = (a + b).min(most);
         let context = link.context(a.abs_diff(b) >> 5);
-        let (green, coded) = channel(&mut coder, scale, context, (expected + 32) >> 6, given);
+        let (green, coded) = channel(&mut coder, max_code, context, (expected + 32) >> 6, given);
         matters[slot].c[1] = green;
         // In 4096ths; the product with an expected code has 18 bits below one.
         let turned_out = ((u32::from(green) << 18) / expected.max(1)).min(0xffff);
@@ -304,7 +348,8 @@ fn reds_and_blues<P: Plane>(planes: [&mut P; 2], scale: &Scale, rows: &mut Rows)
     let Rows { matters, links, tints, .. } = rows;
     let [red_plane, blue_plane] = planes;
     let (mut reds, mut blues) = (std::mem::take(red_plane), std::mem::take(blue_plane));
-    let most = u32::from(scale.max_code()) << 6;
+    let max_code = u32::from(scale.max_code());
+    let most = max_code << 6;
     for (link, tint) in links.iter().zip(tints) {
         let slot = link.slot as usize;
         let [given_red, _, given_blue] = matters[slot].c;
@@ -316,9 +361,9 @@ fn reds_and_blues<P: Plane>(planes: [&mut P; 2], scale: &Scale, rows: &mut Rows)
         let alone = usize::from(tint.alone);
         let (expected_red, expected_blue) = (expected(0), expected(2));
         let context = alone + octave(of_green).min(7);
-        let (red, of_red) = channel(&mut reds, scale, context, expected_red, given_red);
+        let (red, of_red) = channel(&mut reds, max_code, context, expected_red, given_red);
         let context = alone + octave(of_green.max(of_red)).min(7);
-        let (blue, _) = channel(&mut blues, scale, context, expected_blue, given_blue);
+        let (blue, _) = channel(&mut blues, max_code, context, expected_blue, given_blue);
         let c = &mut matters[slot].c;
         (c[0], c[2]) = (red, blue);
     }
@@ -342,10 +387,10 @@ impl Link {
 
 /// Codes a colour channel: its code, and the number that was coded.
 #[inline(always)]
-fn channel<P: Plane>(coder: &mut P, scale: &Scale, context: usize, expected: u32, given: u16) -> (u16, u32) {
-    let expected = scale.clamp_code(expected);
-    let coded = coder.code::<false>(context, || zigzag(u32::from(given).wrapping_sub(expected.into())));
-    (expected.wrapping_add(unzigzag(coded) as u16) & scale.max_code(), coded)
+fn channel<P: Plane>(coder: &mut P, max_code: u32, context: usize, expected: u32, given: u16) -> (u16, u32) {
+    let expected = expected.min(max_code);
+    let coded = coder.code::<false>(context, || zigzag(u32::from(given).wrapping_sub(expected)));
+    ((expected.wrapping_add(unzigzag(coded)) & max_code) as u16, coded)
 }
 
 /// Bits of a number without leading zeros.

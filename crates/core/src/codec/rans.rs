@@ -3,8 +3,8 @@
 //! Numbers become *tokens* and raw bits (`token`): small ones are a token each, larger ones share a token with all
 //! of their octave's half. The tokens of a plane are one stream with one state of 32 bits, renewed by 16 bits at a time;
 //! frequencies sum to 2¹². A decoder finds a token by the alias method (Walker 1977; Vose 1991), as JPEG XL does:
-//! the 4096 slots are 64 buckets of 64, and a bucket holds the slots of its own token and of one other. A table is 512
-//! bytes, so those in use stay in the first cache, and finding a token takes no search and no branch.
+//! the 4096 slots are 64 buckets of 64, and a bucket holds the slots of its own token and of one other. A table is about a
+//! kilobyte, so those in use stay in the first caches, and finding a token takes no search and no branch.
 //!
 //! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`Stream::ended`] says in
 //! the end whether it was the one that an encoder made.
@@ -19,7 +19,9 @@ const SLOT_BITS: u32 = 12;
 /// Slots of a bucket.
 const BUCKET: u32 = SLOTS / TOKENS as u32;
 const BUCKET_BITS: u32 = 6;
-const FREQUENCY_BIT: u32 = 18;
+/// Bits of the least number of a token in [`NUMBERS`].
+const NUMBER_BITS: u32 = 24;
+const LEAST_NUMBER: u32 = (1 << NUMBER_BITS) - 1;
 /// Least state between two tokens, and the state of an encoder that has not coded anything.
 const LEAST_STATE: u32 = 1 << 16;
 /// Numbers that are a token of their own.
@@ -39,7 +41,7 @@ pub(super) fn token(number: u32) -> (u8, u32, u32) {
     ((first + (number >> bits)) as u8, bits, number & ((1 << bits) - 1))
 }
 
-/// Least number of each token in the low 24 bits, and how many raw bits complete it. Tokens that no number has are
+/// Least number of each token in the low [`NUMBER_BITS`], and how many raw bits complete it. Tokens that no number has are
 /// as the greatest that one has.
 static NUMBERS: [u32; TOKENS] = {
     let mut numbers = [0; TOKENS];
@@ -50,7 +52,7 @@ static NUMBERS: [u32; TOKENS] = {
         } else {
             let capped = if token < 42 { token } else { 41 };
             let bits = 3 + (capped - SMALL) / 2;
-            (2 + capped % 2) << bits | bits << 24
+            (2 + capped % 2) << bits | bits << NUMBER_BITS
         };
         token += 1;
     }
@@ -166,25 +168,39 @@ impl Stack {
     }
 }
 
-/// How a decoder sees a table: a word for each bucket. From its low bits up: 7 of the slots that are the bucket's own
-/// token's, 11 unused, 13 of that token's frequency; from bit 32 on, of the other token, 6 of the token, 12 of what is to be
-/// added to a place in the bucket to give the number of the slot among those of the token, modulo 2¹², 13 of its frequency.
+/// How a decoder sees a table: by buckets.
 #[derive(Clone)]
 #[repr(align(64))]
-pub(super) struct DecodeTable([u64; TOKENS]);
+pub(super) struct DecodeTable {
+    /// The slots below this in a bucket are its own token's.
+    cutoffs: [u8; TOKENS],
+    /// What the slots of a bucket mean that are its own token's, and those that are not.
+    meanings: [[Meaning; 2]; TOKENS],
+}
+
+/// What a slot means.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(8))]
+struct Meaning {
+    /// Of [`NUMBERS`] that of the token.
+    number: u32,
+    frequency: u16,
+    /// To be added to a place in the bucket to give the number of the slot among those of the token.
+    add: i16,
+}
 
 impl DecodeTable {
     /// The table of these frequencies.
     pub(super) fn new(frequencies: &Frequencies) -> Self {
-        let alias = Alias::new(frequencies);
-        Self(std::array::from_fn(|i| {
-            let other = usize::from(alias.other[i]);
-            let add = alias.start[i].wrapping_sub(alias.cutoff[i]);
-            let of_other =
-                other as u32 | (u32::from(add) % SLOTS) << 6 | u32::from(frequencies[other]) << FREQUENCY_BIT;
-            let of_own = u32::from(alias.cutoff[i]) | u32::from(frequencies[i]) << FREQUENCY_BIT;
-            u64::from(of_other) << 32 | u64::from(of_own)
-        }))
+        let Alias { cutoff, other, start } = Alias::new(frequencies);
+        let meaning =
+            |token: usize, add: i16| Meaning { number: NUMBERS[token], frequency: frequencies[token], add };
+        Self {
+            cutoffs: cutoff.map(|cutoff| cutoff as u8),
+            meanings: std::array::from_fn(|i| {
+                [meaning(i, 0), meaning(other[i].into(), start[i] as i16 - cutoff[i] as i16)]
+            }),
+        }
     }
 }
 
@@ -413,12 +429,18 @@ fn last_word(bytes: &[u8], byte: usize) -> u32 {
 }
 
 /// The numbers of a plane, read from its tokens and raw bits.
-#[derive(Default)]
 pub(super) struct Stream<'a> {
     state: u32,
     words: &'a [[u8; 2]],
     at: usize,
     raw: BitReader<'a>,
+}
+
+impl Default for Stream<'_> {
+    /// Without numbers.
+    fn default() -> Self {
+        Self { state: LEAST_STATE, words: &[], at: 0, raw: BitReader::default() }
+    }
 }
 
 impl<'a> Stream<'a> {
@@ -432,35 +454,34 @@ impl<'a> Stream<'a> {
     /// The next number.
     #[inline(always)]
     pub(super) fn next(&mut self, table: &DecodeTable) -> u32 {
-        let least = NUMBERS[self.token(table)];
-        (least & 0xff_ffff) + self.raw.take(least >> 24)
+        let least = self.token(table);
+        (least & LEAST_NUMBER) + self.raw.take(least >> NUMBER_BITS)
     }
 
     /// The next number, which probably has no raw bits.
     #[inline(always)]
     pub(super) fn next_small(&mut self, table: &DecodeTable) -> u32 {
-        let token = self.token(table);
-        if token < SMALL as usize {
-            return token as u32;
+        let least = self.token(table);
+        if least < SMALL {
+            return least;
         }
-        let least = NUMBERS[token];
-        (least & 0xff_ffff) + self.raw.take(least >> 24)
+        (least & LEAST_NUMBER) + self.raw.take(least >> NUMBER_BITS)
     }
 
+    /// Of [`NUMBERS`] that of the next token.
     #[inline(always)]
-    fn token(&mut self, table: &DecodeTable) -> usize {
-        let bucket = self.state >> BUCKET_BITS & (TOKENS - 1) as u32;
+    fn token(&mut self, table: &DecodeTable) -> u32 {
+        let bucket = (self.state >> BUCKET_BITS) as usize % TOKENS;
         let within = self.state % BUCKET;
-        let word = table.0[bucket as usize];
-        let own = word as u32 >> FREQUENCY_BIT << FREQUENCY_BIT | bucket;
-        let entry = select_unpredictable(within >= word as u32 & 0x7f, (word >> 32) as u32, own);
-        let number = (within + (entry >> 6 & 0xfff)) % SLOTS;
-        let state = (entry >> FREQUENCY_BIT).wrapping_mul(self.state >> SLOT_BITS).wrapping_add(number);
-        let word = self.words.get(self.at).map_or(0, |&word| u16::from_le_bytes(word).into());
+        let is_other = within >= table.cutoffs[bucket].into();
+        let Meaning { number, frequency, add } = table.meanings[bucket][usize::from(is_other)];
+        let slot = within.wrapping_add_signed(add.into());
+        let state = u32::from(frequency).wrapping_mul(self.state >> SLOT_BITS).wrapping_add(slot);
+        let word = if self.at < self.words.len() { u16::from_le_bytes(self.words[self.at]) } else { 0 };
         let is_low = state < LEAST_STATE;
-        self.state = select_unpredictable(is_low, state << 16 | word, state);
+        self.state = select_unpredictable(is_low, state << 16 | u32::from(word), state);
         self.at += usize::from(is_low);
-        entry as usize % TOKENS
+        number
     }
 
     /// Whether an encoder's stream ends here.

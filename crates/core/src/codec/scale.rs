@@ -115,11 +115,6 @@ impl Scale {
         (self.color.len() - 1) as u16
     }
 
-    /// The code, or the greatest one.
-    pub(super) fn clamp_code(&self, q: u32) -> u16 {
-        q.min(self.max_code().into()) as u16
-    }
-
     /// Nearest code of a colour channel on the square-root scale; colours above [`COLOR_MAX`] are clamped.
     pub(super) fn color_code(&self, c: f32) -> u16 {
         ((c * (1.0 / COLOR_MAX)).clamp(0.0, 1.0).sqrt() * f32::from(self.max_code()) + 0.5) as u16

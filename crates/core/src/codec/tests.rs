@@ -452,6 +452,56 @@ fn contradicting_chunks_are_refused_and_change_nothing() {
 }
 
 #[test]
+fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
+    let one = |color_bits| Settings { color_bits, num_groups: 1 };
+    for (width, height, k, seed) in [(40, 400, 8, 21), (17, 16, 24, 22), (33, 130, 3, 23)] {
+        let frame = random_frame(width, height, k, seed);
+        for frame in [frame.clone(), without_top(frame.clone(), height as usize / 2)] {
+            let encoded = encode(&frame, &one(10)).unwrap();
+            let mut chunks = bytes(&encoded);
+            chunks.reverse();
+            let assembled = assemble(&chunks, &References::default()).unwrap().to_frame();
+            assert_eq!(decode_whole(&chunks).unwrap().as_ref(), Some(&assembled));
+            assert_eq!(decode_whole(&chunks[1..]), Ok(None), "not all of them, {width}×{height}");
+        }
+        let two = encode(&frame, &Settings::default()).unwrap();
+        assert_eq!(decode_whole(&bytes(&two)), Ok(None));
+    }
+    assert_eq!(decode_whole::<Vec<u8>>(&[]), Ok(None));
+
+    // What an assembly refuses is refused.
+    let frame = random_frame(40, 400, 8, 21);
+    let encoded = encode(&frame, &one(10)).unwrap();
+    let chunks = bytes(&encoded);
+    let with = |at: usize, other: &[u8]| {
+        let mut chunks = chunks.clone();
+        chunks[at] = other;
+        let found = decode_whole(&chunks);
+        let assembled = assemble(&chunks, &References::default()).map(|assembly| Some(assembly.to_frame()));
+        assert_eq!(found.is_ok(), assembled.is_ok());
+        found.err()
+    };
+    assert_eq!(with(1, chunks[1]), None);
+    assert_eq!(with(1, chunks[0]), Some(CodecError::Duplicate(ChunkIndex(0))));
+    let mut later = frame.clone();
+    later.header.frame = FrameId(8);
+    for other in [encode(&later, &one(10)), encode(&frame, &one(8))] {
+        let found = with(1, &other.unwrap().chunks[1].bytes);
+        assert!(matches!(found, Some(CodecError::Contradiction { .. })), "{found:?}");
+    }
+    let lower = encode(&without_top(frame.clone(), 112), &one(10)).unwrap();
+    let found = with(1, &lower.chunks[1].bytes);
+    assert!(
+        matches!(found, Some(CodecError::Contradiction { what: "other borders of bands", .. })),
+        "{found:?}"
+    );
+    let mut same_band = chunks[1].to_vec();
+    same_band[7] = chunks[0][7];
+    assert!(with(1, &same_band).is_some());
+    assert!(matches!(with(1, &chunks[1][..chunks[1].len() - 1]), Some(CodecError::Length { .. })));
+}
+
+#[test]
 fn damaged_bytes_never_do_more_than_fail() {
     let mut random = Random(13);
     let (mut refused, mut accepted) = (0, 0);

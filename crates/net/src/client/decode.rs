@@ -87,6 +87,11 @@ fn decode(
     job: &DecodeJob,
     references: &References,
 ) -> Result<Option<Decoded>, CodecError> {
+    if job.is_first
+        && let Some(frame) = codec::decode_whole(&job.chunks)?
+    {
+        return Ok(Some(Decoded { frame, reference: None, is_exact: true }));
+    }
     for chunk in codec::decode_chunks(&job.chunks, references)? {
         assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
     }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::super::bands::Borders;
 use super::super::header::{ChunkHeader, HEADER_BYTES};
-use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most};
+use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most, split_off};
 use super::band::{Band, Cell, blocks_along};
 use super::coding::{BandCoder, Nothing, Place};
 use super::entropy::{Decoder, Reader};
@@ -235,13 +235,11 @@ impl BlocksAssembly {
     /// Adds a chunk. An error leaves the assembly as it was.
     pub(in super::super) fn insert(&mut self, chunk: BlocksChunk) -> Result<(), CodecError> {
         let header = &chunk.header;
-        let contradiction =
-            |what| CodecError::Contradiction { index: header.index, frame: header.frame.frame, what };
         if let Some(what) = header.difference(&self.first) {
-            return Err(contradiction(what));
+            return Err(header.contradicts(what));
         }
         if self.head.is_some_and(|head| head != chunk.head) {
-            return Err(contradiction("other steps, predictions or bands"));
+            return Err(header.contradicts("other steps, predictions or bands"));
         }
         if self.seen >> header.index.0 & 1 == 1 {
             return Err(CodecError::Duplicate(header.index));
@@ -250,7 +248,7 @@ impl BlocksAssembly {
         at_most("segments in a frame", num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
         let (base, corrections) = &mut self.bands[usize::from(header.band)];
         if if header.is_base() { base.is_some() } else { corrections.is_some() } {
-            return Err(contradiction("its band and group are there under another index"));
+            return Err(header.contradicts("its band and group are there under another index"));
         }
         self.seen |= 1 << header.index.0;
         self.head = Some(chunk.head);
@@ -363,13 +361,6 @@ fn write_words_any(cells: &[Cell], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
         c_rg[words.clone()].copy_from_slice(&rg[..cells.len()]);
         c_b_tau[words].copy_from_slice(&b_tau[..cells.len()]);
     }
-}
-
-/// Cuts the first `n` elements off a slice.
-fn split_off<'a>(slice: &mut &'a mut [u32], n: usize) -> &'a mut [u32] {
-    let (head, tail) = std::mem::take(slice).split_at_mut(n);
-    *slice = tail;
-    head
 }
 
 /// Segments that are packed at once.
