@@ -10,7 +10,7 @@ use super::contexts::{
     readers,
 };
 use super::header::{ChunkHeader, HEADER_BYTES, num_tiles, peek};
-use super::predict::{self, Misordered, Row};
+use super::predict::{self, Misordered};
 use super::quantize::Lists;
 use super::rows::{Matter, Rows};
 use super::scale::{self, Scale};
@@ -63,8 +63,7 @@ pub(super) fn encode(lists: &mut Lists, width: usize, scale: &Scale) -> Result<V
             let (codes, below) = rest.split_at(num_segments(counts));
             rest = below;
             rows.fill(counts, codes);
-            let row = Row { planes: &mut recorder.planes, rows: &mut rows, counts, scale };
-            predict::code(row).map_err(misordered)?;
+            predict::row(&mut recorder.planes, scale, &mut rows, counts).map_err(misordered)?;
         }
         recorder.finish(&mut payload);
         Ok(payload)
@@ -128,7 +127,7 @@ pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), Co
     let mut words = words;
     for counts in counts.chunks_exact(width) {
         rows.advance(counts);
-        predict::code(Row { planes: readers, rows: &mut rows, counts, scale }).map_err(misordered)?;
+        predict::row(readers, scale, &mut rows, counts).map_err(misordered)?;
         let Rows { links, depths, matters, .. } = &rows;
         let [depth, c_rg, c_b_tau] = words.each_mut().map(|plane| split_off(plane, links.len()));
         for (((link, depth), c_rg), c_b_tau) in links.iter().zip(depth).zip(c_rg).zip(c_b_tau) {

@@ -8,8 +8,6 @@
 //! the thickness and the neighbours' extinction, green from the optical depth, and red and blue as green turned out.
 
 use std::hint::{cold_path, select_unpredictable};
-use std::iter::Zip;
-use std::slice;
 
 use super::contexts::{NUM_PLANES, Plane};
 use super::rows::{Link, Matter, Rows, Tint};
@@ -19,23 +17,20 @@ use super::scale::{self, Scale};
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Misordered(pub(super) [u32; 3]);
 
-/// A row of lists that is coded: its planes, itself with the one above, and the lengths of its lists.
-pub(super) struct Row<'a, P> {
-    pub(super) planes: &'a mut [P; NUM_PLANES],
-    pub(super) rows: &'a mut Rows,
-    pub(super) counts: &'a [u8],
-    pub(super) scale: &'a Scale,
-}
-
-/// Codes the segments of a row. A decoder fills them in.
-pub(super) fn code<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
+/// Codes the segments of a row of lists of lengths `counts`. A decoder fills them in.
+pub(super) fn row<P: Plane>(
+    planes: &mut [P; NUM_PLANES],
+    scale: &Scale,
+    rows: &mut Rows,
+    counts: &[u8],
+) -> Result<(), Misordered> {
     #[cfg(target_arch = "x86_64")]
     if has_wide_instructions() {
         #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
         // SAFETY: this processor has them.
-        return unsafe { code_wide(row) };
+        return unsafe { row_wide(planes, scale, rows, counts) };
     }
-    passes(row)
+    passes(planes, scale, rows, counts)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -49,17 +44,26 @@ fn has_wide_instructions() -> bool {
 /// The same with instructions for shifts and leading zeros. No multiplication is fused with an addition.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn code_wide<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
-    passes(row)
+fn row_wide<P: Plane>(
+    planes: &mut [P; NUM_PLANES],
+    scale: &Scale,
+    rows: &mut Rows,
+    counts: &[u8],
+) -> Result<(), Misordered> {
+    passes(planes, scale, rows, counts)
 }
 
 /// One plane after the other where that is possible: segments of a plane hardly depend on each other, so that a processor
 /// works on several at once, while the planes of a segment each wait for the one before.
 #[inline(always)]
-fn passes<P: Plane>(row: Row<'_, P>) -> Result<(), Misordered> {
-    let Row { planes: [_, front, back, tau, green, red, blue], rows, counts, scale } = row;
-    let mut walk = Walk::new([front, back], rows, counts);
-    while walk.step()? {}
+fn passes<P: Plane>(
+    planes: &mut [P; NUM_PLANES],
+    scale: &Scale,
+    rows: &mut Rows,
+    counts: &[u8],
+) -> Result<(), Misordered> {
+    let [_, front, back, tau, green, red, blue] = planes;
+    depths([front, back], rows, counts)?;
     optical_depths(tau, scale, rows);
     greens(green, scale, rows);
     reds_and_blues([red, blue], scale, rows);
@@ -72,81 +76,46 @@ pub(super) fn length_context(left: u8, above: u8) -> usize {
         + usize::from(left.abs_diff(above).min(2))
 }
 
-/// Codes where the segments of a row begin and end, one segment a step, and notes which others each is expected to be like.
-struct Walk<'a, P> {
-    fronts: &'a mut P,
-    backs: &'a mut P,
-    depths: &'a mut [u32],
-    links: slice::IterMut<'a, Link>,
-    /// Lengths of the lists that are still to come, and numbers of the first segments above and in them.
-    lists: Zip<Zip<slice::Iter<'a, u8>, slice::Iter<'a, u32>>, slice::Iter<'a, u32>>,
-    /// The first segment of the list on the left of the next.
-    beside: usize,
-    /// Segments left of the list.
-    num_left: u8,
-    is_first: bool,
-    /// The next one.
-    slot: usize,
-    /// The segments of the neighbours that are looked at.
-    left: usize,
-    above: usize,
-    last_back: u32,
+/// Codes where the segments begin and end, and notes which others each is expected to be like.
+#[inline(always)]
+fn depths<P: Plane>([fronts, backs]: [&mut P; 2], rows: &mut Rows, counts: &[u8]) -> Result<(), Misordered> {
+    let Rows { depths, links, above, own, .. } = rows;
+    let (depths, mut links) = (&mut depths[..], &mut links[..]);
+    let mut left = 0;
+    for ((&count, &above), &own) in counts.iter().zip(&*above).zip(&*own) {
+        if count > 0 {
+            let links = links.split_off_mut(..usize::from(count)).unwrap_or_default();
+            list([fronts, backs], depths, [left, above as usize], own as usize, links)?;
+        }
+        left = own as usize;
+    }
+    Ok(())
 }
 
-impl<'a, P: Plane> Walk<'a, P> {
-    #[inline(always)]
-    fn new([fronts, backs]: [&'a mut P; 2], rows: &'a mut Rows, counts: &'a [u8]) -> Self {
-        let Rows { depths, links, above, own, .. } = rows;
-        Self {
-            fronts,
-            backs,
-            depths,
-            links: links.iter_mut(),
-            lists: counts.iter().zip(&*above).zip(&*own),
-            beside: 0,
-            num_left: 0,
-            is_first: false,
-            slot: 0,
-            left: 0,
-            above: 0,
-            last_back: 0,
-        }
-    }
-
-    /// Goes on to the next list that has segments.
-    #[inline(always)]
-    fn next_list(&mut self) {
-        for ((&count, &above), &own) in self.lists.by_ref() {
-            let left = std::mem::replace(&mut self.beside, own as usize);
-            if count > 0 {
-                (self.num_left, self.is_first, self.slot) = (count, true, own as usize);
-                (self.left, self.above, self.last_back) = (left, above as usize, 0);
-                return;
-            }
-        }
-    }
-
-    /// Codes the next segment; whether there was one.
-    #[inline(always)]
-    fn step(&mut self) -> Result<bool, Misordered> {
-        let Some(link) = self.links.next() else { return Ok(false) };
-        if self.num_left == 0 {
-            self.next_list();
-        }
-        let Self { depths, last_back, is_first, slot, .. } = self;
-        let (depths, last_back, is_first, slot) = (&mut **depths, *last_back, *is_first, *slot);
+#[inline(always)]
+fn list<P: Plane>(
+    [fronts, backs]: [&mut P; 2],
+    depths: &mut [u32],
+    [mut left, mut above]: [usize; 2],
+    own: usize,
+    links: &mut [Link],
+) -> Result<(), Misordered> {
+    let mut last_back = 0;
+    let last = links.len() - 1;
+    for (number, link) in links.iter_mut().enumerate() {
         if last_back == NONE {
             return Err(Misordered([last_back; 3]));
         }
+        let slot = own + number;
         let given = depths[slot];
-        let mut left = pass(depths, self.left, last_back);
-        let mut above = pass(depths, self.above, last_back);
+        let is_first = number == 0;
+        left = pass(depths, left, last_back);
+        above = pass(depths, above, last_back);
         let ahead = Ahead::new(depths, left, above, last_back);
-        let coded =
-            self.fronts.code::<true>(ahead.context(is_first), || match front_of(given) == last_back {
-                true => 0,
-                false => 1 + zigzag(front_of(given).wrapping_sub(ahead.expected)),
-            });
+        let coded = fronts.code::<true>(ahead.context(is_first), || match front_of(given) == last_back {
+            true => 0,
+            false => 1 + zigzag(front_of(given).wrapping_sub(ahead.expected)),
+        });
         let mut front = last_back;
         // A branch, so that the back is looked for before the front is known: most segments begin where the one before ends.
         if coded > 0 {
@@ -158,8 +127,8 @@ impl<'a, P: Plane> Walk<'a, P> {
             above = pass(depths, above, front);
         }
 
-        let (context, expected) = back(depths, left, above, front, self.num_left == 1);
-        let coded = self.backs.code::<false>(context, || zigzag(back_of(given).wrapping_sub(expected)));
+        let (context, expected) = back(depths, left, above, front, number == last);
+        let coded = backs.code::<false>(context, || zigzag(back_of(given).wrapping_sub(expected)));
         let back = expected.wrapping_add(unzigzag(coded)) & 0xffff;
         if back <= front {
             return Err(Misordered([front, back, last_back]));
@@ -180,12 +149,9 @@ impl<'a, P: Plane> Walk<'a, P> {
             kind,
             is_first,
         };
-        (self.left, self.above, self.last_back) = (left, above, back);
-        self.num_left -= 1;
-        self.slot += 1;
-        self.is_first = false;
-        Ok(true)
+        last_back = back;
     }
+    Ok(())
 }
 
 fn front_of(depths: u32) -> u32 {
