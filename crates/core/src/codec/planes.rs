@@ -119,10 +119,12 @@ pub(super) type Words<'a> = [&'a mut [u32]; 3];
 
 /// Decodes the segments of a chunk, into as many words.
 pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), CodecError> {
-    let Opened { header, counts, scale, readers, .. } = opened;
+    let Opened { header, counts, num_segments, scale, readers, .. } = opened;
     let half_c = |q: u16| u32::from(scale.color_half[usize::from(q)]);
     let half_tau = |q: u8| u32::from(scale.tau_half[usize::from(q)]);
     let width = header.frame.camera.intrinsics.width as usize;
+    // Of a chunk without segments there may be many millions of lists.
+    let counts = if *num_segments > 0 { &counts[..] } else { &[] };
     let mut rows = Rows::new(scale, counts, width);
     let mut words = words;
     for counts in counts.chunks_exact(width) {

@@ -179,7 +179,7 @@ pub(super) struct DecodeTable {
 }
 
 /// What a slot means.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 #[repr(C, align(8))]
 struct Meaning {
     /// Of [`NUMBERS`] that of the token.

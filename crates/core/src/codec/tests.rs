@@ -495,10 +495,18 @@ fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
         matches!(found, Some(CodecError::Contradiction { what: "other borders of bands", .. })),
         "{found:?}"
     );
-    let mut same_band = chunks[1].to_vec();
-    same_band[7] = chunks[0][7];
-    assert!(with(1, &same_band).is_some());
     assert!(matches!(with(1, &chunks[1][..chunks[1].len() - 1]), Some(CodecError::Length { .. })));
+
+    // Two bands of as many rows: the second says that it is the first.
+    let encoded = encode(&full_frame(16, 128, 2), &one(10)).unwrap();
+    let [first, second] = &bytes(&encoded)[..] else { panic!("{} chunks", encoded.chunks.len()) };
+    let same_band = [&second[..7], &first[7..8], &second[8..]].concat();
+    let found = decode_whole(&[first, &same_band[..]]);
+    let what = "its band and group are there under another index";
+    assert!(
+        matches!(found, Err(CodecError::Contradiction { what: found, .. }) if found == what),
+        "{found:?}"
+    );
 }
 
 #[test]

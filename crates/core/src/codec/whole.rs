@@ -18,15 +18,18 @@ pub(super) fn decode(chunks: &[&[u8]]) -> Result<Option<LayeredFrame>, CodecErro
     }
     let opened = chunks.par_iter().with_max_len(1).map(|bytes| Opened::new(bytes));
     let mut opened: Vec<_> = opened.collect::<Result<_, _>>()?;
-    opened.sort_by_key(|chunk| chunk.header.band);
     let mut roll = Roll::new(&first);
-    for (band, Opened { header, borders, num_segments, .. }) in opened.iter().enumerate() {
+    let mut bands = 0u32;
+    for Opened { header, borders, num_segments, .. } in &opened {
         roll.check(header, *borders, *num_segments)?;
-        if usize::from(header.band) != band {
+        if bands >> header.band & 1 == 1 {
             return Err(header.contradicts("its band and group are there under another index"));
         }
+        bands |= 1 << header.band;
         roll.add(header, *borders, *num_segments);
     }
+    // As many as there are bands, and no two of one: all of them.
+    opened.sort_by_key(|chunk| chunk.header.band);
 
     let mut frame = LayeredFrame::empty(first.frame);
     let [depth, c_rg, c_b_tau] = [(); 3].map(|()| vec![0; roll.num_segments]);
