@@ -3,7 +3,7 @@
 use super::super::{CodecError, MAX_CHUNK_SEGMENTS};
 use super::band::{Band, CellsOf, Planes};
 use super::chunk::Head;
-use super::coding::{BandCoder, Origin, Place, Plan, Source};
+use super::coding::{BandCoder, Origin, Place, Plan, PlaneCode, Source};
 use super::entropy::Encoder;
 use super::model::BLOCK_LISTS;
 use super::motion::Motion;
@@ -82,6 +82,31 @@ fn miss(composer: &mut Composer, wanted: &[Plane; 3], cells: CellsOf<'_>, planes
     mask
 }
 
+/// Planes that are coded as a block's own.
+#[derive(Default)]
+struct Own {
+    codes: Vec<(PlaneCode, PlaneCode)>,
+    /// Those that a decoder makes of the codes.
+    planes: Vec<Planes>,
+    error: f32,
+    /// What the layers are worth, in the unit of the error.
+    worth: f32,
+}
+
+impl Own {
+    /// Codes the planes that are there, and tries them.
+    fn weigh(&mut self, relayer: &mut Relayer, lists: &BlockLists, steps: &Steps, per_layer: f32) {
+        steps.codes(&self.planes, &mut self.codes);
+        steps.planes(&self.codes, &mut self.planes);
+        self.error = relayer.tried(lists, &self.planes, f32::INFINITY);
+        self.worth = per_layer * self.codes.len() as f32;
+    }
+
+    fn cost(&self) -> f32 {
+        self.error + WORTH_SHARE * self.worth
+    }
+}
+
 /// Finds layers for blocks.
 struct Layering<'a> {
     frame: &'a LayeredFrame,
@@ -91,6 +116,8 @@ struct Layering<'a> {
     reference: Option<(&'a Reference, Motion)>,
     relayer: Relayer,
     lists: BlockLists,
+    own: Own,
+    searched: Own,
     planes: Vec<Planes>,
     best: Vec<Planes>,
     notes: Notes,
@@ -121,6 +148,8 @@ impl<'a> Layering<'a> {
             reference,
             relayer: Relayer::default(),
             lists: BlockLists::default(),
+            own: Own::default(),
+            searched: Own::default(),
             planes: Vec::new(),
             best: Vec::new(),
             notes: Vec::with_capacity(place.across * place.num_rows),
@@ -193,33 +222,46 @@ impl Layering<'_> {
             return self.reference.map_or(0.0, |(reference, _)| reference.note(at.map(|v| v as i32)));
         }
         let per_layer = self.rule.error_per_layer();
-        let Self { relayer, lists, planes, best, .. } = self;
+        let Self { relayer, lists, own, searched, planes, best, steps, .. } = self;
         let mut kept = f32::INFINITY;
+        // Of a block's own planes here, for each layer in what it is worth.
+        let mut note = 0.0;
+        let (mut is_fitted, mut is_found) = (false, false);
         if offered(Origin::Kept, best) {
-            let note = self.reference.and_then(|(reference, motion)| {
+            let noted = self.reference.and_then(|(reference, motion)| {
                 Some(reference.note(reference.moved_to(&motion, at[0] as usize, at[1] as usize)?))
             });
-            let note = note.unwrap_or(0.0);
+            note = noted.unwrap_or(0.0);
             let for_layers = per_layer * best.len() as f32;
             let accepted = (note + AT_ONCE_SHARE) * for_layers;
-            kept = relayer.tried(lists, best, HOPELESS * accepted);
+            kept = relayer.tried(lists, best, HOPELESS * (note + KEEP_SHARE) * for_layers);
             if kept <= accepted {
                 plan.origin = Origin::Kept;
                 relayer.given(lists, best, &mut plan.layers);
                 return note.min(kept / for_layers);
             }
+            own.planes.clone_from(best);
+            relayer.fit(lists, &mut own.planes);
+            own.weigh(relayer, lists, steps, per_layer);
+            is_fitted = true;
+            is_found = own.error <= (note + FIT_SHARE) * own.worth;
         }
-        relayer.fresh(lists, &self.rule, planes);
-        self.steps.codes(planes, &mut plan.codes);
-        self.steps.planes(&plan.codes, planes);
-        let fresh = relayer.tried(lists, planes, f32::INFINITY);
-        let for_fresh = per_layer * plan.codes.len() as f32;
-        if kept < fresh + KEEP_SHARE * for_fresh {
+        if !is_found {
+            relayer.fresh(lists, &self.rule, &mut searched.planes);
+            searched.weigh(relayer, lists, steps, per_layer);
+            if !is_fitted || searched.cost() < own.cost() {
+                std::mem::swap(own, searched);
+            }
+            // What was known may be of planes that are gone.
+            note = f32::INFINITY;
+        }
+        if kept < own.error + KEEP_SHARE * own.worth {
             plan.origin = Origin::Kept;
             relayer.given(lists, best, &mut plan.layers);
-            return fresh.min(kept) / (per_layer * best.len() as f32);
+            return note.min(own.error.min(kept) / (per_layer * best.len() as f32));
         }
-        let mut least = SLACK * fresh + MERGE_SHARE * for_fresh;
+        note = note.min(own.error / own.worth);
+        let mut least = SLACK * own.error + MERGE_SHARE * own.worth;
         for origin in [Origin::Left, Origin::Above] {
             if !offered(origin, planes) {
                 continue;
@@ -233,10 +275,11 @@ impl Layering<'_> {
             }
         }
         if plan.origin == Origin::Fresh {
-            self.steps.planes(&plan.codes, best);
+            plan.codes.clone_from(&own.codes);
+            best.clone_from(&own.planes);
         }
         relayer.given(lists, best, &mut plan.layers);
-        fresh / for_fresh
+        note
     }
 }
 
@@ -245,14 +288,20 @@ const NO_WANTED: u32 = u32::MAX;
 const SAME: f32 = 0.75;
 /// What layers were worth may differ by so much from what they are worth.
 const LIKE_LAMBDA: f32 = 1.01;
-/// Planes of a neighbour are taken if their error is at most so many times that of fresh ones, and for each layer so much
-/// of what a layer is worth more.
+/// Planes of a neighbour are taken if their error is at most so many times that of the block's own, and for each layer so
+/// much of what a layer is worth more.
 const SLACK: f32 = 1.15;
 const MERGE_SHARE: f32 = 0.3;
-/// Those of the frame before if their error is at most that of fresh ones and so much. More, and errors add up from
+/// Those of the frame before if their error is at most that of the block's own and so much. More, and errors add up from
 /// frame to frame.
 const KEEP_SHARE: f32 = 0.1;
-/// They are taken without a search for fresh ones if their error is at most what was noted of them and so much; and not
-/// at all if it is so many times as much as that.
-const AT_ONCE_SHARE: f32 = 0.1;
+/// They are taken before any are fitted or looked for if their error is at most what was noted of them and so much.
+const AT_ONCE_SHARE: f32 = 0.05;
+/// They are not taken at all if it is so many times what was noted and [`KEEP_SHARE`].
 const HOPELESS: f32 = 4.0;
+/// Planes of the frame before that were fitted to the block need no search if their error is at most what was noted and so
+/// much.
+const FIT_SHARE: f32 = 0.1;
+/// Otherwise their error and that of the planes found is weighed with so much of what their layers are worth. All of it
+/// would take fewer layers, which is worse at a turn.
+const WORTH_SHARE: f32 = 0.3;

@@ -28,8 +28,8 @@ pub struct Reference {
     pub(super) notes: Vec<Notes>,
 }
 
-/// For each block of a band the least error known of its planes, for each layer in what a layer is worth: that of fresh
-/// planes there, or less if they came to suit better. 0 where nothing is known.
+/// For each block of a band the error of its planes as the last search for them left it, for each layer in what a layer is
+/// worth, or less if they came to suit better. 0 where nothing is known.
 pub(super) type Notes = Vec<f32>;
 
 impl PartialEq for Reference {

@@ -1,7 +1,8 @@
 //! From ragged lists to layers that a block shares: the server's part of the rate mode.
 //!
 //! [`Relayer::fresh`] finds the layers: candidate cuts through a block, parallel to its first surface, of which the
-//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::given`] has the layers
+//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::fit`] moves those
+//! of a block like this one to where they suit. [`Relayer::given`] has the layers
 //! and puts the lists' matter into them. Both conserve matter: the parts of a list in its layers composite to what the
 //! list composited to.
 //!
@@ -63,6 +64,11 @@ wide! {
 }
 
 wide! {
+    fn fit(relayer: &mut Relayer, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>)
+        = Relayer::fit_any;
+}
+
+wide! {
     fn given(
         relayer: &mut Relayer,
         lists: &BlockLists,
@@ -81,6 +87,12 @@ impl Relayer {
     /// the order of their depth, into `out`.
     pub fn fresh(&mut self, lists: &BlockLists, rule: &Rule, out: &mut Vec<(DepthPlane, DepthPlane)>) {
         fresh(self, lists, rule, out);
+    }
+
+    /// Moves planes of layers to what lies in them, and drops layers without matter. Costs a fraction of
+    /// [`Relayer::fresh`], and finds as good planes where these suited lists much like these.
+    pub fn fit(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+        fit(self, lists, planes);
     }
 
     /// Puts the lists' matter between given pairs of front and back planes, in the order of their depth, into `out`: a
@@ -115,9 +127,21 @@ impl Relayer {
         for (i, &cut) in cuts.iter().enumerate() {
             out.push((plane(cut), plane(cuts.get(i + 1).copied().unwrap_or(cut))));
         }
-        self.assigned.start(out, lists);
+        self.fit_near(slopes, lists, out);
+    }
+
+    #[inline(always)]
+    fn fit_any(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+        if !planes.is_empty() {
+            self.fit_near(merge::slopes(lists), lists, planes);
+        }
+    }
+
+    #[inline(always)]
+    fn fit_near(&mut self, slopes: [f32; 2], lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+        self.assigned.start(planes, lists);
         self.assigned.put_lists::<false>(lists, 0..SAMPLES, lists);
-        self.assigned.fit(slopes, out, lists);
+        self.assigned.fit(slopes, planes, lists);
     }
 
     #[inline(always)]

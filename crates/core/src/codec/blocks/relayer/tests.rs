@@ -235,6 +235,38 @@ fn errors_of_given_planes_are_those_of_fresh_ones_and_grow_with_distance() {
 }
 
 #[test]
+fn planes_that_were_near_are_fitted_to_the_slabs() {
+    let two =
+        |z: f32| frame(move |i| vec![slab(i, z, 500.0, 0.8, 0.7), slab(i, z + 4000.0, 700.0, 0.3, 0.9)]);
+    let (mut relayer, mut layers) = (Relayer::default(), vec![]);
+    find(&mut relayer, &lists(&two(20000.0)), &RULE, &mut layers);
+    // Where the slabs have moved to, and a layer in front that has nothing any more.
+    let moved = lists(&two(20300.0));
+    let mut fitted = planes(&layers);
+    let nothing = DepthPlane { z: 5000.0, dx: 0.0, dy: 0.0 };
+    fitted.insert(0, (nothing, nothing));
+    let before = relayer.tried(&moved, &fitted, f32::INFINITY);
+    relayer.fit(&moved, &mut fitted);
+    let mut fresh = vec![];
+    relayer.fresh(&moved, &RULE, &mut fresh);
+    assert_eq!((fitted.len(), fresh.len()), (2, 2));
+    let errors = [&fitted, &fresh].map(|planes| relayer.tried(&moved, planes, f32::INFINITY));
+    assert!(errors[0] <= 1.01 * errors[1] && before > 50.0 * errors[0], "{before} {errors:?}");
+    // Of a slab that is new a part is in each layer: fitting adds none, which costs more than the layer is worth.
+    let three = |i| vec![slab(i, 20300.0, 500.0, 0.8, 0.7), slab(i, 22300.0, 700.0, 0.1, 0.9)];
+    let three = lists(&frame(|i| [three(i), vec![slab(i, 24300.0, 700.0, 0.3, 0.9)]].concat()));
+    relayer.fit(&three, &mut fitted);
+    relayer.fresh(&three, &RULE, &mut fresh);
+    assert_eq!((fitted.len(), fresh.len()), (2, 3));
+    let [fitted, fresh] = [&fitted, &fresh].map(|planes| relayer.tried(&three, planes, f32::INFINITY));
+    assert!(fitted > fresh + RULE.error_per_layer(), "{fitted} {fresh}");
+    // Without planes there is nothing to fit.
+    let mut none = vec![];
+    relayer.fit(&moved, &mut none);
+    assert_eq!(none, vec![]);
+}
+
+#[test]
 fn trials_are_near_to_what_is_given_and_end_early() {
     let lists = lists(&frame(rough));
     let (mut relayer, mut layers, mut planes) = (Relayer::default(), vec![], vec![]);
@@ -276,8 +308,11 @@ fn layers_are_the_same_with_wider_instructions() {
     let mut relayer = Relayer::default();
     let [portable, avx2, avx512] = with_each(|| {
         let mut layers = vec![];
-        let error = find(&mut relayer, &lists(&frame), &RULE, &mut layers);
-        (error, layers)
+        let lists = lists(&frame);
+        let error = find(&mut relayer, &lists, &RULE, &mut layers);
+        let mut fitted: Vec<_> = planes(&layers).into_iter().step_by(2).collect();
+        relayer.fit(&lists, &mut fitted);
+        (error, layers, fitted)
     });
     // Nothing is fused or reordered, so the bits are the same.
     assert_eq!(avx2, portable);
