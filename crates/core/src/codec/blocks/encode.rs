@@ -244,7 +244,7 @@ impl Layering<'_> {
             relayer.fit(lists, &mut own.planes);
             own.weigh(relayer, lists, steps, per_layer);
             is_fitted = true;
-            is_found = own.error <= (note + FIT_SHARE) * own.worth;
+            is_found = own.error <= (note + FIT_SHARE / self.rule.lambda.sqrt()) * own.worth;
         }
         if !is_found {
             relayer.fresh(lists, &self.rule, &mut searched.planes);
@@ -300,8 +300,8 @@ const AT_ONCE_SHARE: f32 = 0.05;
 /// They are not taken at all if it is so many times what was noted and [`KEEP_SHARE`].
 const HOPELESS: f32 = 4.0;
 /// Planes of the frame before that were fitted to the block need no search if their error is at most what was noted and so
-/// much.
-const FIT_SHARE: f32 = 0.1;
+/// much, over the root of λ: the less a layer is worth, the less a search beside them gains.
+const FIT_SHARE: f32 = 0.16;
 /// Otherwise their error and that of the planes found is weighed with so much of what their layers are worth. All of it
 /// would take fewer layers, which is worse at a turn.
 const WORTH_SHARE: f32 = 0.3;
