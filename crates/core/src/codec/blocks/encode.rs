@@ -276,9 +276,10 @@ impl Layering<'_> {
         }
         if plan.origin == Origin::Fresh {
             plan.codes.clone_from(&own.codes);
-            best.clone_from(&own.planes);
+            relayer.given(lists, &own.planes, &mut plan.layers);
+        } else {
+            relayer.given(lists, best, &mut plan.layers);
         }
-        relayer.given(lists, best, &mut plan.layers);
         note
     }
 }
@@ -305,3 +306,55 @@ const FIT_SHARE: f32 = 0.16;
 /// Otherwise their error and that of the planes found is weighed with so much of what their layers are worth. All of it
 /// would take fewer layers, which is worse at a turn.
 const WORTH_SHARE: f32 = 0.3;
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::DepthPlane;
+    use super::super::relayer::tests::{RULE, frame, slab};
+    use super::*;
+    use crate::layer::Segment;
+    use crate::wanted::ALWAYS;
+
+    /// What is planned for a block with these lists, where the frame before had layers between these depths.
+    fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {
+        let frame = frame(list);
+        let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+        let place = Place { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
+        let mut layering = Layering::new(&frame, place, RULE, steps, None, ALWAYS);
+        let offered = |origin: Origin, out: &mut Vec<Planes>| {
+            out.clear();
+            if origin == Origin::Kept {
+                out.extend(before.iter().map(|ends| {
+                    let [front, back] = ends.map(|z| DepthPlane { z, dx: 90.0, dy: -60.0 });
+                    (front, back)
+                }));
+            }
+            !out.is_empty()
+        };
+        let mut plan = Plan::default();
+        let note = layering.planned(0, 0, &offered, &mut plan);
+        (plan, note)
+    }
+
+    /// A search would find one layer in a homogeneous slab.
+    #[test]
+    fn planes_that_can_be_fitted_need_no_search_and_those_that_cannot_are_not_kept() {
+        let one = |i| vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)];
+        let (alone, _) = planned(one, &[]);
+        assert_eq!((alone.origin, alone.codes.len()), (Origin::Fresh, 1));
+        let halves = |z: f32| [[z, z + 1500.0], [z + 1500.0, z + 3000.0]];
+        let (there, note) = planned(one, &halves(20300.0));
+        assert_eq!((there.origin, there.layers.len()), (Origin::Kept, 2));
+        assert!(note < 0.05, "{note}");
+        let (moved, note) = planned(one, &halves(20000.0));
+        assert_eq!((moved.origin, moved.codes.len(), moved.layers.len()), (Origin::Fresh, 2, 2));
+        assert!(note < 0.05, "{note}");
+        // Of a slab that has come out between the two a part would be in each layer.
+        let three = |i| {
+            let at = [(20000.0, 0.8), (22000.0, 0.1), (24000.0, 0.3)];
+            at.map(|(z, gray)| slab(i, z, 700.0, gray, 0.9)).to_vec()
+        };
+        let (searched, _) = planned(three, &[[20000.0, 20700.0], [24000.0, 24700.0]]);
+        assert_eq!((searched.origin, searched.codes.len()), (Origin::Fresh, 3));
+    }
+}

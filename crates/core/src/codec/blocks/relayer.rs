@@ -1,10 +1,9 @@
 //! From ragged lists to layers that a block shares: the server's part of the rate mode.
 //!
 //! [`Relayer::fresh`] finds the layers: candidate cuts through a block, parallel to its first surface, of which the
-//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::fit`] moves those
-//! of a block like this one to where they suit. [`Relayer::given`] has the layers
-//! and puts the lists' matter into them. Both conserve matter: the parts of a list in its layers composite to what the
-//! list composited to.
+//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::fit`] moves layers of a
+//! block much like this one to where they suit. [`Relayer::given`] has the layers and puts the lists' matter into them.
+//! Matter is conserved: the parts of a list in its layers composite to what the list composited to.
 //!
 //! What a loss moves is measured where visible, as (opacity or colour) × depth units^(5/4): joined parts of a list are
 //! read as one homogeneous medium, whose collected colour and opacity differ on the way from what they were; and a
@@ -18,7 +17,7 @@ mod assign;
 mod lists;
 mod merge;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
 use assign::Assigned;

@@ -7,7 +7,7 @@ use crate::space::Aabb;
 use crate::width::tests::with_each;
 
 /// A frame of one block with these lists.
-fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
+pub(in crate::codec::blocks) fn frame(list: impl Fn(usize) -> Vec<Segment>) -> LayeredFrame {
     let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::ONE };
     let intrinsics = Intrinsics::perspective(BLOCK as u32, BLOCK as u32, 0.7);
     let pose = Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0);
@@ -36,7 +36,7 @@ fn lists(frame: &LayeredFrame) -> BlockLists {
 }
 
 /// A sloping slab, thicker than thin.
-fn slab(i: usize, z: f32, thickness: f32, gray: f32, tau: f32) -> Segment {
+pub(in crate::codec::blocks) fn slab(i: usize, z: f32, thickness: f32, gray: f32, tau: f32) -> Segment {
     let front = DepthPlane { z, dx: 90.0, dy: -60.0 }.at(i);
     segment(front, front + thickness, gray, tau)
 }
@@ -58,7 +58,7 @@ fn rough(i: usize) -> Vec<Segment> {
     list
 }
 
-const RULE: Rule = Rule { lambda: 0.1, units_per_pixel: 130.0 };
+pub(in crate::codec::blocks) const RULE: Rule = Rule { lambda: 0.1, units_per_pixel: 130.0 };
 
 fn composite_of_list(frame: &LayeredFrame, i: usize) -> [f32; 4] {
     let mut over = Over::default();
