@@ -30,13 +30,16 @@ pub(super) struct Head {
     pub(super) is_split: bool,
     /// Whether planes are predicted from the edges of those beside, and not from their means.
     pub(super) has_edges: bool,
+    /// Whether borders between blocks of the corrected picture are smoothed.
+    pub(super) is_smooth: bool,
     /// Where the bands end; none if they are as high as each other.
     pub(super) borders: Option<Borders>,
 }
 
 impl Head {
     pub(super) fn to_bytes(self) -> Vec<u8> {
-        let flags = [self.reference.is_some(), self.is_split, self.borders.is_some(), self.has_edges];
+        let Self { reference, is_split, borders, has_edges, is_smooth, .. } = self;
+        let flags = [reference.is_some(), is_split, borders.is_some(), has_edges, is_smooth];
         let mut bytes = Vec::with_capacity(HEAD_BYTES + 2 * MAX_BANDS);
         bytes.push(flags.iter().rev().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
         bytes.extend(self.reference.unwrap_or(FrameId(0)).0.to_le_bytes());
@@ -62,8 +65,13 @@ impl Head {
         let num_rows = blocks_along(header.frame.camera.intrinsics.height);
         let has_borders = flags & HAS_BORDERS != 0;
         let borders = has_borders.then(|| Borders::read(bytes, header.num_base, num_rows)).transpose()?;
-        let [is_split, has_edges] = [IS_SPLIT, HAS_EDGES].map(|flag| flags & flag != 0);
-        Ok(Self { steps, reference, is_split, has_edges, borders })
+        let [is_split, has_edges, is_smooth] = [IS_SPLIT, HAS_EDGES, IS_SMOOTH].map(|flag| flags & flag != 0);
+        Ok(Self { steps, reference, is_split, has_edges, is_smooth, borders })
+    }
+
+    /// The step that borders between blocks of the corrected picture are smoothed by, if they are.
+    pub(super) fn smoothing(&self) -> Option<f32> {
+        self.is_smooth.then_some(self.steps.picture)
     }
 
     /// Whether a band has corrections.
@@ -75,7 +83,7 @@ impl Head {
 /// The frame that the fixed part of a head names.
 fn named(&[flags, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<FrameId>, CodecError> {
     let frame = FrameId(u32::from_le_bytes([a, b, c, d]));
-    let is_known = flags & !(IS_PREDICTED | IS_SPLIT | HAS_BORDERS | HAS_EDGES) == 0
+    let is_known = flags & !(IS_PREDICTED | IS_SPLIT | HAS_BORDERS | HAS_EDGES | IS_SMOOTH) == 0
         && flags & (IS_PREDICTED | HAS_EDGES) != IS_PREDICTED | HAS_EDGES;
     match (flags & IS_PREDICTED != 0, frame) {
         (false, FrameId(0)) if is_known => Ok(None),
@@ -189,7 +197,7 @@ pub(super) fn read<'a, C: Reader>(
         if !head.is_split && head.has_corrections(&band) {
             let corrections;
             (decoder, corrections) = picture::code(decoder, &head.steps, place, |_, _| 0)?;
-            corrections.apply(&mut band);
+            corrections.apply(&mut band, head.smoothing());
         }
         (decoder, Content::Base(Arc::new(band)))
     } else {
@@ -266,7 +274,7 @@ impl BlocksAssembly {
                 (Some(base), None) => base.clone(),
                 (Some(base), Some(corrections)) => {
                     let mut band = Band::clone(base);
-                    corrections.apply(&mut band);
+                    corrections.apply(&mut band, self.head.and_then(|head| head.smoothing()));
                     Arc::new(band)
                 }
                 (None, _) => {
@@ -370,5 +378,6 @@ const IS_PREDICTED: u8 = 1;
 const IS_SPLIT: u8 = 2;
 const HAS_BORDERS: u8 = 4;
 const HAS_EDGES: u8 = 8;
+const IS_SMOOTH: u8 = 16;
 /// Bytes of [`Head`] without borders.
 pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

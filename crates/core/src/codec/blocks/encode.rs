@@ -59,7 +59,7 @@ pub(super) fn band(
     let (base, coder) = if head.is_split { (Some(coder.finish()), Encoder::new()) } else { (None, coder) };
     let (coder, corrections) = picture::code(coder, &steps, place, source)?;
     let last = coder.finish();
-    corrections.apply(&mut decoded);
+    corrections.apply(&mut decoded, head.smoothing());
     let (base, corrections) = match base {
         Some(base) => (base, Some(last)),
         None => (last, None),

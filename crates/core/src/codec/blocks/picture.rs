@@ -8,6 +8,7 @@ use super::entropy::Coder;
 use super::meter::About;
 use super::model::{BLOCK_LISTS, MAX_LAYERS};
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
+use super::smooth::{Border, smooth};
 use super::steps::Steps;
 use super::syntax::{Contexts, NO_CLASS};
 use super::transform::Plane;
@@ -107,13 +108,13 @@ wide! {
 }
 
 wide! {
-    /// Changes the colours of the cells of a block by what `differences` says that each list composites to too little.
-    fn correct(
+    /// Multiplies the roots of the colours of a block's cells, list by list.
+    fn multiply(
         composer: &mut Composer,
         cells: &mut [Cell],
         ends: &[u16; BLOCK_LISTS],
-        differences: &[[i16; BLOCK_LISTS]; 3],
-    ) = correct_any;
+        factors: &[Plane; 3],
+    ) = multiply_any;
 }
 
 #[inline(always)]
@@ -148,23 +149,20 @@ fn composite_roots_any(composer: &mut Composer, of: CellsOf<'_>, found: &mut [Pl
 
 /// By the same factor in all cells of a list.
 #[inline(always)]
-fn correct_any(
+fn multiply_any(
     composer: &mut Composer,
     cells: &mut [Cell],
     ends: &[u16; BLOCK_LISTS],
-    differences: &[[i16; BLOCK_LISTS]; 3],
+    factors: &[Plane; 3],
 ) {
-    let mut factors = [[0.0; BLOCK_LISTS]; 3];
-    composite_roots_any(composer, CellsOf { cells, ends }, &mut factors);
-    for i in 0..BLOCK_LISTS {
-        let difference = [differences[0][i], differences[1][i], differences[2][i]];
-        let difference = roots_from_ycc(difference.map(f32_from_fixed));
-        for (factor, difference) in factors.iter_mut().zip(difference) {
-            factor[i] = ((factor[i] + difference) / factor[i]).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
-        }
-    }
     let Composer { ycc: [y, co, cg], roots: [r, g, b], .. } = composer;
     let num = cells.len().min(MOST_CELLS);
+    for (i, cell) in cells[..num].iter().enumerate() {
+        [y[i], co[i], cg[i]] = cell.ycc;
+    }
+    for i in 0..num {
+        [r[i], g[i], b[i]] = roots([y[i], co[i], cg[i]]);
+    }
     let mut start = 0;
     for (i, &end) in ends.iter().enumerate() {
         let end = usize::from(end).min(num);
@@ -183,7 +181,7 @@ fn correct_any(
     for (i, &end) in ends.iter().enumerate() {
         let end = usize::from(end).min(num);
         // What is right stays as it is, to the bit.
-        if [differences[0][i], differences[1][i], differences[2][i]] != [0; 3] {
+        if [factors[0][i], factors[1][i], factors[2][i]] != [1.0; 3] {
             for n in start..end {
                 cells[n].ycc = [y[n], co[n], cg[n]];
             }
@@ -198,17 +196,106 @@ pub(super) fn roots(ycc: [i16; 3]) -> [f32; 3] {
     roots_from_ycc(ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
 }
 
-impl Corrections {
-    /// Changes the colours of a band's cells so that every list composites to what it should, by the same factor in all
-    /// cells of a list.
-    pub(super) fn apply(&self, band: &mut Band) {
-        let mut composer = Composer::new();
-        for (block, &place) in self.places.iter().enumerate() {
-            let Some(planes) = self.planes.get(place as usize) else { continue };
-            if let Some((cells, ends)) = band.cells_mut(block) {
-                correct(&mut composer, cells, ends, planes);
+/// The picture of a row of blocks, as roots of red, green and blue.
+struct PictureRow {
+    blocks: Vec<Shown>,
+}
+
+#[derive(Clone)]
+struct Shown {
+    /// The lists with matter; none of a block without corrections.
+    mask: u64,
+    /// What the lists composite to, and what they shall.
+    found: [Plane; 3],
+    wanted: [Plane; 3],
+}
+
+impl PictureRow {
+    fn new(across: usize) -> Self {
+        const NOTHING: Plane = [0.0; BLOCK_LISTS];
+        Self { blocks: vec![Shown { mask: 0, found: [NOTHING; 3], wanted: [NOTHING; 3] }; across] }
+    }
+
+    /// Smooths the borders within this row, then those to the one above.
+    fn smooth_below(&mut self, above: &mut Self, step: f32) {
+        for x in 1..self.blocks.len() {
+            if let [first, second] = &mut self.blocks[x - 1..=x] {
+                smooth_between(Border::Beside, first, second, step);
             }
         }
+        for (first, second) in above.blocks.iter_mut().zip(&mut self.blocks) {
+            smooth_between(Border::Below, first, second, step);
+        }
+    }
+
+    /// Multiplies the colours of a row's lists so that they composite to what they shall.
+    fn apply(&self, composer: &mut Composer, band: &mut Band, first_block: usize) {
+        for (x, Shown { mask, found, wanted }) in self.blocks.iter().enumerate() {
+            if *mask == 0 {
+                continue;
+            }
+            let mut factors = *wanted;
+            for (factor, found) in factors.as_flattened_mut().iter_mut().zip(found.as_flattened()) {
+                *factor = (*factor / *found).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
+            }
+            if let Some((cells, ends)) = band.cells_mut(first_block + x) {
+                multiply(composer, cells, ends, &factors);
+            }
+        }
+    }
+}
+
+impl Corrections {
+    /// Changes the colours of a band's cells so that every list composites to what it should, by the same factor in all
+    /// cells of a list. Borders between corrected blocks are smoothed by the step of the corrections, if one is given.
+    pub(super) fn apply(&self, band: &mut Band, smoothing: Option<f32>) {
+        let mut composer = Composer::new();
+        let across = band.across.max(1);
+        let [mut above, mut own] = [(); 2].map(|()| PictureRow::new(across));
+        for (y, places) in self.places.chunks(across).enumerate() {
+            for (x, (&place, shown)) in places.iter().zip(&mut own.blocks).enumerate() {
+                shown.mask = 0;
+                if let Some(differences) = self.planes.get(place as usize) {
+                    shown.add(&mut composer, band.cells_of(y * across + x), differences);
+                }
+            }
+            if let Some(step) = smoothing {
+                own.smooth_below(&mut above, step);
+            }
+            // Nothing comes to it any more.
+            if y > 0 {
+                above.apply(&mut composer, band, (y - 1) * across);
+            }
+            std::mem::swap(&mut above, &mut own);
+        }
+        let num_rows = self.places.len().div_ceil(across);
+        above.apply(&mut composer, band, num_rows.saturating_sub(1) * across);
+    }
+}
+
+impl Shown {
+    /// With what the cells of a block composite to too little.
+    fn add(&mut self, composer: &mut Composer, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
+        composite_roots(composer, cells, &mut self.found);
+        let mut start = 0;
+        for (i, &end) in cells.ends.iter().enumerate() {
+            self.mask |= u64::from(end > start) << i;
+            start = end;
+        }
+        for i in 0..BLOCK_LISTS {
+            let difference = [differences[0][i], differences[1][i], differences[2][i]];
+            let difference = roots_from_ycc(difference.map(f32_from_fixed));
+            for ((wanted, found), difference) in self.wanted.iter_mut().zip(&self.found).zip(difference) {
+                wanted[i] = found[i] + difference;
+            }
+        }
+    }
+}
+
+fn smooth_between(border: Border, first: &mut Shown, second: &mut Shown, step: f32) {
+    let lines = border.lines(first.mask, second.mask);
+    if lines != 0 {
+        smooth(border, &mut first.wanted, &mut second.wanted, lines, &[step; 3]);
     }
 }
 

@@ -1,5 +1,5 @@
-//! Pictures coded as the planes of a layer are: with the same transform, contexts and bits, but without depth, masks or
-//! a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
+//! Pictures coded as the planes of a layer are, and their borders between blocks smoothed as those of a frame's picture
+//! are: with the same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
 
 use super::super::CodecError;
 use super::coding::{Expected, residual};
@@ -7,6 +7,7 @@ use super::edges::{Edges, spread};
 use super::entropy::{Coder, Decoder, Encoder};
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::scales::{roots_from_ycc, ycc_from_roots};
+use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};
 use super::transform::Plane;
 
@@ -26,33 +27,41 @@ pub struct Picture {
 impl Picture {
     /// Encodes samples from 0 to 1, row by row, all channels of a pixel together.
     pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
-        self.code(Encoder::new(), samples).0.finish()
+        self.code(Encoder::new(), samples, None).finish()
     }
 
     /// The samples that were encoded, up to what was lost. A damaged stream gives other samples, or ends too early.
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<f32>, CodecError> {
-        let (decoder, samples) = self.code(Decoder::new(bytes), &[]);
-        if decoder.is_overrun() {
+        let mut whole = Vec::new();
+        if self.code(Decoder::new(bytes), &[], Some(&mut whole)).is_overrun() {
             return Err(CodecError::Payload { plane: "picture", problem: "ends too early".into() });
+        }
+        self.smooth(&mut whole);
+        let mut samples = vec![0.0; self.size[0] * self.size[1] * self.channels];
+        for (block, values) in whole.iter().enumerate() {
+            for i in 0..BLOCK_LISTS {
+                let Some(at) = self.place(block, i) else { continue };
+                let pixel = values.each_ref().map(|plane| plane[i]);
+                let pixel = if self.channels == 1 { pixel } else { roots_from_ycc(pixel) };
+                for (sample, value) in samples[at..at + self.channels].iter_mut().zip(pixel) {
+                    *sample = value.clamp(0.0, 1.0);
+                }
+            }
         }
         Ok(samples)
     }
 
-    fn code<C: Coder>(&self, mut coder: C, samples: &[f32]) -> (C, Vec<f32>) {
+    /// Codes the blocks; `whole`, if it is there, gets their components as a decoder has them.
+    fn code<C: Coder>(&self, mut coder: C, samples: &[f32], mut whole: Option<&mut Vec<[Plane; 3]>>) -> C {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
-        let mut out = vec![0.0; width * height * self.channels];
         let across = width.div_ceil(BLOCK);
         // Edges and class of each component of the blocks so far.
         let mut coded: Vec<[(Edges, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        let steps = self.steps();
         for block in 0..across * height.div_ceil(BLOCK) {
-            let corner = [block % across * BLOCK, block / across * BLOCK];
-            let place = |i: usize| {
-                let [x, y] = [corner[0] + i % BLOCK, corner[1] + i / BLOCK];
-                (x < width && y < height).then_some((y * width + x) * self.channels)
-            };
-            let mask = (0..BLOCK_LISTS).fold(0, |mask, i| mask | u64::from(place(i).is_some()) << i);
-            let source = C::ENCODES.then(|| self.block(samples, &place));
+            let mask = self.mask(block);
+            let source = C::ENCODES.then(|| self.block(samples, block));
             let left = (block % across > 0).then(|| &coded[block - 1]);
             let above = block.checked_sub(across).map(|b| &coded[b]);
             let mut own = [(Edges::default(), 0); 3];
@@ -66,15 +75,14 @@ impl Picture {
                 };
                 let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
                 let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
-                let step = if c == 0 { self.step } else { self.step * self.chroma };
                 let [left, above] = near.map(|b| b.map(|(edges, _)| edges));
-                let waves = spread(left, above, step);
+                let waves = spread(left, above, steps[c]);
                 let (class, _) = residual(
                     &mut coder,
                     &mut contexts,
                     component,
                     [in_front, beside],
-                    step,
+                    steps[c],
                     mask,
                     source.as_ref().map(|s| &s[c]),
                     &waves.as_ref().map_or(Expected::Constant(0.0), Expected::Waves),
@@ -83,23 +91,52 @@ impl Picture {
                 own[c] = (Edges::of(values), class);
             }
             coded.push(own);
-            for i in 0..BLOCK_LISTS {
-                let Some(at) = place(i) else { continue };
-                let pixel = values.each_ref().map(|plane| plane[i]);
-                let pixel = if self.channels == 1 { pixel } else { roots_from_ycc(pixel) };
-                for (out, value) in out[at..at + self.channels].iter_mut().zip(pixel) {
-                    *out = value.clamp(0.0, 1.0);
-                }
+            if let Some(whole) = &mut whole {
+                whole.push(values);
             }
         }
-        (coder, out)
+        coder
+    }
+
+    /// Steps of the components.
+    fn steps(&self) -> [f32; 3] {
+        [self.step, self.step * self.chroma, self.step * self.chroma]
+    }
+
+    /// Smooths the borders between all blocks.
+    fn smooth(&self, whole: &mut [[Plane; 3]]) {
+        let across = self.size[0].div_ceil(BLOCK);
+        let steps = &self.steps()[..self.channels];
+        for (border, back) in [(Border::Beside, 1), (Border::Below, across)] {
+            for block in back..whole.len() {
+                if border == Border::Beside && block % across == 0 {
+                    continue;
+                }
+                let (before, from) = whole.split_at_mut(block);
+                let lines = border.lines(self.mask(block - back), self.mask(block));
+                smooth(border, &mut before[block - back], &mut from[0], lines, steps);
+            }
+        }
+    }
+
+    /// Where the samples of list `i` of a block begin, if it is inside of the picture.
+    fn place(&self, block: usize, i: usize) -> Option<usize> {
+        let [width, height] = self.size;
+        let across = width.div_ceil(BLOCK);
+        let [x, y] = [block % across * BLOCK + i % BLOCK, block / across * BLOCK + i / BLOCK];
+        (x < width && y < height).then_some((y * width + x) * self.channels)
+    }
+
+    /// The lists of a block that are inside of the picture.
+    fn mask(&self, block: usize) -> u64 {
+        (0..BLOCK_LISTS).fold(0, |mask, i| mask | u64::from(self.place(block, i).is_some()) << i)
     }
 
     /// The components of a block.
-    fn block(&self, samples: &[f32], place: &impl Fn(usize) -> Option<usize>) -> [Plane; 3] {
+    fn block(&self, samples: &[f32], block: usize) -> [Plane; 3] {
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
         for i in 0..BLOCK_LISTS {
-            let Some(at) = place(i) else { continue };
+            let Some(at) = self.place(block, i) else { continue };
             let pixel = match samples[at..at + self.channels] {
                 [r, g, b] => ycc_from_roots([r, g, b]),
                 ref one => [one[0], 0.0, 0.0],
