@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 24] = [
+const SOURCES: [&str; 25] = [
     "crates/core/src/wire",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
@@ -26,6 +26,7 @@ const SOURCES: [&str; 24] = [
     "crates/core/src/codec/blocks/picture.rs",
     "crates/core/src/codec/blocks/reference.rs",
     "crates/core/src/codec/blocks/scales.rs",
+    "crates/core/src/codec/blocks/smooth.rs",
     "crates/core/src/codec/blocks/steps.rs",
     "crates/core/src/codec/blocks/syntax.rs",
     "crates/core/src/codec/blocks/trained.rs",

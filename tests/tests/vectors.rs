@@ -31,7 +31,7 @@ const VECTORS: [(&str, u64); 7] = [
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
-const BLOCKS: [(&str, Option<&str>, u64); 13] = [
+const BLOCKS: [(&str, Option<&str>, u64); 16] = [
     ("blocks-2-shells", None, 0xf758_9055_db80_deef),
     ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
     ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
@@ -44,6 +44,10 @@ const BLOCKS: [(&str, Option<&str>, u64); 13] = [
     ("blocks-2-edges-shells", None, 0xb0bb_8d83_965f_2a7f),
     ("blocks-2-edges-shells-turned", Some("blocks-2-edges-shells"), 0x4279_4edd_0f99_89c0),
     ("blocks-2-edges-cloud-coarse", None, 0x4411_b561_c260_579b),
+    // Borders between blocks of the picture are smoothed.
+    ("blocks-2-smooth-shells", None, 0x06f7_7af4_e675_78bb),
+    ("blocks-2-smooth-shells-turned", Some("blocks-2-smooth-shells"), 0x747a_6105_66b5_02ed),
+    ("blocks-2-smooth-cloud-split", None, 0x7ac2_546b_f6e8_7f47),
     // As an encoder wrote them that ends no band where it likes, and as the decoder of its time read them.
     ("blocks-2-equal-bands", None, 0x5574_e2d6_3e44_7996),
     ("blocks-2-equal-bands-turned", Some("blocks-2-equal-bands"), 0x1bcc_aea3_f868_f30a),
@@ -128,7 +132,17 @@ fn edges_are_used_in_frames_that_are_predicted_from_no_other() {
     let uses_edges = |name: &str| iglf::read_chunks(&path(name)).unwrap()[0][HEADER_BYTES] & 8 != 0;
     let found = BLOCKS.map(|(name, before, _)| (name, before.is_none(), uses_edges(name)));
     for (name, is_alone, uses_edges) in found {
-        assert_eq!(uses_edges, is_alone && name.contains("-edges-"), "{name}");
+        let is_later = name.contains("-edges-") || name.contains("-smooth-");
+        assert_eq!(uses_edges, is_alone && is_later, "{name}");
+    }
+}
+
+#[test]
+fn borders_are_smooth_in_the_last_streams_and_as_they_were_in_those_before() {
+    for (name, ..) in BLOCKS {
+        let chunks = iglf::read_chunks(&path(name)).unwrap();
+        let is_smooth = chunks.iter().map(|chunk| chunk[HEADER_BYTES] & 16 != 0);
+        assert!(is_smooth.clone().all(|smooth| smooth == name.contains("-smooth-")), "{name}");
     }
 }
 
@@ -199,6 +213,9 @@ fn make_missing_vectors() {
         (turned(21, 0.5), 70, true),
         (turned(22, 0.51), 70, false),
         (frame_at(23, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 20, false),
+        (turned(31, 0.5), 50, false),
+        (turned(32, 0.51), 70, true),
+        (frame_at(33, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 30, true),
         // Behind it are those that are written no more.
     ]) {
         let path = path(name);

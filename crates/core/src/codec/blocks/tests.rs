@@ -215,6 +215,33 @@ fn corrections_take_back_most_of_what_the_picture_is_off() {
     assert_eq!(assembly.to_frame(), complete);
 }
 
+/// The same streams, with the bit that says so and without it.
+#[test]
+fn smoothed_borders_bring_the_picture_nearer_and_streams_without_them_decode() {
+    // The shells have more than borders of blocks to be seen in so small a picture.
+    for (builtin, is_split, most) in
+        [(Builtin::Shells, false, 1.0), (Builtin::Cloud, true, 0.95), (Builtin::Cubus, false, 0.95)]
+    {
+        let scene = scene(builtin);
+        let frame = made(&scene, 1, 160, 160, 0.0);
+        let (encoded, reference) = encode(&frame, &Settings { is_split, ..whole(40) }, None).unwrap();
+        let smoothed = decode(&bytes(&encoded)).unwrap();
+        assert_eq!(smoothed, reference.to_frame(), "an encoder has what a decoder has");
+        let without: Vec<_> = bytes(&encoded)
+            .into_iter()
+            .map(|chunk| {
+                let mut chunk = chunk.to_vec();
+                chunk[HEADER_BYTES] ^= 16;
+                chunk
+            })
+            .collect();
+        let plain = decode(&without).unwrap();
+        plain.validate().unwrap();
+        let [smoothed, plain] = [&smoothed, &plain].map(|decoded| error(decoded, &frame, 0.0).0);
+        assert!(smoothed < most * plain, "{builtin:?}: {smoothed} with, {plain} without");
+    }
+}
+
 #[test]
 fn prediction_from_the_frame_before_saves_bytes_and_costs_no_quality() {
     for builtin in ALL {
@@ -465,10 +492,12 @@ fn heads_with_unknown_bits_or_with_edges_in_a_predicted_frame_are_refused() {
         decode_chunk(&bytes, &references)
     };
     const EDGES: u8 = 8;
+    const SMOOTH: u8 = 16;
     assert!(with(&alone, 0).is_ok() && with(&predicted, 0).is_ok());
     assert_eq!([&alone, &predicted].map(|e| e.chunks[0].bytes[HEADER_BYTES] & EDGES), [EDGES, 0]);
+    assert!([&alone, &predicted].iter().all(|e| e.chunks[0].bytes[HEADER_BYTES] & SMOOTH != 0));
     for encoded in [&alone, &predicted] {
-        for bits in [16, 32, 64, 128] {
+        for bits in [32, 64, 128] {
             assert!(matches!(with(encoded, bits), Err(CodecError::Payload { plane: "head", .. })), "{bits}");
         }
     }
@@ -656,8 +685,10 @@ fn bytes_are_spent_where_a_turn_shows_them() {
         );
         for [near, all, far] in [alone, predicted] {
             assert!(near[0] < all[0] && all[0] < far[0], "{builtin:?} {alone:?} {predicted:?}");
-            assert!(far[1] < near[1] && far[1] < all[1], "{builtin:?} {alone:?} {predicted:?}");
+            // Predicted frames of the cloud for 10° and for all are alike there, within .4 %.
+            assert!(far[1] < near[1] && far[1] < 1.01 * all[1], "{builtin:?} {alone:?} {predicted:?}");
         }
         assert!(alone[0][0] < 0.8 * alone[1][0], "{builtin:?} {alone:?}");
+        assert!(alone[2][1] < 0.95 * alone[1][1], "{builtin:?} {alone:?}");
     }
 }
