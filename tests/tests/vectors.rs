@@ -31,7 +31,7 @@ const VECTORS: [(&str, u64); 7] = [
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
-const BLOCKS: [(&str, Option<&str>, u64); 16] = [
+const BLOCKS: [(&str, Option<&str>, u64); 17] = [
     ("blocks-2-shells", None, 0xf758_9055_db80_deef),
     ("blocks-2-shells-turned", Some("blocks-2-shells"), 0xaad8_48b6_d2a7_46b2),
     ("blocks-2-shells-at-rest", Some("blocks-2-shells-turned"), 0x3777_5adf_b36c_49b3),
@@ -45,9 +45,10 @@ const BLOCKS: [(&str, Option<&str>, u64); 16] = [
     ("blocks-2-edges-shells-turned", Some("blocks-2-edges-shells"), 0x4279_4edd_0f99_89c0),
     ("blocks-2-edges-cloud-coarse", None, 0x4411_b561_c260_579b),
     // Borders between blocks of the picture are smoothed.
-    ("blocks-2-smooth-shells", None, 0x06f7_7af4_e675_78bb),
-    ("blocks-2-smooth-shells-turned", Some("blocks-2-smooth-shells"), 0x747a_6105_66b5_02ed),
-    ("blocks-2-smooth-cloud-split", None, 0x7ac2_546b_f6e8_7f47),
+    ("blocks-2-smooth-shells", None, 0xb3a4_cf3f_81ac_9b2d),
+    ("blocks-2-smooth-shells-turned", Some("blocks-2-smooth-shells"), 0xd620_4465_093e_2cf3),
+    ("blocks-2-smooth-shells-at-rest", Some("blocks-2-smooth-shells-turned"), 0x558c_ad58_0f5a_320f),
+    ("blocks-2-smooth-cloud-in-bands", None, 0x8510_127a_9094_cc3c),
     // As an encoder wrote them that ends no band where it likes, and as the decoder of its time read them.
     ("blocks-2-equal-bands", None, 0x5574_e2d6_3e44_7996),
     ("blocks-2-equal-bands-turned", Some("blocks-2-equal-bands"), 0x1bcc_aea3_f868_f30a),
@@ -215,7 +216,8 @@ fn make_missing_vectors() {
         (frame_at(23, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 20, false),
         (turned(31, 0.5), 50, false),
         (turned(32, 0.51), 70, true),
-        (frame_at(33, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 30, true),
+        (turned(33, 0.51), 70, false),
+        (frame_at(34, 0.5, "builtin:cloud@32", [40, 260], 8, merge), 30, true),
         // Behind it are those that are written no more.
     ]) {
         let path = path(name);

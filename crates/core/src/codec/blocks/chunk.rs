@@ -69,9 +69,9 @@ impl Head {
         Ok(Self { steps, reference, is_split, has_edges, is_smooth, borders })
     }
 
-    /// The step that borders between blocks of the corrected picture are smoothed by, if they are.
-    pub(super) fn smoothing(&self) -> Option<f32> {
-        self.is_smooth.then_some(self.steps.picture)
+    /// The steps that borders between blocks of the corrected picture are smoothed by, if they are.
+    pub(super) fn smoothing(&self) -> Option<[f32; 3]> {
+        self.is_smooth.then(|| self.steps.of_picture())
     }
 
     /// Whether a band has corrections.

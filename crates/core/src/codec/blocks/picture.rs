@@ -8,7 +8,7 @@ use super::entropy::Coder;
 use super::meter::About;
 use super::model::{BLOCK_LISTS, MAX_LAYERS};
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
-use super::smooth::{Border, smooth};
+use super::smooth::{Border, smooth_roots};
 use super::steps::Steps;
 use super::syntax::{Contexts, NO_CLASS};
 use super::transform::Plane;
@@ -52,7 +52,7 @@ pub(super) fn code<C: Coder>(
                     (Some(a), None) | (None, Some(a)) => a,
                     (None, None) => NO_CLASS,
                 };
-                let step = if c == 0 { steps.picture } else { steps.picture * steps.chroma };
+                let step = steps.of_picture()[c];
                 let mut values = [0.0; BLOCK_LISTS];
                 let near = [class_before, beside];
                 let component = if c == 0 { 3 } else { 7 };
@@ -217,14 +217,14 @@ impl PictureRow {
     }
 
     /// Smooths the borders within this row, then those to the one above.
-    fn smooth_below(&mut self, above: &mut Self, step: f32) {
+    fn smooth_below(&mut self, above: &mut Self, steps: &[f32; 3]) {
         for x in 1..self.blocks.len() {
             if let [first, second] = &mut self.blocks[x - 1..=x] {
-                smooth_between(Border::Beside, first, second, step);
+                smooth_between(Border::Beside, first, second, steps);
             }
         }
         for (first, second) in above.blocks.iter_mut().zip(&mut self.blocks) {
-            smooth_between(Border::Below, first, second, step);
+            smooth_between(Border::Below, first, second, steps);
         }
     }
 
@@ -247,20 +247,25 @@ impl PictureRow {
 
 impl Corrections {
     /// Changes the colours of a band's cells so that every list composites to what it should, by the same factor in all
-    /// cells of a list. Borders between corrected blocks are smoothed by the step of the corrections, if one is given.
-    pub(super) fn apply(&self, band: &mut Band, smoothing: Option<f32>) {
+    /// cells of a list. Borders between corrected blocks are smoothed by the steps that Y, Co, Cg of the corrections have, if they are given.
+    pub(super) fn apply(&self, band: &mut Band, smoothing: Option<[f32; 3]>) {
+        if self.planes.is_empty() {
+            return;
+        }
         let mut composer = Composer::new();
         let across = band.across.max(1);
         let [mut above, mut own] = [(); 2].map(|()| PictureRow::new(across));
         for (y, places) in self.places.chunks(across).enumerate() {
             for (x, (&place, shown)) in places.iter().zip(&mut own.blocks).enumerate() {
-                shown.mask = 0;
-                if let Some(differences) = self.planes.get(place as usize) {
-                    shown.add(&mut composer, band.cells_of(y * across + x), differences);
+                match self.planes.get(place as usize) {
+                    Some(differences) => {
+                        shown.set(&mut composer, band.cells_of(y * across + x), differences);
+                    }
+                    None => shown.mask = 0,
                 }
             }
-            if let Some(step) = smoothing {
-                own.smooth_below(&mut above, step);
+            if let Some(steps) = &smoothing {
+                own.smooth_below(&mut above, steps);
             }
             // Nothing comes to it any more.
             if y > 0 {
@@ -275,8 +280,9 @@ impl Corrections {
 
 impl Shown {
     /// With what the cells of a block composite to too little.
-    fn add(&mut self, composer: &mut Composer, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
+    fn set(&mut self, composer: &mut Composer, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
         composite_roots(composer, cells, &mut self.found);
+        self.mask = 0;
         let mut start = 0;
         for (i, &end) in cells.ends.iter().enumerate() {
             self.mask |= u64::from(end > start) << i;
@@ -292,10 +298,10 @@ impl Shown {
     }
 }
 
-fn smooth_between(border: Border, first: &mut Shown, second: &mut Shown, step: f32) {
+fn smooth_between(border: Border, first: &mut Shown, second: &mut Shown, steps: &[f32; 3]) {
     let lines = border.lines(first.mask, second.mask);
     if lines != 0 {
-        smooth(border, &mut first.wanted, &mut second.wanted, lines, &[step; 3]);
+        smooth_roots(border, &mut first.wanted, &mut second.wanted, lines, steps);
     }
 }
 
@@ -309,3 +315,83 @@ const LEAST: f32 = 1e-5;
 const NONE: u32 = u32::MAX;
 /// Cells of a block.
 const MOST_CELLS: usize = MAX_LAYERS * BLOCK_LISTS;
+
+#[cfg(test)]
+mod tests {
+    use super::super::band::Lists;
+    use super::super::model::DepthPlane;
+    use super::*;
+
+    const ACROSS: usize = 4;
+    const ROWS: usize = 5;
+
+    /// A band of smooth layers, with blocks that have no matter and lists that have none, and corrections for most of it.
+    fn corrected() -> (Band, Corrections) {
+        let (mut band, mut lists) = (Band::new(ACROSS), Lists::default());
+        let mut corrections = Corrections { places: vec![], planes: vec![] };
+        for block in 0..ACROSS * ROWS {
+            let first_plane = band.planes.len();
+            lists.clear();
+            let mask = if block == 6 { 0xffff_fe7f_ffff_ff0f } else { u64::MAX };
+            for layer in 0..if block == 9 { 0 } else { 1 + block % 3 } {
+                let plane = |z: f32| DepthPlane { z: z + 3000.0 * layer as f32, dx: 10.0, dy: -7.0 };
+                let planes = (plane(20000.0), plane(21000.0));
+                let u: [u16; BLOCK_LISTS] =
+                    std::array::from_fn(|i| (600 + 40 * layer + i + 9 * block) as u16);
+                let ycc = [4000, 300, -200].map(|v| std::array::from_fn(|i| v + (3 * i + 11 * block) as i16));
+                let alphas = u.map(|code| scales().alpha[usize::from(code)]);
+                band.planes.push(planes);
+                lists.push(&planes, mask, &u, &ycc, &alphas);
+            }
+            band.push(first_plane, &lists);
+            if [3, 9, 14].contains(&block) {
+                corrections.places.push(NONE);
+            } else {
+                corrections.places.push(corrections.planes.len() as u32);
+                let of = |c: usize, i: usize| ((i * 7 + block * 31 + c * 5) % 23) as i16 * 9 - 90;
+                corrections.planes.push(std::array::from_fn(|c| std::array::from_fn(|i| of(c, i))));
+            }
+        }
+        (band, corrections)
+    }
+
+    /// All of the picture at once: first the borders between blocks beside each other, then those to blocks below.
+    fn at_once(band: &mut Band, corrections: &Corrections, steps: &[f32; 3]) {
+        let mut composer = Composer::new();
+        let mut shown = PictureRow::new(ACROSS * ROWS);
+        for (block, &place) in corrections.places.iter().enumerate() {
+            if let Some(differences) = corrections.planes.get(place as usize) {
+                shown.blocks[block].set(&mut composer, band.cells_of(block), differences);
+            }
+        }
+        for (border, back) in [(Border::Beside, 1), (Border::Below, ACROSS)] {
+            for block in back..ACROSS * ROWS {
+                if border == Border::Below || !block.is_multiple_of(ACROSS) {
+                    let [first, second] = shown.blocks.get_disjoint_mut([block - back, block]).unwrap();
+                    smooth_between(border, first, second, steps);
+                }
+            }
+        }
+        shown.apply(&mut composer, band, 0);
+    }
+
+    #[test]
+    fn rows_are_smoothed_as_all_of_a_band_at_once_is() {
+        let steps = [0.03, 0.08, 0.08];
+        let (mut by_rows, corrections) = corrected();
+        let [mut all, mut plain] = [(); 2].map(|()| by_rows.clone());
+        let before = by_rows.clone();
+        corrections.apply(&mut by_rows, Some(steps));
+        at_once(&mut all, &corrections, &steps);
+        assert!(by_rows == all);
+        corrections.apply(&mut plain, None);
+        let moved = |block: usize| {
+            let differ = by_rows.cells_of(block).cells.iter().zip(plain.cells_of(block).cells);
+            differ.filter(|(a, b)| a.ycc != b.ycc).count()
+        };
+        assert!((0..ACROSS * ROWS).map(moved).sum::<usize>() > 200);
+        // Blocks without corrections stay as they were, also beside those that have some.
+        assert!([3, 14].iter().all(|&block| by_rows.cells_of(block).cells == before.cells_of(block).cells));
+        assert!(moved(10) > 0);
+    }
+}

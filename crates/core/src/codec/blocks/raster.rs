@@ -1,5 +1,4 @@
-//! Pictures coded as the planes of a layer are, and their borders between blocks smoothed as those of a frame's picture
-//! are: with the same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
+//! Pictures coded as the planes of a layer are, and smoothed at the borders of blocks as a frame's picture is: with the same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
 
 use super::super::CodecError;
 use super::coding::{Expected, residual};
@@ -129,7 +128,10 @@ impl Picture {
 
     /// The lists of a block that are inside of the picture.
     fn mask(&self, block: usize) -> u64 {
-        (0..BLOCK_LISTS).fold(0, |mask, i| mask | u64::from(self.place(block, i).is_some()) << i)
+        let across = self.size[0].div_ceil(BLOCK);
+        let [columns, rows] = [(0, block % across), (1, block / across)]
+            .map(|(axis, at)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
+        (0..rows).fold(0, |mask, y| mask | ((1u64 << columns) - 1) << (y * BLOCK))
     }
 
     /// The components of a block.

@@ -1,9 +1,13 @@
 //! Borders between blocks of a decoded picture: what steps there by less than the coarseness of its coding is made smaller on
 //! both sides, as deblocking filters of video codecs do. The one here moves two samples on either side and is bounded by
-//! the step (docs/PROTOCOL.md, "Corrections"); what it is worth is in docs/BENCHMARKS.md.
+//! the step (docs/PROTOCOL.md, "Corrections"; docs/MATH.md, "Borders").
 
 use super::model::{BLOCK, BLOCK_LISTS};
+use super::scales::{roots_from_ycc, ycc_from_roots};
 use super::transform::{Line, Plane};
+
+/// Samples of every line across a border, the last three of the one block and the first three of the other.
+type Across = [Line; NEAR];
 
 /// Which two blocks a border is between.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +37,26 @@ impl Border {
         }
     }
 
-    /// Samples `away` from the near end of the second block, counted across the border.
+    /// The three samples on either side.
+    #[inline(always)]
+    fn across(self, first: &Plane, second: &Plane) -> Across {
+        std::array::from_fn(|at| match at.checked_sub(NEAR / 2) {
+            Some(away) => self.line(second, away),
+            None => self.line(first, BLOCK - NEAR / 2 + at),
+        })
+    }
+
+    /// Moves the two samples on either side.
+    #[inline(always)]
+    fn add(self, first: &mut Plane, second: &mut Plane, across: &Across, moves: &[Line; 4]) {
+        let moved = |n: usize| -> Line { std::array::from_fn(|i| across[n + 1][i] + moves[n][i]) };
+        self.set_line(first, BLOCK - 2, &moved(0));
+        self.set_line(first, BLOCK - 1, &moved(1));
+        self.set_line(second, 0, &moved(2));
+        self.set_line(second, 1, &moved(3));
+    }
+
+    /// Samples that are `away` from the near end of a block, counted across the border.
     #[inline(always)]
     fn line(self, plane: &Plane, away: usize) -> Line {
         match self {
@@ -53,32 +76,76 @@ impl Border {
 
 wide! {
     /// Smooths `lines` of a border in each of some planes, which were coded in these steps.
-    pub(super) fn smooth(border: Border, first: &mut [Plane], second: &mut [Plane], lines: u8, steps: &[f32]) = smooth_any;
+    pub(super) fn smooth(border: Border, first: &mut [Plane], second: &mut [Plane], lines: u8, steps: &[f32])
+        = smooth_any;
+}
+
+wide! {
+    /// The same in planes of roots of red, green and blue, of which Y, Co, Cg were coded in these steps.
+    pub(super) fn smooth_roots(
+        border: Border,
+        first: &mut [Plane; 3],
+        second: &mut [Plane; 3],
+        lines: u8,
+        steps: &[f32; 3],
+    ) = smooth_roots_any;
 }
 
 #[inline(always)]
 fn smooth_any(border: Border, first: &mut [Plane], second: &mut [Plane], lines: u8, steps: &[f32]) {
     for ((first, second), &step) in first.iter_mut().zip(second).zip(steps) {
-        let [mut p0, mut p1, p2] = [1, 2, 3].map(|away| border.line(first, BLOCK - away));
-        let [mut q0, mut q1, q2] = [0, 1, 2].map(|away| border.line(second, away));
-        let (most, bend, far) = (MOST * step, BEND * step, FAR * step);
-        for i in 0..BLOCK {
-            let bent = (p2[i] - 2.0 * p1[i] + p0[i]).abs() + (q2[i] - 2.0 * q1[i] + q0[i]).abs();
-            let half_of_step = (9.0 * (q0[i] - p0[i]) - 3.0 * (q1[i] - p1[i])) * (1.0 / 16.0);
-            let is_smoothed = (lines >> i & 1 == 1) & (bent <= bend) & (half_of_step.abs() <= far);
-            let by = within(half_of_step, most);
-            let of_p1 = within(0.5 * (0.5 * (p2[i] + p0[i]) - p1[i] + by), 0.5 * most);
-            let of_q1 = within(0.5 * (0.5 * (q2[i] + q0[i]) - q1[i] - by), 0.5 * most);
-            p0[i] = if is_smoothed { p0[i] + by } else { p0[i] };
-            q0[i] = if is_smoothed { q0[i] - by } else { q0[i] };
-            p1[i] = if is_smoothed { p1[i] + of_p1 } else { p1[i] };
-            q1[i] = if is_smoothed { q1[i] + of_q1 } else { q1[i] };
-        }
-        border.set_line(first, BLOCK - 1, &p0);
-        border.set_line(first, BLOCK - 2, &p1);
-        border.set_line(second, 0, &q0);
-        border.set_line(second, 1, &q1);
+        let across = border.across(first, second);
+        let moves = moves(&across, lines, step);
+        border.add(first, second, &across, &moves);
     }
+}
+
+#[inline(always)]
+fn smooth_roots_any(
+    border: Border,
+    first: &mut [Plane; 3],
+    second: &mut [Plane; 3],
+    lines: u8,
+    steps: &[f32; 3],
+) {
+    let roots: [Across; 3] = std::array::from_fn(|c| border.across(&first[c], &second[c]));
+    let mut ycc = roots;
+    for at in 0..NEAR {
+        for i in 0..BLOCK {
+            let components = ycc_from_roots([roots[0][at][i], roots[1][at][i], roots[2][at][i]]);
+            [ycc[0][at][i], ycc[1][at][i], ycc[2][at][i]] = components;
+        }
+    }
+    let of_ycc: [[Line; 4]; 3] = std::array::from_fn(|c| moves(&ycc[c], lines, steps[c]));
+    let mut of_roots = of_ycc;
+    for at in 0..4 {
+        for i in 0..BLOCK {
+            let channels = roots_from_ycc([of_ycc[0][at][i], of_ycc[1][at][i], of_ycc[2][at][i]]);
+            [of_roots[0][at][i], of_roots[1][at][i], of_roots[2][at][i]] = channels;
+        }
+    }
+    for c in 0..3 {
+        border.add(&mut first[c], &mut second[c], &roots[c], &of_roots[c]);
+    }
+}
+
+/// By how much the four samples next to the border move, in each line; 0 where it stays as it is.
+#[inline(always)]
+fn moves([p2, p1, p0, q0, q1, q2]: &Across, lines: u8, step: f32) -> [Line; 4] {
+    let (most, bend, far) = (MOST * step, BEND * step, FAR * step);
+    let mut moves = [[0.0; BLOCK]; 4];
+    for i in 0..BLOCK {
+        let bent = (p2[i] - 2.0 * p1[i] + p0[i]).abs() + (q2[i] - 2.0 * q1[i] + q0[i]).abs();
+        let apart = (9.0 * (q0[i] - p0[i]) - 3.0 * (q1[i] - p1[i])) * (1.0 / 16.0);
+        let is_smoothed = (lines >> i & 1 == 1) & (bent <= bend) & (apart.abs() <= far);
+        let by = within(apart, most);
+        let of_p1 = within(0.5 * (0.5 * (p2[i] + p0[i]) - p1[i] + by), 0.5 * most);
+        let of_q1 = within(0.5 * (0.5 * (q2[i] + q0[i]) - q1[i] - by), 0.5 * most);
+        for (moves, by) in moves.iter_mut().zip([of_p1, by, -by, of_q1]) {
+            moves[i] = if is_smoothed { by } else { 0.0 };
+        }
+    }
+    moves
 }
 
 /// As the machine has it: without a thought for NaN.
@@ -88,10 +155,11 @@ fn within(x: f32, most: f32) -> f32 {
     if x > -most { x } else { -most }
 }
 
-/// What a sample at a border moves by at most, in steps: weighed from .06 to .3 (docs/BENCHMARKS.md).
+const NEAR: usize = 6;
+/// What a sample at a border moves by at most, in steps: weighed from .06 to .3 (docs/BENCHMARKS.md, "Borders").
 const MOST: f32 = 0.12;
-/// How much both sides may bend together, and half a step between them be large, in steps: beyond, something is to be seen
-/// there.
+/// How much both sides may bend together, and how far they may differ (of which 3/8 are looked at where both are flat), in
+/// steps: beyond, something is to be seen there.
 const BEND: f32 = 2.0;
 const FAR: f32 = 1.8;
 const _: () = assert!(BLOCK == 8 && BLOCK_LISTS == 64);
@@ -141,6 +209,34 @@ mod tests {
         }
     }
 
+    /// A step across the border, and a bend of one side, just inside and outside of what is smoothed.
+    #[test]
+    fn what_bends_or_steps_by_more_than_its_bound_stays() {
+        let step = 0.01;
+        let moved = |border, picture: &dyn Fn(f32, f32) -> f32| {
+            let given = pair(border, picture);
+            smoothed(border, given, u8::MAX, step) != given
+        };
+        for border in BORDERS {
+            for (part, is_smoothed) in [(0.98, true), (1.02, false)] {
+                // Flat on both sides: 9/16 − 3/16 of the step count.
+                let high = part * FAR * step * 8.0 / 3.0;
+                assert_eq!(
+                    moved(border, &|x, _| if x < 0.0 { 0.5 } else { 0.5 + high }),
+                    is_smoothed,
+                    "{border:?}"
+                );
+                // The sample next to the border is off by what its side bends by.
+                let off = part * BEND * step;
+                assert_eq!(
+                    moved(border, &|x, _| if x == 0.0 { 0.5 + off } else { 0.5 }),
+                    is_smoothed,
+                    "{border:?}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn no_sample_moves_by_more_than_its_share_of_the_step_and_only_near_the_border() {
         let noise = |x: f32, y: f32| 0.5 + 0.01 * ((x * 12.9 + y * 78.2).sin() * 43_758.5).fract();
@@ -171,6 +267,31 @@ mod tests {
         }
     }
 
+    /// Gray has no colour differences, and what is smoothed of its brightness is that of its channels.
+    #[test]
+    fn gray_roots_are_smoothed_as_their_brightness_is_and_colours_by_their_own_steps() {
+        for border in BORDERS {
+            let given = pair(border, |x, y| 0.5 + 0.01 * (x * 1.7 + y * y).sin());
+            let [mut first, mut second] = given.map(|plane| [plane; 3]);
+            smooth_roots(border, &mut first, &mut second, u8::MAX, &[0.02, 0.06, 0.06]);
+            let expected = smoothed(border, given, u8::MAX, 0.02);
+            for (found, expected) in [first, second].iter().zip(expected) {
+                for channel in found {
+                    // Rounding of numbers about 0.5.
+                    assert!(channel.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
+                }
+            }
+            // A step of colour alone, by up to its share of the coarser step: red and blue by as much as Co.
+            let given = pair(border, |x, _| if x < 0.0 { -0.006 } else { 0.006 });
+            let [mut first, mut second] =
+                given.map(|co| [co.map(|v| 0.5 + v), [0.5; BLOCK_LISTS], co.map(|v| 0.5 - v)]);
+            smooth_roots(border, &mut first, &mut second, u8::MAX, &[0.001, 0.06, 0.06]);
+            let after = border.line(&second[0], 0)[3] - border.line(&first[0], 7)[3];
+            assert!(after < 0.006, "{after}");
+            assert!(second[1].iter().all(|v| (v - 0.5).abs() < 1e-6), "{border:?}");
+        }
+    }
+
     #[test]
     fn lines_are_those_with_matter_on_both_sides() {
         for border in BORDERS {
@@ -194,6 +315,14 @@ mod tests {
         for border in BORDERS {
             let given = pair(border, |x, y| 0.5 + 0.01 * (x * 1.7 + y * y).sin());
             let [portable, avx2, avx512] = with_each(|| smoothed(border, given, 0b1110_1111, 0.02));
+            assert_eq!([avx2, avx512], [portable; 2]);
+            let of_roots = || {
+                let [mut first, mut second] =
+                    given.map(|plane| [plane, plane.map(|v| 0.8 * v), plane.map(|v| v * v)]);
+                smooth_roots(border, &mut first, &mut second, 0b1110_1111, &[0.02, 0.06, 0.06]);
+                [first, second]
+            };
+            let [portable, avx2, avx512] = with_each(of_roots);
             assert_eq!([avx2, avx512], [portable; 2]);
         }
     }

@@ -21,6 +21,11 @@ pub(super) struct Steps {
 }
 
 impl Steps {
+    /// Of Y, Co, Cg in the correction of the picture.
+    pub(super) fn of_picture(&self) -> [f32; 3] {
+        [self.picture, self.picture * self.chroma, self.picture * self.chroma]
+    }
+
     pub(super) fn to_bytes(self) -> [u8; STEPS_BYTES] {
         let mut bytes = [0; STEPS_BYTES];
         let words =
