@@ -109,7 +109,7 @@ pub fn front(points: &[RatePoint]) -> Vec<usize> {
 }
 
 /// Of points on the front in the order of their bytes, those that no mix of two others beats: the lower convex hull in bytes and
-/// DSSIM. A search that tries steps at random leaves points that cost a third more for a hundredth less; nobody would choose
+/// DSSIM. A search over several steps leaves points that cost a third more for a hundredth less; nobody would choose
 /// them, and a curve through them is worse than its codec.
 fn hull(points: Vec<RatePoint>) -> Vec<RatePoint> {
     let mut hull: Vec<RatePoint> = Vec::with_capacity(points.len());

@@ -5,7 +5,8 @@
 //! from a neighbour or from the frame before, moved (`coding`, `motion`, `reference`). Opacity and colour of a layer
 //! are 8×8 planes on the scales of `scales`, predicted and transformed (`transform`) and said in adaptive bits
 //! (`syntax`, `entropy`). One more plane a block takes back what the picture of the decoded layers is off at the
-//! frame's own pose (`picture`), whose borders between blocks are smoothed (`smooth`). What decodes is what the encoder itself worked with (closed loop).
+//! frame's own pose (`picture`), whose borders between blocks are smoothed (`smooth`). What decodes is what the encoder
+//! itself worked with (closed loop).
 //!
 //! The one rule that makes every machine decode alike: whatever a decoder computes is integers, tables made of sums,
 //! products, quotients and square roots, or single and double precision operations in the order written. No

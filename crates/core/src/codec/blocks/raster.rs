@@ -1,4 +1,6 @@
-//! Pictures coded as the planes of a layer are, and smoothed at the borders of blocks as a frame's picture is: with the same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding of planes is compared with image codecs, on planes of theirs.
+//! Pictures coded as the planes of a layer are, and smoothed at the borders of blocks as a frame's picture is: with the
+//! same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding
+//! of planes is compared with image codecs, on planes of theirs.
 
 use super::super::CodecError;
 use super::coding::{Expected, residual};
