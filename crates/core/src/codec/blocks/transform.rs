@@ -83,24 +83,29 @@ fn fill_in_any(values: &mut Plane, mask: u64) {
     if mask == 0 || mask == u64::MAX {
         return;
     }
-    let known = |i: usize| mask >> i & 1 == 1;
-    let sum: f32 = (0..BLOCK_LISTS).filter(|&i| known(i)).map(|i| values[i]).sum();
-    let mean = sum / mask.count_ones() as f32;
-    for i in (0..BLOCK_LISTS).filter(|&i| !known(i)) {
-        values[i] = mean;
+    let is_known: [bool; BLOCK_LISTS] = std::array::from_fn(|i| mask >> i & 1 == 1);
+    let mut sums = [0.0; BLOCK];
+    for (row, is_known) in values.as_chunks::<BLOCK>().0.iter().zip(is_known.as_chunks::<BLOCK>().0) {
+        for ((sum, value), is_known) in sums.iter_mut().zip(row).zip(is_known) {
+            *sum += if *is_known { *value } else { 0.0 };
+        }
     }
-    let is_known: [bool; BLOCK_LISTS] = std::array::from_fn(known);
+    let mean = sums.iter().sum::<f32>() / mask.count_ones() as f32;
+    for (value, is_known) in values.iter_mut().zip(is_known) {
+        *value = if is_known { *value } else { mean };
+    }
+    let (rows, _) = values.as_chunks_mut::<BLOCK>();
     for _ in 0..SWEEPS {
         for y in 0..BLOCK {
-            let row_of = |y: usize| -> [f32; BLOCK] { std::array::from_fn(|x| values[y * BLOCK + x]) };
-            let (above, row, below) =
-                (row_of(y.saturating_sub(1)), row_of(y), row_of((y + 1).min(BLOCK - 1)));
+            if mask >> (y * BLOCK) & 0xff == 0xff {
+                continue;
+            }
+            let (above, row, below) = (rows[y.saturating_sub(1)], rows[y], rows[(y + 1).min(BLOCK - 1)]);
             let left: [f32; BLOCK] = std::array::from_fn(|x| row[x.saturating_sub(1)]);
             let right: [f32; BLOCK] = std::array::from_fn(|x| row[(x + 1).min(BLOCK - 1)]);
             for x in 0..BLOCK {
                 let mean = 0.25 * ((above[x] + below[x]) + (left[x] + right[x]));
-                let i = y * BLOCK + x;
-                values[i] = if is_known[i] { row[x] } else { mean };
+                rows[y][x] = if is_known[y * BLOCK + x] { row[x] } else { mean };
             }
         }
     }

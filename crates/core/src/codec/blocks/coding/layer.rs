@@ -357,12 +357,15 @@ fn quantize_any(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mu
     if any | first == 0 {
         return;
     }
-    for (k, &place) in ZIGZAG.iter().enumerate() {
-        levels.values[k] = all[usize::from(place)];
-        if levels.values[k] != 0 {
-            levels.length = k + 1;
-        }
+    for (level, &place) in levels.values.iter_mut().zip(&ZIGZAG) {
+        *level = all[usize::from(place) % BLOCK_LISTS];
     }
+    let mut length = 0;
+    for (k, &level) in levels.values.iter().enumerate() {
+        let end = if level != 0 { k as u32 + 1 } else { 0 };
+        length = length.max(end);
+    }
+    levels.length = length as usize;
 }
 
 #[inline(always)]

@@ -102,7 +102,7 @@ impl Assigned {
             match planes.get(n + 1) {
                 None => cells.end = [f32::INFINITY; BLOCK_LISTS],
                 Some((next, _)) => {
-                    for (slot, end) in cells.end.iter_mut().enumerate() {
+                    for (slot, end) in cells.end[..of.num()].iter_mut().enumerate() {
                         let i = of.list(slot);
                         *end = 0.5 * (planes[n].1.at(i) + next.at(i));
                     }
@@ -244,10 +244,10 @@ impl Assigned {
             if cells.mask == 0 {
                 continue;
             }
-            let weights = weights(cells, &kappa);
+            let weights = weights(cells, &kappa, of.num());
             planes[kept] =
                 (fitted(&weights, &cells.front, slopes, of), fitted(&weights, &cells.back, slopes, of));
-            for (kappa, alpha) in kappa.iter_mut().zip(&cells.alpha) {
+            for (kappa, alpha) in kappa[..of.num()].iter_mut().zip(&cells.alpha) {
                 *kappa *= 1.0 - alpha;
             }
             self.cells.swap(kept, index);
@@ -276,7 +276,7 @@ impl Assigned {
                 [cells.alpha[slot] * seen * power_5_4(d)]
             });
             error += moved;
-            for (kappa, alpha) in kappa.iter_mut().zip(&cells.alpha) {
+            for (kappa, alpha) in kappa[..of.num()].iter_mut().zip(&cells.alpha) {
                 *kappa *= 1.0 - alpha;
             }
         }
@@ -284,11 +284,11 @@ impl Assigned {
     }
 }
 
-/// How much the ends of each list are worth to a plane.
+/// How much the ends of each of `num` lists are worth to a plane.
 #[inline(always)]
-fn weights(cells: &Cells, kappa: &Column) -> Column {
+fn weights(cells: &Cells, kappa: &Column, num: usize) -> Column {
     let mut weights = [0.0; BLOCK_LISTS];
-    for i in 0..BLOCK_LISTS {
+    for i in 0..num {
         // The small addend lets a list that is all but clear have a say where no other has.
         let weight = (cells.alpha[i] + 1e-3) * kappa[i].max(KAPPA_FLOOR);
         weights[i] = select(cells.mask >> i & 1 == 1, weight, 0.0);

@@ -1,6 +1,6 @@
 //! The lists of a block as curves: what a ray along a list has collected up to a depth.
 
-use super::{Column, SAMPLES, Sample, select};
+use super::{Column, SAMPLES, Sample, greater, select};
 use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
@@ -13,8 +13,11 @@ pub struct BlockLists {
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
-    /// The colour of the chessboard on which more segments stand: 0 or 1.
-    color: usize,
+    /// The lists that are looked at for the cuts: of those with segments as many as there is room for, evenly spread. If
+    /// there are fewer, the rest are lists without.
+    samples: [u8; SAMPLES],
+    /// How many lists with segments there are to each of these.
+    per_sample: f32,
     unpacked: Box<Unpacked>,
 }
 
@@ -74,7 +77,8 @@ impl Default for BlockLists {
             starts: std::array::from_fn(|i| i as u32),
             pieces: vec![behind; BLOCK_LISTS],
             slope: [1.0; BLOCK_LISTS],
-            color: 0,
+            samples: [0; SAMPLES],
+            per_sample: 1.0,
             unpacked: Box::default(),
         }
     }
@@ -161,7 +165,6 @@ impl BlockLists {
         let (x, y) = (x as usize * BLOCK, y as usize * BLOCK);
         let columns = width.saturating_sub(x).min(BLOCK);
         self.pieces.clear();
-        let mut num_of_color = [0, 0];
         for row in 0..BLOCK {
             let columns = if y + row < height { columns } else { 0 };
             let first = (y + row) * width + x;
@@ -188,12 +191,14 @@ impl BlockLists {
                 });
                 self.starts[i + 1] = self.pieces.len() as u32;
                 let [r, g, b] = before.c;
-                // The picture shows about the root of the colour, so an error in a dark list counts for more.
-                self.slope[i] = (0.5 / r.max(g).max(b).max(0.01).sqrt()).sqrt();
-                num_of_color[(column + row) % 2] += self.list(i).len();
+                self.slope[i] = r.max(g).max(b);
             }
         }
-        self.color = usize::from(num_of_color[1] > num_of_color[0]);
+        for slope in &mut self.slope {
+            // The picture shows about the root of the colour, so an error in a dark list counts for more.
+            *slope = (0.5 / greater(*slope, 0.01).sqrt()).sqrt();
+        }
+        self.sample();
     }
 
     /// Whether a frame has nothing in a block.
@@ -223,10 +228,32 @@ impl BlockLists {
         self.pieces.len() == BLOCK_LISTS
     }
 
+    /// Chooses the samples.
+    #[inline(always)]
+    fn sample(&mut self) {
+        let (mut chosen, mut num, mut empty) = ([0; BLOCK_LISTS], 0, 0);
+        for list in SPREAD {
+            let i = usize::from(list);
+            let has_segments = self.starts[i + 1] - self.starts[i] > 1;
+            chosen[num] = list;
+            num += usize::from(has_segments);
+            empty = if has_segments { empty } else { list };
+        }
+        chosen[num..].fill(empty);
+        self.samples.copy_from_slice(&chosen[..SAMPLES]);
+        self.per_sample = num as f32 / num.clamp(1, SAMPLES) as f32;
+    }
+
+    /// How many lists with segments there are to each sample that has some.
+    #[inline(always)]
+    pub(super) fn per_sample(&self) -> f32 {
+        self.per_sample
+    }
+
     /// The list of sample `i`. Not all samples are empty unless all lists are.
     #[inline(always)]
     pub(super) fn sampled(&self, i: usize) -> usize {
-        2 * i + (i / (BLOCK / 2) + self.color) % 2
+        usize::from(self.samples[i]) % BLOCK_LISTS
     }
 
     /// The segments of list `i`.
@@ -367,6 +394,20 @@ impl Walk {
         }
     }
 }
+
+/// The lists of a block in an order in which the first so many lie evenly spread: by sixteens, each of which has two lists
+/// of every row and of every column.
+const SPREAD: [u8; BLOCK_LISTS] = {
+    let mut order = [0; BLOCK_LISTS];
+    let mut n = 0;
+    while n < BLOCK_LISTS {
+        let row = [0, 4, 2, 6, 1, 5, 3, 7][n % 16 / 2];
+        let column = [0, 2, 1, 3][row % 4] + [0, 2, 1, 3][n / 16];
+        order[n] = (row * BLOCK + n % 2 * 4 + column % 4) as u8;
+        n += 1;
+    }
+    order
+};
 
 /// Least optical depth of a segment: the source colour C/α of a thinner one would not be a number to rely on.
 const TAU_MIN: f32 = 1e-4;

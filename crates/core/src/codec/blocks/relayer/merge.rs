@@ -93,7 +93,7 @@ impl Merge {
         for i in 1..self.groups.len() {
             self.weigh(i - 1, &walk.slope);
         }
-        let limit = rule.error_per_layer() * (SAMPLES as f32 / BLOCK_LISTS as f32);
+        let limit = rule.error_per_layer() / lists.per_sample();
         while self.groups.len() > 1 {
             let (cheapest, least) = cheapest(&self.costs);
             // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
@@ -305,7 +305,7 @@ pub(super) fn move_of_union(
 const MIN_CANDIDATES: u32 = 64;
 const MAX_CANDIDATES: u32 = 128;
 /// Ends of segments for each candidate between these.
-const ENDS_PER_CANDIDATE: u32 = 12;
+const ENDS_PER_CANDIDATE: u32 = 4;
 /// Least distance of candidate cuts, in depth units: about a sixth of a pixel.
 const MIN_DISTANCE: f32 = 20.0;
 /// Fewer neighbours than this say nothing about a slope.
