@@ -651,35 +651,41 @@ fn a_rest_does_not_copy_what_was_made_for_a_lesser_turn() {
     assert!(lesser == 0 && all > 50 && greater > 50, "{lesser}, {all}, {greater} blocks");
 }
 
-/// Of as many bytes, each frame is the best at the turn that it is made for.
+/// Of as many bytes, each frame is the best at the turn that it is made for: in the mean of a few poses, as a search for
+/// planes has its luck.
 #[test]
 fn bytes_are_spent_where_a_turn_shows_them() {
     for builtin in [Builtin::Cloud, Builtin::Shells] {
         let scene = scene(builtin);
-        let (before, reference) = encode(&made(&scene, 1, 160, 160, -1.0), &whole(50), None).unwrap();
-        let mut references = References::default();
-        references.insert(Arc::new(reference.clone()));
-        let frame = made(&scene, 2, 160, 160, 0.0);
-        let usual = before.num_bytes();
-        let [now, later] = [0.0, 10.0]
-            .map(|degrees| move |frame: &LayeredFrame, truth: &LayeredFrame| error(frame, truth, degrees).0);
-        let found = |turn_deg, reference: Option<&Reference>| {
-            let bytes_allowed = if reference.is_some() { usual / 2 } else { usual };
-            let settings = Settings { turn_deg, ..whole(0) };
-            let (encoded, ..) = encode_within(&frame, bytes_allowed, &settings, reference).unwrap();
-            assert!(encoded.num_bytes() * 10 > bytes_allowed * 9, "{builtin:?} {turn_deg:?}");
-            let decoded = assemble(&bytes(&encoded), &references).unwrap().to_frame_and_reference().0;
-            [now(&decoded, &frame), later(&decoded, &frame)]
-        };
-        let alone = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn| found(turn, None));
-        let predicted = [Some(0), None, Some(MAX_TURN_DEG)].map(|turn| found(turn, Some(&reference)));
+        let [mut alone, mut predicted] = [[[0.0; 2]; 3]; 2];
+        for at in [0.0, 40.0, 100.0] {
+            let (before, reference) = encode(&made(&scene, 1, 160, 160, at - 1.0), &whole(50), None).unwrap();
+            let mut references = References::default();
+            references.insert(Arc::new(reference.clone()));
+            let frame = made(&scene, 2, 160, 160, at);
+            let usual = before.num_bytes();
+            let found = |turn_deg, reference: Option<&Reference>| {
+                let bytes_allowed = if reference.is_some() { usual / 2 } else { usual };
+                let settings = Settings { turn_deg, ..whole(0) };
+                let (encoded, ..) = encode_within(&frame, bytes_allowed, &settings, reference).unwrap();
+                assert!(encoded.num_bytes() * 10 > bytes_allowed * 9, "{builtin:?} {turn_deg:?}");
+                let decoded = assemble(&bytes(&encoded), &references).unwrap().to_frame_and_reference().0;
+                [at, at + 10.0].map(|degrees| error(&decoded, &frame, degrees).0)
+            };
+            for (i, turn) in [Some(0), None, Some(MAX_TURN_DEG)].into_iter().enumerate() {
+                for (sums, reference) in [(&mut alone, None), (&mut predicted, Some(&reference))] {
+                    let found = found(turn, reference);
+                    sums[i].iter_mut().zip(found).for_each(|(sum, found)| *sum += found);
+                }
+            }
+        }
         println!(
             "{builtin:?}: DSSIM at 0° and 10° made for 0°, all, 10°: {alone:?}, predicted {predicted:?}"
         );
         for [near, all, far] in [alone, predicted] {
             assert!(near[0] < all[0] && all[0] < far[0], "{builtin:?} {alone:?} {predicted:?}");
-            // Predicted frames of the cloud for 10° and for all are alike there, within .4 %.
-            assert!(far[1] < near[1] && far[1] < 1.01 * all[1], "{builtin:?} {alone:?} {predicted:?}");
+            // Predicted frames of the cloud for 10° and for all are alike there, within 3 %.
+            assert!(far[1] < near[1] && far[1] < 1.03 * all[1], "{builtin:?} {alone:?} {predicted:?}");
         }
         assert!(alone[0][0] < 0.8 * alone[1][0], "{builtin:?} {alone:?}");
         assert!(alone[2][1] < 0.95 * alone[1][1], "{builtin:?} {alone:?}");
