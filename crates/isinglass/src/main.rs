@@ -28,7 +28,7 @@ use config::Settings;
 use given::Given;
 
 /// Keeps the memory of a frame for the next one. The system's gives megabytes back at once, and every page of them is cleared
-/// and faulted in anew thirty times a second: a fifth of the time to decode a frame (docs/BENCHMARKS.md).
+/// and faulted in anew thirty times a second: a seventh of the time to decode an exact frame (docs/BENCHMARKS.md).
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
