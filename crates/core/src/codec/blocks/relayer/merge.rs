@@ -95,25 +95,22 @@ impl Merge {
         }
         let limit = rule.error_per_layer() / lists.per_sample();
         while self.groups.len() > 1 {
-            let (cheapest, least) = cheapest(&self.costs);
+            let least = least(&self.costs);
             // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
             // when the search would end.
             let is_dear = least > limit && self.groups.len() <= MAX_LAYERS;
-            let stale =
-                if is_dear { self.groups.iter().position(|group| group.is_stale) } else { Some(cheapest) };
-            let Some(stale) = stale else { break };
-            if self.groups[stale].is_stale {
-                self.weigh(stale, &walk.slope);
-                continue;
+            let bound = if is_dear { f32::INFINITY } else { greater(least, lesser(RISE * least, limit)) };
+            let mut num_weighed = 0;
+            for i in 0..self.groups.len() - 1 {
+                if self.groups[i].is_stale && self.costs[i] <= bound {
+                    self.weigh(i, &walk.slope);
+                    num_weighed += 1;
+                }
             }
-            let next = self.groups.remove(cheapest + 1);
-            let group = &mut self.groups[cheapest];
-            let (from, misfit) = (group.from, group.misfit_of_union);
-            // The last group has no next.
-            self.costs.remove(cheapest);
-            *group = Group { from, misfit, is_stale: self.costs[cheapest].is_finite(), ..next };
-            if cheapest > 0 {
-                self.groups[cheapest - 1].is_stale = true;
+            if !is_dear {
+                self.join(bound);
+            } else if num_weighed == 0 {
+                break;
             }
         }
         self.fronts.clear();
@@ -177,6 +174,33 @@ impl Merge {
         }
     }
 
+    /// Joins groups whose union costs no more than `bound`, none of them twice.
+    #[inline(always)]
+    fn join(&mut self, bound: f32) {
+        let (mut from, mut to) = (0, 0);
+        while from < self.groups.len() {
+            let mut group = self.groups[from];
+            let mut cost = self.costs[from];
+            from += 1;
+            if cost <= bound
+                && let Some(&next) = self.groups.get(from)
+            {
+                cost = self.costs[from];
+                // The last group has no next.
+                let (is_stale, first, misfit) = (cost.is_finite(), group.from, group.misfit_of_union);
+                group = Group { from: first, misfit, is_stale, ..next };
+                if to > 0 {
+                    self.groups[to - 1].is_stale = true;
+                }
+                from += 1;
+            }
+            (self.groups[to], self.costs[to]) = (group, cost);
+            to += 1;
+        }
+        self.groups.truncate(to);
+        self.costs.truncate(to);
+    }
+
     /// Fills in what a union of the group `index` with the next would cost.
     #[inline(always)]
     fn weigh(&mut self, index: usize, slope: &Sample) {
@@ -189,9 +213,9 @@ impl Merge {
     }
 }
 
-/// The first of the least numbers, and its place.
+/// The least number.
 #[inline(always)]
-fn cheapest(costs: &[f32]) -> (usize, f32) {
+fn least(costs: &[f32]) -> f32 {
     let mut lanes = [f32::INFINITY; LEAST_LANES];
     let (whole, rest) = costs.as_chunks::<LEAST_LANES>();
     for costs in whole {
@@ -202,12 +226,7 @@ fn cheapest(costs: &[f32]) -> (usize, f32) {
     for (lane, cost) in lanes.iter_mut().zip(rest) {
         *lane = lesser(*cost, *lane);
     }
-    let least = lanes.into_iter().fold(f32::INFINITY, lesser);
-    let chunk =
-        whole.iter().position(|costs| costs.iter().fold(false, |found, cost| found | (*cost == least)));
-    let first = chunk.unwrap_or(whole.len()) * LEAST_LANES;
-    let place = costs[first..].iter().position(|cost| *cost == least);
-    (place.map_or(0, |place| first + place), least)
+    lanes.into_iter().fold(f32::INFINITY, lesser)
 }
 
 impl Group {
@@ -312,6 +331,8 @@ const MIN_DISTANCE: f32 = 20.0;
 const MIN_DIFFERENCES: usize = 4;
 /// One over the least transmittance in front of a colour.
 const PER_KAPPA_MAX: f32 = 1e4;
+/// Unions that cost up to so many times the least are made at a time.
+const RISE: f32 = 2.0;
 /// Numbers that the least is sought among at a time.
 const LEAST_LANES: usize = 16;
 /// Bins of depth that ends of segments are sorted into.
@@ -322,16 +343,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_cheapest_is_the_first_of_the_least() {
+    fn the_least_is_found_wherever_it_is() {
         for num in 1..70 {
-            for salt in 0..40 {
-                let costs: Vec<f32> = (0..num).map(|i| ((i * 7 + salt * 13) % 11) as f32).collect();
-                let least = costs.iter().copied().fold(f32::INFINITY, f32::min);
-                let place = costs.iter().position(|cost| *cost == least).unwrap();
-                assert_eq!(cheapest(&costs), (place, least));
+            for place in 0..num {
+                let costs: Vec<f32> =
+                    (0..num).map(|i| if i == place { 2.0 } else { 3.0 + i as f32 }).collect();
+                assert_eq!(least(&costs), 2.0);
             }
         }
-        assert_eq!(cheapest(&[f32::INFINITY; 20]), (0, f32::INFINITY));
-        assert_eq!(cheapest(&[]), (0, f32::INFINITY));
+        assert_eq!(least(&[]), f32::INFINITY);
+    }
+
+    /// Of groups in a row those between a first and a second are joined if that costs little, and none twice at once.
+    #[test]
+    fn groups_are_joined_in_pairs() {
+        let group = |n| Group { from: n, to: n + 1, misfit_of_union: n as f32, ..Group::ALONE };
+        let mut merge = Merge {
+            groups: (0..6).map(group).collect(),
+            costs: vec![1.0, 1.0, 5.0, 2.0, 1.0, f32::INFINITY],
+            ..Merge::default()
+        };
+        merge.join(2.0);
+        let found: Vec<_> = merge.groups.iter().map(|g| (g.from, g.to, g.is_stale)).collect();
+        // The second might be joined, but its pair is taken; the fourth is, and then the fifth's pair.
+        assert_eq!(found, [(0, 2, true), (2, 3, true), (3, 5, true), (5, 6, false)]);
+        assert_eq!(merge.costs, [1.0, 5.0, 1.0, f32::INFINITY]);
+        let misfits: Vec<_> = merge.groups.iter().map(|g| g.misfit).collect();
+        assert_eq!(misfits, [0.0, 0.0, 3.0, 0.0]);
+        // With a bound below all, nothing changes.
+        merge.join(0.5);
+        assert_eq!(merge.costs.len(), 4);
     }
 }
