@@ -27,11 +27,6 @@ use commands::Command;
 use config::Settings;
 use given::Given;
 
-/// Keeps the memory of a frame for the next one. The system's gives megabytes back at once, and every page of them is cleared
-/// and faulted in anew thirty times a second: a seventh of the time to decode an exact frame (docs/BENCHMARKS.md).
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 /// Remote volume rendering that follows the hand at any latency.
 #[derive(Parser)]
 #[command(name = "isinglass", version, arg_required_else_help = true, disable_help_subcommand = true)]
