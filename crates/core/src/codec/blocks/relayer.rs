@@ -1,7 +1,7 @@
 //! From ragged lists to layers that a block shares: the server's part of the rate mode.
 //!
-//! [`Relayer::fresh`] finds the layers: candidate cuts through a block, parallel to its first surface, of which the
-//! one whose loss moves least matter is dropped until the next would move too much. [`Relayer::fit`] moves layers of a
+//! [`Relayer::fresh`] finds the layers: candidate cuts through a block, parallel to its first surface, of which those
+//! whose loss moves least matter are dropped until the next would move too much. [`Relayer::fit`] moves layers of a
 //! block much like this one to where they suit. [`Relayer::given`] has the layers and puts the lists' matter into them.
 //! Matter is conserved: the parts of a list in its layers composite to what the list composited to.
 //!
