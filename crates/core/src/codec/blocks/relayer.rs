@@ -10,8 +10,8 @@
 //! layer has one front and one back plane, from which the ends of its lists differ. The power 5/4 makes one long move
 //! dearer than many short ones. One list of four is enough to choose cuts by, where all have matter.
 //!
-//! Only an encoder runs this, so results need not be the same on all machines. Lists are worked on 64 at a time, in
-//! loops that become vector instructions.
+//! Only an encoder runs this, so results need not be the same on all machines. Lists are worked on 16 or 64 at a
+//! time, in loops that become vector instructions.
 
 mod assign;
 mod lists;
@@ -88,7 +88,7 @@ impl Relayer {
         fresh(self, lists, rule, out);
     }
 
-    /// Moves planes of layers to what lies in them, and drops layers without matter. Costs a fraction of
+    /// Moves planes of layers to what lies in them, and drops layers without matter in the lists that are looked at. Costs a fraction of
     /// [`Relayer::fresh`], and finds as good planes where these suited lists much like these.
     pub fn fit(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
         fit(self, lists, planes);
@@ -217,7 +217,7 @@ impl Lists for BlockLists {
 /// A number for each list of a block.
 type Column = [f32; BLOCK_LISTS];
 
-/// A number for each list that is looked at for the cuts.
+/// A number for each list that is looked at where not all are.
 type Sample = [f32; SAMPLES];
 
 /// Sums over so many lists, a multiple of [`LANES`].

@@ -13,7 +13,7 @@ pub struct BlockLists {
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
-    /// The lists that are looked at for the cuts: of those with segments as many as there is room for, evenly spread. If
+    /// The lists that are looked at where not all are: of those with segments as many as there is room for, evenly spread. If
     /// there are fewer, the rest are lists without.
     samples: [u8; SAMPLES],
     /// How many lists with segments there are to each of these.
@@ -413,3 +413,40 @@ const SPREAD: [u8; BLOCK_LISTS] = {
 const TAU_MIN: f32 = 1e-4;
 /// Least transmittance to divide by.
 const KAPPA_MIN: f32 = 1e-35;
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{frame, slab};
+    use super::*;
+
+    #[test]
+    fn samples_are_spread_evenly() {
+        for part in SPREAD.as_chunks::<SAMPLES>().0 {
+            let num = |of: &dyn Fn(usize) -> usize, place| {
+                part.iter().filter(|&&list| of(usize::from(list)) == place).count()
+            };
+            for place in 0..BLOCK {
+                assert_eq!([num(&|i| i / BLOCK, place), num(&|i| i % BLOCK, place)], [2, 2]);
+            }
+        }
+        let mut all = SPREAD;
+        all.sort_unstable();
+        assert_eq!(all, std::array::from_fn(|i| i as u8));
+    }
+
+    #[test]
+    fn samples_are_of_lists_that_have_segments() {
+        for num in [1, 5, SAMPLES, 17, 40, BLOCK_LISTS] {
+            let has_segments = |i: usize| i * 37 % BLOCK_LISTS < num;
+            let list = |i| if has_segments(i) { vec![slab(i, 20000.0, 500.0, 0.8, 0.7)] } else { vec![] };
+            let mut lists = BlockLists::default();
+            lists.read(&frame(list), 0, 0);
+            let mut found: Vec<_> =
+                (0..SAMPLES).map(|i| lists.sampled(i)).filter(|&i| has_segments(i)).collect();
+            found.sort_unstable();
+            found.dedup();
+            assert_eq!(found.len(), num.min(SAMPLES));
+            assert_eq!(lists.per_sample(), num as f32 / num.min(SAMPLES) as f32);
+        }
+    }
+}

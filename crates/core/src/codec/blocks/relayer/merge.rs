@@ -100,8 +100,9 @@ impl Merge {
             // when the search would end.
             let is_dear = least > limit && self.groups.len() <= MAX_LAYERS;
             let bound = if is_dear { f32::INFINITY } else { greater(least, lesser(RISE * least, limit)) };
+            let num_groups = self.groups.len();
             let mut num_weighed = 0;
-            for i in 0..self.groups.len() - 1 {
+            for i in 0..num_groups - 1 {
                 if self.groups[i].is_stale && self.costs[i] <= bound {
                     self.weigh(i, &walk.slope);
                     num_weighed += 1;
@@ -109,7 +110,9 @@ impl Merge {
             }
             if !is_dear {
                 self.join(bound);
-            } else if num_weighed == 0 {
+            }
+            // Costs that are no numbers end the search, too.
+            if num_weighed == 0 && self.groups.len() == num_groups {
                 break;
             }
         }
@@ -174,7 +177,8 @@ impl Merge {
         }
     }
 
-    /// Joins groups whose union costs no more than `bound`, none of them twice.
+    /// Joins groups whose union costs no more than `bound` and no more than that of the second with the one behind it, none
+    /// of them twice.
     #[inline(always)]
     fn join(&mut self, bound: f32) {
         let (mut from, mut to) = (0, 0);
@@ -182,10 +186,12 @@ impl Merge {
             let mut group = self.groups[from];
             let mut cost = self.costs[from];
             from += 1;
+            let behind = self.costs.get(from).copied().unwrap_or(f32::INFINITY);
             if cost <= bound
+                && cost <= behind
                 && let Some(&next) = self.groups.get(from)
             {
-                cost = self.costs[from];
+                cost = behind;
                 // The last group has no next.
                 let (is_stale, first, misfit) = (cost.is_finite(), group.from, group.misfit_of_union);
                 group = Group { from: first, misfit, is_stale, ..next };
@@ -354,22 +360,21 @@ mod tests {
         assert_eq!(least(&[]), f32::INFINITY);
     }
 
-    /// Of groups in a row those between a first and a second are joined if that costs little, and none twice at once.
+    /// If it costs little, but not where the second of them is nearer to the third.
     #[test]
     fn groups_are_joined_in_pairs() {
         let group = |n| Group { from: n, to: n + 1, misfit_of_union: n as f32, ..Group::ALONE };
         let mut merge = Merge {
             groups: (0..6).map(group).collect(),
-            costs: vec![1.0, 1.0, 5.0, 2.0, 1.0, f32::INFINITY],
+            costs: vec![1.9, 1.0, 5.0, 2.0, 1.0, f32::INFINITY],
             ..Merge::default()
         };
         merge.join(2.0);
         let found: Vec<_> = merge.groups.iter().map(|g| (g.from, g.to, g.is_stale)).collect();
-        // The second might be joined, but its pair is taken; the fourth is, and then the fifth's pair.
-        assert_eq!(found, [(0, 2, true), (2, 3, true), (3, 5, true), (5, 6, false)]);
-        assert_eq!(merge.costs, [1.0, 5.0, 1.0, f32::INFINITY]);
+        assert_eq!(found, [(0, 1, true), (1, 3, true), (3, 4, true), (4, 6, false)]);
+        assert_eq!(merge.costs, [1.9, 5.0, 2.0, f32::INFINITY]);
         let misfits: Vec<_> = merge.groups.iter().map(|g| g.misfit).collect();
-        assert_eq!(misfits, [0.0, 0.0, 3.0, 0.0]);
+        assert_eq!(misfits, [0.0, 1.0, 0.0, 4.0]);
         // With a bound below all, nothing changes.
         merge.join(0.5);
         assert_eq!(merge.costs.len(), 4);

@@ -273,9 +273,9 @@ fn trials_are_near_to_what_is_given_and_end_early() {
     relayer.fresh(&lists, &RULE, &mut planes);
     let given = given(&mut relayer, &lists, &planes, &mut layers);
     let tried = relayer.tried(&lists, &planes, f32::INFINITY);
-    // Half of lists without order: the sum of 32 errors that differ by their own size is off by 1/√32, twice that is
-    // allowed.
-    assert!((tried / given - 1.0).abs() < 0.36, "{tried} {given}");
+    // A quarter of lists without order: the sum of 16 errors that differ by their own size is off by 1/√16, half as much again
+    // is allowed.
+    assert!((tried / given - 1.0).abs() < 0.375, "{tried} {given}");
     assert_eq!(relayer.tried(&lists, &planes, tried), tried);
     assert_eq!(relayer.tried(&lists, &planes, tried * 0.99), f32::INFINITY);
     assert_eq!(relayer.tried(&lists, &[], f32::INFINITY), f32::INFINITY);
@@ -331,7 +331,7 @@ fn fourth_roots_are_near() {
 
 #[test]
 fn a_single_list_has_its_layers() {
-    // On squares of both colours.
+    // Wherever it lies.
     for only in [0, 1, 9, 63] {
         let slabs = |i| vec![slab(i, 20000.0, 500.0, 0.8, 0.7), slab(i, 24000.0, 700.0, 0.3, 0.9)];
         let frame = frame(|i| if i == only { slabs(i) } else { vec![] });
