@@ -222,6 +222,7 @@ type Sample = [f32; SAMPLES];
 
 /// Sums over so many lists, a multiple of [`LANES`].
 #[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "two loops over both indices of one array")]
 fn sum<const N: usize>(num: usize, f: impl Fn(usize) -> [f32; N]) -> [f32; N] {
     // Additions are not reordered by the compiler, so the lanes are written out.
     let mut lanes = [[0.0; LANES]; N];
