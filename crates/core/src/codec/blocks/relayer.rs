@@ -88,8 +88,8 @@ impl Relayer {
         fresh(self, lists, rule, out);
     }
 
-    /// Moves planes of layers to what lies in them, and drops layers without matter in the lists that are looked at. Costs a fraction of
-    /// [`Relayer::fresh`], and finds as good planes where these suited lists much like these.
+    /// Moves planes of layers to what lies in them, and drops layers without matter in the lists that are looked at. Costs
+    /// a fraction of [`Relayer::fresh`], and finds as good planes where these suited lists much like these.
     pub fn fit(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
         fit(self, lists, planes);
     }
