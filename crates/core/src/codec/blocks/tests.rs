@@ -658,7 +658,7 @@ fn bytes_are_spent_where_a_turn_shows_them() {
     for builtin in [Builtin::Cloud, Builtin::Shells] {
         let scene = scene(builtin);
         let [mut alone, mut predicted] = [[[0.0; 2]; 3]; 2];
-        for at in [0.0, 40.0, 100.0] {
+        for at in [0.0, 20.0, 40.0, 100.0] {
             let (before, reference) = encode(&made(&scene, 1, 160, 160, at - 1.0), &whole(50), None).unwrap();
             let mut references = References::default();
             references.insert(Arc::new(reference.clone()));
@@ -684,8 +684,8 @@ fn bytes_are_spent_where_a_turn_shows_them() {
         );
         for [near, all, far] in [alone, predicted] {
             assert!(near[0] < all[0] && all[0] < far[0], "{builtin:?} {alone:?} {predicted:?}");
-            // Predicted frames of the cloud for 10° and for all are alike there, within 3 %.
-            assert!(far[1] < near[1] && far[1] < 1.03 * all[1], "{builtin:?} {alone:?} {predicted:?}");
+            // Predicted frames of the cloud for 10° and for all are alike there, within 1 %.
+            assert!(far[1] < near[1] && far[1] < 1.01 * all[1], "{builtin:?} {alone:?} {predicted:?}");
         }
         assert!(alone[0][0] < 0.8 * alone[1][0], "{builtin:?} {alone:?}");
         assert!(alone[2][1] < 0.95 * alone[1][1], "{builtin:?} {alone:?}");

@@ -273,9 +273,9 @@ fn trials_are_near_to_what_is_given_and_end_early() {
     relayer.fresh(&lists, &RULE, &mut planes);
     let given = given(&mut relayer, &lists, &planes, &mut layers);
     let tried = relayer.tried(&lists, &planes, f32::INFINITY);
-    // A quarter of lists without order: the sum of 16 errors that differ by their own size is off by 1/√16, half as much
-    // again is allowed.
-    assert!((tried / given - 1.0).abs() < 0.375, "{tried} {given}");
+    // A quarter of lists without order: the sum of 16 errors that differ by their own size is off by 1/√16, less
+    // than half as much again is allowed.
+    assert!((tried / given - 1.0).abs() < 0.36, "{tried} {given}");
     assert_eq!(relayer.tried(&lists, &planes, tried), tried);
     assert_eq!(relayer.tried(&lists, &planes, tried * 0.99), f32::INFINITY);
     assert_eq!(relayer.tried(&lists, &[], f32::INFINITY), f32::INFINITY);
