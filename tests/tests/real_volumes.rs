@@ -249,7 +249,7 @@ fn a_real_volume_goes_through_blocks() {
         let reference = references.newest().cloned();
         let (encoded, decoded) = blocks::encode(&frame, &settings, reference.as_deref()).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-        let (found, reference) = assemble(&chunks, &references).unwrap().to_frame_and_reference();
+        let (found, reference) = assemble(&chunks, &references).unwrap().to_frame_and_reference(None);
         found.validate().unwrap();
         let reference = reference.unwrap();
         assert!(*reference == decoded && found == decoded.to_frame(), "frame {id}");

@@ -88,7 +88,7 @@ fn every_stored_stream_decodes_to_its_frame() {
 fn read_with(name: &str, references: &References) -> Result<(LayeredFrame, Arc<Reference>), CodecError> {
     let chunks = iglf::read_chunks(&path(name)).expect("the file is there");
     let chunks: Vec<&[u8]> = chunks.iter().map(|c| &c[..]).collect();
-    let (frame, reference) = assemble(&chunks, references)?.to_frame_and_reference();
+    let (frame, reference) = assemble(&chunks, references)?.to_frame_and_reference(None);
     Ok((frame, reference.expect("all chunks are there")))
 }
 

@@ -105,6 +105,27 @@ impl LayeredFrame {
         Self { header, offsets: vec![0; n + 1], depth: vec![], c_rg: vec![], c_b_tau: vec![] }
     }
 
+    /// A frame with so many segments, in the memory of one that is no longer needed, unless that is too little or more than
+    /// twice what it takes. The first list begins at 0; all else may be left over, for the caller to write.
+    pub(crate) fn in_memory_of(spare: Option<Self>, header: FrameHeader, num_segments: usize) -> Self {
+        let make_room = |mut words: Vec<u32>, num: usize| {
+            if !(num..=2 * num).contains(&words.capacity()) {
+                // So that the next frame finds room even if it has some more.
+                words = vec![0; num + num / 8];
+            }
+            words.resize(num, 0);
+            words
+        };
+        let [offsets, depth, c_rg, c_b_tau] = match spare {
+            Some(Self { offsets, depth, c_rg, c_b_tau, .. }) => [offsets, depth, c_rg, c_b_tau],
+            None => Default::default(),
+        };
+        let mut offsets = make_room(offsets, header.camera.intrinsics.num_pixels() + 1);
+        offsets[0] = 0;
+        let [depth, c_rg, c_b_tau] = [depth, c_rg, c_b_tau].map(|words| make_room(words, num_segments));
+        Self { header, offsets, depth, c_rg, c_b_tau }
+    }
+
     /// Number of segments in all lists.
     pub fn num_segments(&self) -> usize {
         self.depth.len()

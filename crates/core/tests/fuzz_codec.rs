@@ -225,7 +225,7 @@ fn fuzz(duration: Duration, most: u64, seed: u64) -> Tally {
                 chunks.iter().filter(|other| other.index != header.index).map(|other| &other.bytes[..]);
             let fellows: Vec<_> = fellows.chain([&bytes[..]]).collect();
             let assembled = || assemble(&fellows, &seed.references).map(|assembly| assembly.to_frame());
-            match decode_whole(&fellows) {
+            match decode_whole(&fellows, &mut None) {
                 Ok(None) => {}
                 Ok(Some(frame)) => {
                     assert!(assembled().is_ok_and(|assembled| assembled == frame), "state {state:#x}");

@@ -129,13 +129,11 @@ impl Assembly {
         Ok(())
     }
 
-    /// The frame as far as it is there; lists of missing bands are empty. Always valid. Bands are merged in parallel.
-    pub(super) fn to_frame(&self) -> LayeredFrame {
+    /// The frame as far as it is there, in the memory of `spare`; lists of missing bands are empty. Always valid. Bands are
+    /// merged in parallel.
+    pub(super) fn to_frame(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
         let Roll { first, borders, num_segments, .. } = self.roll;
-        let mut frame = LayeredFrame::empty(first.frame);
-        frame.depth = vec![0; num_segments];
-        frame.c_rg = vec![0; num_segments];
-        frame.c_b_tau = vec![0; num_segments];
+        let mut frame = LayeredFrame::in_memory_of(spare, first.frame, num_segments);
 
         let width = first.frame.camera.intrinsics.width as usize;
         let mut lists = &mut frame.offsets[1..];

@@ -146,16 +146,20 @@ impl Assembly {
 
     /// The frame as far as it is there; lists of missing bands are empty. Always valid.
     pub fn to_frame(&self) -> LayeredFrame {
-        self.to_frame_and_reference().0
+        self.to_frame_and_reference(None).0
     }
 
-    /// The frame, and what later frames may be predicted from: a frame of the rate mode with all of its chunks.
-    pub fn to_frame_and_reference(&self) -> (LayeredFrame, Option<Arc<Reference>>) {
+    /// The frame, and what later frames may be predicted from: a frame of the rate mode with all of its chunks. The frame
+    /// takes the memory of `spare`, which is no longer needed.
+    pub fn to_frame_and_reference(
+        &self,
+        spare: Option<LayeredFrame>,
+    ) -> (LayeredFrame, Option<Arc<Reference>>) {
         match &self.0 {
-            Kind::Exact(a) => (a.to_frame(), None),
+            Kind::Exact(a) => (a.to_frame(spare), None),
             Kind::Blocks(a) => {
                 let reference = a.to_reference();
-                (reference.to_frame(), self.complete().then(|| Arc::new(reference)))
+                (reference.to_frame_in(spare), self.complete().then(|| Arc::new(reference)))
             }
         }
     }

@@ -341,18 +341,31 @@ pub fn decode_with<B: AsRef<[u8]> + Sync>(
     chunks: &[B],
     references: &References,
 ) -> Result<LayeredFrame, CodecError> {
-    match decode_whole(chunks)? {
-        Some(frame) => Ok(frame),
-        None => Ok(assemble(chunks, references)?.to_frame()),
+    decode_in(chunks, references, None).map(|(frame, _)| frame)
+}
+
+/// The same in the memory of `spare`, a frame that is no longer needed. Returns what later frames may be predicted from,
+/// too: see [`Assembly::to_frame_and_reference`].
+pub fn decode_in<B: AsRef<[u8]> + Sync>(
+    chunks: &[B],
+    references: &References,
+    mut spare: Option<LayeredFrame>,
+) -> Result<(LayeredFrame, Option<Arc<Reference>>), CodecError> {
+    match decode_whole(chunks, &mut spare)? {
+        Some(frame) => Ok((frame, None)),
+        None => Ok(assemble(chunks, references)?.to_frame_and_reference(spare)),
     }
 }
 
 /// Decodes a frame in the exact mode that is one group of segments, if these are all of its chunks, in any order: faster
-/// than to assemble it.
-pub fn decode_whole<B: AsRef<[u8]>>(chunks: &[B]) -> Result<Option<LayeredFrame>, CodecError> {
+/// than to assemble it. It takes the memory of `spare`, a frame that is no longer needed.
+pub fn decode_whole<B: AsRef<[u8]>>(
+    chunks: &[B],
+    spare: &mut Option<LayeredFrame>,
+) -> Result<Option<LayeredFrame>, CodecError> {
     at_most("chunks", chunks.len(), MAX_CHUNKS)?;
     let chunks: Vec<_> = chunks.iter().map(AsRef::as_ref).collect();
-    whole::decode(&chunks)
+    whole::decode(&chunks, spare)
 }
 
 /// Decodes all chunks of one frame, in any order. What it is predicted from must be among the references.

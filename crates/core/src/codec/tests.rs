@@ -461,13 +461,13 @@ fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
             let mut chunks = bytes(&encoded);
             chunks.reverse();
             let assembled = assemble(&chunks, &References::default()).unwrap().to_frame();
-            assert_eq!(decode_whole(&chunks).unwrap().as_ref(), Some(&assembled));
-            assert_eq!(decode_whole(&chunks[1..]), Ok(None), "not all of them, {width}×{height}");
+            assert_eq!(decode_whole(&chunks, &mut None).unwrap().as_ref(), Some(&assembled));
+            assert_eq!(decode_whole(&chunks[1..], &mut None), Ok(None), "not all of them, {width}×{height}");
         }
         let two = encode(&frame, &Settings::default()).unwrap();
-        assert_eq!(decode_whole(&bytes(&two)), Ok(None));
+        assert_eq!(decode_whole(&bytes(&two), &mut None), Ok(None));
     }
-    assert_eq!(decode_whole::<Vec<u8>>(&[]), Ok(None));
+    assert_eq!(decode_whole::<Vec<u8>>(&[], &mut None), Ok(None));
 
     // What an assembly refuses is refused.
     let frame = random_frame(40, 400, 8, 21);
@@ -476,7 +476,7 @@ fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
     let with = |at: usize, other: &[u8]| {
         let mut chunks = chunks.clone();
         chunks[at] = other;
-        let found = decode_whole(&chunks);
+        let found = decode_whole(&chunks, &mut None);
         let assembled = assemble(&chunks, &References::default()).map(|assembly| Some(assembly.to_frame()));
         assert_eq!(found.is_ok(), assembled.is_ok());
         found.err()

@@ -8,8 +8,12 @@ use super::planes::{self, Opened, Words};
 use super::{CodecError, split_off};
 use crate::layer::LayeredFrame;
 
-/// Decodes a frame in the exact mode that is one group of segments, if these are all of its chunks, in whatever order.
-pub(super) fn decode(chunks: &[&[u8]]) -> Result<Option<LayeredFrame>, CodecError> {
+/// Decodes a frame in the exact mode that is one group of segments, if these are all of its chunks, in whatever order. Takes
+/// the memory of `spare` if it is one.
+pub(super) fn decode(
+    chunks: &[&[u8]],
+    spare: &mut Option<LayeredFrame>,
+) -> Result<Option<LayeredFrame>, CodecError> {
     let Some(bytes) = chunks.first() else { return Ok(None) };
     let first = peek(bytes)?;
     let num_chunks = usize::from(first.num_chunks);
@@ -31,9 +35,7 @@ pub(super) fn decode(chunks: &[&[u8]]) -> Result<Option<LayeredFrame>, CodecErro
     // As many as there are bands, and no two of one: all of them.
     opened.sort_by_key(|chunk| chunk.header.band);
 
-    let mut frame = LayeredFrame::empty(first.frame);
-    let [depth, c_rg, c_b_tau] = [(); 3].map(|()| vec![0; roll.num_segments]);
-    (frame.depth, frame.c_rg, frame.c_b_tau) = (depth, c_rg, c_b_tau);
+    let mut frame = LayeredFrame::in_memory_of(spare.take(), first.frame, roll.num_segments);
     let mut ends = &mut frame.offsets[1..];
     let mut words = [&mut frame.depth[..], &mut frame.c_rg, &mut frame.c_b_tau];
     let mut offset = 0;

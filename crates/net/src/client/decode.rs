@@ -1,5 +1,6 @@
 //! The decoding thread: takes the newest frame that can be shown, decodes its chunks in parallel and puts it up.
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -16,6 +17,7 @@ pub(super) fn run(shared: &Shared) {
     // The frame of the job before, for the refinements that come in the next one.
     let mut assembly = None;
     let mut references = References::default();
+    let mut given = Given::default();
     let mut connection = 0;
     while let Some(job) = next_job(shared) {
         let _span = tracing::debug_span!("frame", frame = job.frame.0).entered();
@@ -27,7 +29,8 @@ pub(super) fn run(shared: &Shared) {
             assembly = None;
         }
         // Even a defect costs a frame only, and not all those to come.
-        let attempt = catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references)));
+        let mut spare = given.take();
+        let attempt = catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)));
         let decoded = match attempt {
             Ok(decoded) => decoded.map_err(|e| e.to_string()),
             Err(_) => Err("the decoder has failed".into()),
@@ -49,8 +52,9 @@ pub(super) fn run(shared: &Shared) {
         let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
         let Some(times) = times else { continue };
         let is_complete = job.is_last;
-        let received = ReceivedFrame { frame, is_complete, is_exact, times };
-        shared.frame.store(Some(Arc::new(received)));
+        let received = Arc::new(ReceivedFrame { frame, is_complete, is_exact, times });
+        given.note(&received);
+        shared.frame.store(Some(received));
         tracing::trace!(is_complete = job.is_last, "decoded");
         (shared.wake)();
     }
@@ -73,6 +77,25 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
     }
 }
 
+/// The last frames that were put up: when nobody looks at one any more, its memory is another's.
+#[derive(Default)]
+struct Given(VecDeque<Arc<ReceivedFrame>>);
+
+impl Given {
+    fn note(&mut self, frame: &Arc<ReceivedFrame>) {
+        self.0.push_back(frame.clone());
+        if self.0.len() > MAX_GIVEN {
+            self.0.pop_front();
+        }
+    }
+
+    /// A frame that nobody has.
+    fn take(&mut self) -> Option<LayeredFrame> {
+        let at = self.0.iter().position(|frame| Arc::strong_count(frame) == 1)?;
+        Some(Arc::into_inner(self.0.remove(at)?)?.frame)
+    }
+}
+
 /// A frame as far as it is there.
 struct Decoded {
     frame: LayeredFrame,
@@ -81,14 +104,15 @@ struct Decoded {
     is_exact: bool,
 }
 
-/// Adds the job's chunks to the frame, or begins it. `None` if there are none.
+/// Adds the job's chunks to the frame, or begins it, in the memory of one that is no longer needed. `None` if there are none.
 fn decode(
     assembly: &mut Option<Assembly>,
     job: &DecodeJob,
     references: &References,
+    spare: &mut Option<LayeredFrame>,
 ) -> Result<Option<Decoded>, CodecError> {
     if job.is_first
-        && let Some(frame) = codec::decode_whole(&job.chunks)?
+        && let Some(frame) = codec::decode_whole(&job.chunks, spare)?
     {
         return Ok(Some(Decoded { frame, reference: None, is_exact: true }));
     }
@@ -96,7 +120,10 @@ fn decode(
         assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
     }
     Ok(assembly.as_ref().map(|assembly| {
-        let (frame, reference) = assembly.to_frame_and_reference();
+        let (frame, reference) = assembly.to_frame_and_reference(spare.take());
         Decoded { frame, reference, is_exact: assembly.is_exact() }
     }))
 }
+
+/// The newest is looked at, the one before may still be, and one may be kept for what it sees of the volume.
+const MAX_GIVEN: usize = 3;

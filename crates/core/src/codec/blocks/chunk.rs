@@ -294,12 +294,14 @@ impl BlocksAssembly {
 impl Reference {
     /// The frame that a client shows.
     pub fn to_frame(&self) -> LayeredFrame {
-        let mut frame = LayeredFrame::empty(self.header);
+        self.to_frame_in(None)
+    }
+
+    /// The same, in the memory of a frame.
+    pub(in super::super) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
         let width = self.header.camera.intrinsics.width as usize;
         let total: usize = self.bands.iter().map(|b| b.cells.len()).sum();
-        frame.depth = vec![0; total];
-        frame.c_rg = vec![0; total];
-        frame.c_b_tau = vec![0; total];
+        let mut frame = LayeredFrame::in_memory_of(spare, self.header, total);
         let mut ends = &mut frame.offsets[1..];
         let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
         let mut work = Vec::with_capacity(self.bands.len());

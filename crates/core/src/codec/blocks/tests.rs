@@ -60,7 +60,7 @@ fn error(frame: &LayeredFrame, reference: &LayeredFrame, degrees: f32) -> (f64, 
 #[test]
 fn machines_with_and_without_wider_instructions_decode_alike() {
     let decoded = |coded: &EncodedFrame, references: &References| {
-        let found = assemble(&bytes(coded), references).unwrap().to_frame_and_reference();
+        let found = assemble(&bytes(coded), references).unwrap().to_frame_and_reference(None);
         (found.0, found.1.unwrap())
     };
     for builtin in ALL {
@@ -95,7 +95,7 @@ fn what_decodes_is_what_the_encoder_worked_with() {
                 let reference = references.newest().cloned();
                 let (encoded, reference) = encode(&frame, &settings, reference.as_deref()).unwrap();
                 let assembly = assemble(&bytes(&encoded), &references).unwrap();
-                let (found, decoded) = assembly.to_frame_and_reference();
+                let (found, decoded) = assembly.to_frame_and_reference(None);
                 found.validate().unwrap();
                 assert_eq!(*decoded.unwrap(), reference);
                 assert_eq!(found, reference.to_frame());
@@ -190,7 +190,7 @@ fn corrections_take_back_most_of_what_the_picture_is_off() {
         assembly.insert(decode_chunk(&chunk.bytes, &none).unwrap()).unwrap();
     }
     assert!(assembly.base_complete() && !assembly.complete());
-    let (base, reference) = assembly.to_frame_and_reference();
+    let (base, reference) = assembly.to_frame_and_reference(None);
     base.validate().unwrap();
     assert!(reference.is_none(), "only all of a frame is a reference");
     let off = |f: &LayeredFrame| off(f, &frame);
@@ -320,7 +320,7 @@ fn what_is_noted_of_planes_goes_with_them() {
     // Who decodes knows nothing of it, and has the same frame.
     let mut references = References::default();
     references.insert(Arc::new(one));
-    let decoded = assemble(&bytes(&still), &references).unwrap().to_frame_and_reference().1.unwrap();
+    let decoded = assemble(&bytes(&still), &references).unwrap().to_frame_and_reference(None).1.unwrap();
     assert!(*decoded == two && noted(&decoded).iter().all(|note| *note == 0.0));
     for outside in [[-1, 0], [0, -1], [20, 0], [0, 20]] {
         assert_eq!(two.note(outside), 0.0);
@@ -337,12 +337,12 @@ fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
     let (fourth, four) = encode(&frames[3], &whole(50), Some(&one)).unwrap();
     let mut references = References::default();
     let assembly = assemble(&bytes(&first), &references).unwrap();
-    references.insert(assembly.to_frame_and_reference().1.unwrap());
+    references.insert(assembly.to_frame_and_reference(None).1.unwrap());
     // Frame 2 is lost: frame 3 names it, frame 4 does not.
     let missing = CodecError::Reference { frame: FrameId(3), reference: FrameId(2) };
     assert_eq!(assemble(&bytes(&third), &references).unwrap_err(), missing);
     let found = assemble(&bytes(&fourth), &references).unwrap();
-    assert_eq!(*found.to_frame_and_reference().1.unwrap(), four);
+    assert_eq!(*found.to_frame_and_reference(None).1.unwrap(), four);
     for id in 10..10 + MAX_REFERENCES as u32 {
         let header = FrameHeader { frame: FrameId(id), ..frames[0].header };
         references.insert(Arc::new(Reference::new(header, None, vec![])));
@@ -669,7 +669,7 @@ fn bytes_are_spent_where_a_turn_shows_them() {
                 let settings = Settings { turn_deg, ..whole(0) };
                 let (encoded, ..) = encode_within(&frame, bytes_allowed, &settings, reference).unwrap();
                 assert!(encoded.num_bytes() * 10 > bytes_allowed * 9, "{builtin:?} {turn_deg:?}");
-                let decoded = assemble(&bytes(&encoded), &references).unwrap().to_frame_and_reference().0;
+                let decoded = assemble(&bytes(&encoded), &references).unwrap().to_frame_and_reference(None).0;
                 [at, at + 10.0].map(|degrees| error(&decoded, &frame, degrees).0)
             };
             for (i, turn) in [Some(0), None, Some(MAX_TURN_DEG)].into_iter().enumerate() {
