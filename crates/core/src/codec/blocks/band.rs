@@ -1,20 +1,8 @@
 //! The decoded blocks of a band: what the client shows, and what later frames are predicted from.
 
+use super::coding::Place;
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, lists_of};
 use super::scales::whole;
-
-/// A part of a list in a layer, as it is decoded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Cell {
-    /// Depth units.
-    pub(super) front: u16,
-    /// Behind `front`.
-    pub(super) back: u16,
-    /// Code of u, from 1 on.
-    pub(super) u: u16,
-    /// Y, Co, Cg in units of 1/8192.
-    pub(super) ycc: [i16; 3],
-}
 
 /// Front and back of a layer.
 pub(super) type Planes = (DepthPlane, DepthPlane);
@@ -28,10 +16,13 @@ pub(super) struct Band {
     pub(super) blocks: Vec<Block>,
     /// Layers of the blocks.
     pub(super) planes: Vec<Planes>,
-    /// For each block that has matter: where the cells of its lists end, from the block's first.
-    ends: Vec<[u16; BLOCK_LISTS]>,
-    /// List by list in each block, front to back.
-    pub(super) cells: Vec<Cell>,
+    /// Those of them that have cells, block by block and front to back.
+    layers: Vec<Layer>,
+    /// Of each of these, for its rows that have cells: the fronts of all lists, their backs, codes of u, Y, Co and Cg. Lists
+    /// without a cell have zeros.
+    cells: Vec<u16>,
+    num_cells: usize,
+    num_with_matter: usize,
 }
 
 /// A block.
@@ -39,23 +30,48 @@ pub(super) struct Band {
 pub(super) struct Block {
     first_plane: u32,
     num_planes: u8,
-    first_cell: u32,
-    /// Place in the band's `ends`; none has [`NO_ENDS`].
-    ends: u32,
+    /// Of those with cells.
+    num_layers: u8,
+    first_layer: u32,
 }
 
+/// A layer of a block that has cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Layer {
+    /// The lists with a cell.
+    pub(super) mask: u64,
+    /// Where the first cell begins and the last one ends.
+    pub(super) front: u16,
+    pub(super) back: u16,
+    /// Place in the band's `cells`, in rows.
+    first_row: u32,
+}
+
+/// The cells of a layer, the parts of a block's lists in it, as they are decoded: front and back in depth units, the code of
+/// u, from 1 on, and Y, Co, Cg in units of 1/8192, which have signs. A list without a cell has zeros.
+pub(super) type Cells = [[u16; BLOCK_LISTS]; NUM_PLANES];
+
 impl Band {
-    /// Memory that its contents take.
+    /// Memory that its contents are counted as, on both sides alike.
     pub(super) fn num_bytes(&self) -> usize {
-        size_of_val(&*self.blocks)
-            + size_of_val(&*self.planes)
-            + size_of_val(&*self.ends)
-            + size_of_val(&*self.cells)
+        BYTES_OF_BLOCK * self.blocks.len()
+            + BYTES_OF_LAYER * self.planes.len()
+            + BYTES_OF_MATTER * self.num_with_matter
+            + BYTES_OF_CELL * self.num_cells
     }
 
-    /// A band without blocks yet.
-    pub(super) fn new(across: usize) -> Self {
-        Self { across, ..Self::default() }
+    /// A band without blocks yet, with memory for so many and about so many cells.
+    pub(super) fn new(place: Place, num_cells: usize) -> Self {
+        let num_blocks = place.across * place.num_rows;
+        Self {
+            across: place.across,
+            blocks: Vec::with_capacity(num_blocks),
+            planes: Vec::with_capacity(num_cells / BLOCK_LISTS),
+            layers: Vec::with_capacity(num_cells / BLOCK_LISTS),
+            // Some lists of a row have none.
+            cells: Vec::with_capacity(num_cells / 6 * WORDS_OF_ROW),
+            ..Self::default()
+        }
     }
 
     /// Layers of block `block`, as indices of `planes`.
@@ -66,115 +82,220 @@ impl Band {
 
     /// Whether any list of the block has a cell.
     pub(super) fn has_matter(&self, block: usize) -> bool {
-        self.blocks[block].ends != NO_ENDS
+        self.blocks[block].num_layers > 0
+    }
+
+    /// Cells of all blocks.
+    pub(super) fn num_cells(&self) -> usize {
+        self.num_cells
+    }
+
+    /// Rows with cells of all layers.
+    pub(super) fn num_rows(&self) -> usize {
+        self.cells.len() / WORDS_OF_ROW
+    }
+
+    /// Those layers of a block that have cells.
+    fn filled(&self, block: usize) -> std::ops::Range<usize> {
+        let Block { first_layer, num_layers, .. } = self.blocks[block];
+        first_layer as usize..first_layer as usize + usize::from(num_layers)
     }
 
     /// The cells of a block.
     pub(super) fn cells_of(&self, block: usize) -> CellsOf<'_> {
-        let Block { first_cell, ends, .. } = self.blocks[block];
-        match self.ends.get(ends as usize) {
-            Some(ends) => {
-                let first = first_cell as usize;
-                let last = first + usize::from(ends[BLOCK_LISTS - 1]);
-                CellsOf { cells: &self.cells[first..last], ends }
-            }
-            None => CellsOf::NONE,
-        }
+        CellsOf { layers: &self.layers[self.filled(block)], cells: &self.cells }
     }
 
-    /// The cells of a block to change, and where those of each list end; `None` if there are none.
-    pub(super) fn cells_mut(&mut self, block: usize) -> Option<(&mut [Cell], &[u16; BLOCK_LISTS])> {
-        let Block { first_cell, ends, .. } = self.blocks[block];
-        let ends = self.ends.get(ends as usize)?;
-        let first = first_cell as usize;
-        Some((&mut self.cells[first..first + usize::from(ends[BLOCK_LISTS - 1])], ends))
+    /// Changes the cells of a block, layer by layer. Nothing stays nothing.
+    pub(super) fn change(&mut self, block: usize, mut change: impl FnMut(&mut Cells)) {
+        for layer in &self.layers[self.filled(block)] {
+            let own = &mut self.cells[layer.words()];
+            match own.as_chunks_mut().0.first_chunk_mut() {
+                Some(all) => change(all),
+                None => {
+                    let mut cells = layer.spread(own);
+                    change(&mut cells);
+                    layer.write(&cells, own);
+                }
+            }
+        }
     }
 
     /// Appends a block that is one of another band.
     pub(super) fn copy(&mut self, other: &Band, block: usize) {
-        let first_plane = self.planes.len();
+        let (first_plane, first_layer) = (self.planes.len(), self.layers.len());
         self.planes.extend_from_slice(&other.planes[other.layers(block)]);
-        let CellsOf { cells, ends } = other.cells_of(block);
-        let first_cell = self.cells.len();
-        self.cells.extend_from_slice(cells);
-        self.push_block(first_plane, first_cell, ends);
+        for layer in &other.layers[other.filled(block)] {
+            self.layers.push(Layer { first_row: self.num_rows() as u32, ..*layer });
+            self.cells.extend_from_slice(&other.cells[layer.words()]);
+        }
+        self.push_block(first_plane, first_layer);
     }
 
     /// Appends a block, whose planes are those from `first_plane` on.
-    pub(super) fn push(&mut self, first_plane: usize, lists: &Lists) {
-        let first_cell = self.cells.len();
-        let mut ends = [0; BLOCK_LISTS];
-        if lists.num_layers > 0 {
-            let total: u32 = lists.present.iter().map(|present| present.count_ones()).sum();
-            self.cells.resize(first_cell + total as usize, Cell::default());
-            lists.write(&mut self.cells[first_cell..], &mut ends);
+    pub(super) fn push(&mut self, first_plane: usize, lists: &mut Lists) {
+        let first_layer = self.layers.len();
+        for (mask, cells) in &mut lists.layers[..lists.num_layers] {
+            if *mask == 0 {
+                continue;
+            }
+            let (front, back) = clean(cells, *mask);
+            let layer = Layer { mask: *mask, front, back, first_row: self.num_rows() as u32 };
+            let words = layer.words();
+            self.cells.resize(words.end, 0);
+            layer.write(cells, &mut self.cells[words]);
+            self.layers.push(layer);
         }
-        self.push_block(first_plane, first_cell, &ends);
+        self.push_block(first_plane, first_layer);
     }
 
-    fn push_block(&mut self, first_plane: usize, first_cell: usize, ends: &[u16; BLOCK_LISTS]) {
-        let has_matter = self.cells.len() > first_cell;
+    fn push_block(&mut self, first_plane: usize, first_layer: usize) {
+        let layers = &self.layers[first_layer..];
+        self.num_cells += layers.iter().map(|layer| layer.mask.count_ones() as usize).sum::<usize>();
+        self.num_with_matter += usize::from(!layers.is_empty());
         self.blocks.push(Block {
             first_plane: first_plane as u32,
             num_planes: (self.planes.len() - first_plane) as u8,
-            first_cell: first_cell as u32,
-            ends: if has_matter { self.ends.len() as u32 } else { NO_ENDS },
+            num_layers: layers.len() as u8,
+            first_layer: first_layer as u32,
         });
-        if has_matter {
-            self.ends.push(*ends);
+    }
+}
+
+wide! {
+    /// Sets to zero what lists outside of the mask have. Returns where the first cell begins and the last one ends.
+    fn clean(cells: &mut Cells, mask: u64) -> (u16, u16) = clean_any;
+}
+
+#[inline(always)]
+fn clean_any(cells: &mut Cells, mask: u64) -> (u16, u16) {
+    let mut kept = [0u16; BLOCK_LISTS];
+    for (i, kept) in kept.iter_mut().enumerate() {
+        *kept = if mask >> i & 1 == 1 { u16::MAX } else { 0 };
+    }
+    let mut first = u16::MAX;
+    for (front, kept) in cells[0].iter().zip(kept) {
+        first = first.min(front | !kept);
+    }
+    for plane in &mut *cells {
+        for (value, kept) in plane.iter_mut().zip(kept) {
+            *value &= kept;
+        }
+    }
+    (first, cells[1].iter().fold(0, |last, back| last.max(*back)))
+}
+
+impl Layer {
+    /// The first bit of each row of lists that has a cell.
+    #[inline(always)]
+    fn rows(&self) -> u64 {
+        let halves = self.mask | self.mask >> 4;
+        let quarters = halves | halves >> 2;
+        (quarters | quarters >> 1) & FIRST_OF_ROWS
+    }
+
+    /// Its own words in the band's `cells`.
+    #[inline(always)]
+    fn words(&self) -> std::ops::Range<usize> {
+        let first = self.first_row as usize;
+        first * WORDS_OF_ROW..(first + self.rows().count_ones() as usize) * WORDS_OF_ROW
+    }
+
+    /// The cells, from the layer's own words.
+    #[inline(always)]
+    fn spread(&self, own: &[u16]) -> Cells {
+        let mut cells = NO_CELLS;
+        for (plane, own) in cells.iter_mut().zip(own.chunks_exact(own.len() / NUM_PLANES)) {
+            for (first, row) in lists_of(self.rows()).zip(own.chunks_exact(BLOCK)) {
+                plane[first..first + BLOCK].copy_from_slice(row);
+            }
+        }
+        cells
+    }
+
+    /// Inverse of [`Layer::spread`].
+    #[inline(always)]
+    fn write(&self, cells: &Cells, own: &mut [u16]) {
+        match own.as_chunks_mut().0.first_chunk_mut() {
+            Some(all) => *all = *cells,
+            None => {
+                let num_words = own.len() / NUM_PLANES;
+                for (plane, own) in cells.iter().zip(own.chunks_exact_mut(num_words)) {
+                    for (first, row) in lists_of(self.rows()).zip(own.chunks_exact_mut(BLOCK)) {
+                        row.copy_from_slice(&plane[first..first + BLOCK]);
+                    }
+                }
+            }
         }
     }
 }
 
-/// The cells of a block, list by list.
+/// The cells of a block, layer by layer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellsOf<'a> {
-    pub(super) cells: &'a [Cell],
-    /// Where those of each list end.
-    pub(super) ends: &'a [u16; BLOCK_LISTS],
+    pub(super) layers: &'a [Layer],
+    /// Of all the band.
+    cells: &'a [u16],
 }
 
 impl<'a> CellsOf<'a> {
-    pub(super) const NONE: Self = Self { cells: &[], ends: &[0; BLOCK_LISTS] };
+    /// The lists that have cells.
+    pub(super) fn mask(&self) -> u64 {
+        self.layers.iter().fold(0, |mask, layer| mask | layer.mask)
+    }
 
-    /// Those of list `i`.
+    /// To look at the cells of each layer. `spread` is scratch memory.
     #[inline(always)]
-    pub(super) fn list(&self, i: usize) -> &'a [Cell] {
-        let start = if i == 0 { 0 } else { self.ends[i - 1] };
-        &self.cells[usize::from(start)..usize::from(self.ends[i])]
+    pub(super) fn walk(self, spread: &'a mut Cells) -> Walk<'a> {
+        Walk { layers: self.layers.iter(), cells: self.cells, spread }
+    }
+}
+
+/// Goes from layer to layer of a block.
+pub(super) struct Walk<'a> {
+    layers: std::slice::Iter<'a, Layer>,
+    cells: &'a [u16],
+    /// The cells of a layer that has none in some row.
+    spread: &'a mut Cells,
+}
+
+impl Walk<'_> {
+    /// The next layer.
+    #[inline(always)]
+    pub(super) fn next(&mut self) -> Option<(&Layer, &Cells)> {
+        self.next_of(|_| true)
+    }
+
+    /// The next layer that is wanted.
+    #[inline(always)]
+    pub(super) fn next_of(&mut self, is_wanted: impl Fn(&Layer) -> bool) -> Option<(&Layer, &Cells)> {
+        let layer = self.layers.by_ref().find(|layer| is_wanted(layer))?;
+        let own = &self.cells[layer.words()];
+        let cells = own.as_chunks().0.first_chunk().unwrap_or_else(|| {
+            *self.spread = layer.spread(own);
+            self.spread
+        });
+        Some((layer, cells))
     }
 }
 
 /// The layers of the block that is being coded.
 #[derive(Clone, Debug)]
 pub(super) struct Lists {
-    layers: Box<[Cells; MAX_LAYERS]>,
+    /// With the lists that have a cell. What others have means nothing.
+    layers: Box<[(u64, Cells); MAX_LAYERS]>,
     num_layers: usize,
-    /// The layers that each list has a cell in.
-    present: [u32; BLOCK_LISTS],
     /// Where the last cell of each list ends; 0 for none.
     last: [f32; BLOCK_LISTS],
     /// Transmittance of what is there.
     pub(super) kappa: [f32; BLOCK_LISTS],
 }
 
-/// A cell for each list.
-#[derive(Clone, Copy, Debug)]
-struct Cells {
-    front: [u16; BLOCK_LISTS],
-    back: [u16; BLOCK_LISTS],
-    u: [u16; BLOCK_LISTS],
-    ycc: [[i16; BLOCK_LISTS]; 3],
-}
-
 impl Default for Lists {
     fn default() -> Self {
-        let none = [0; BLOCK_LISTS];
-        let cells = Cells { front: none, back: none, u: none, ycc: [[0; BLOCK_LISTS]; 3] };
         Self {
-            layers: Box::new([cells; MAX_LAYERS]),
+            layers: Box::new([(0, NO_CELLS); MAX_LAYERS]),
             num_layers: 0,
-            present: [0; BLOCK_LISTS],
             last: [0.0; BLOCK_LISTS],
             kappa: [1.0; BLOCK_LISTS],
         }
@@ -184,24 +305,8 @@ impl Default for Lists {
 impl Lists {
     pub(super) fn clear(&mut self) {
         self.num_layers = 0;
-        self.present = [0; BLOCK_LISTS];
         self.last = [0.0; BLOCK_LISTS];
         self.kappa = [1.0; BLOCK_LISTS];
-    }
-
-    /// Writes all cells, list by list, and where those of each list end.
-    fn write(&self, out: &mut [Cell], ends: &mut [u16; BLOCK_LISTS]) {
-        let mut out = out.iter_mut();
-        let mut end = 0;
-        for (i, (present, list_end)) in self.present.iter().zip(ends).enumerate() {
-            for (layer, out) in lists_of(u64::from(*present)).zip(&mut out) {
-                let Cells { front, back, u, ycc } = &self.layers[layer % MAX_LAYERS];
-                *out =
-                    Cell { front: front[i], back: back[i], u: u[i], ycc: [ycc[0][i], ycc[1][i], ycc[2][i]] };
-                end += 1;
-            }
-            *list_end = end;
-        }
     }
 
     /// Appends a cell to each list of the mask, between the planes as far as they leave room behind the cell before: it
@@ -214,12 +319,15 @@ impl Lists {
         ycc: &[[i16; BLOCK_LISTS]; 3],
         alphas: &[f32; BLOCK_LISTS],
     ) {
-        let Some(cells) = self.layers.get_mut(self.num_layers) else { return };
-        (cells.u, cells.ycc) = (*u, *ycc);
-        let fits = place(cells, planes, mask, alphas, &mut self.last, &mut self.kappa);
-        for (present, fits) in self.present.iter_mut().zip(fits) {
-            *present |= u32::from(fits) << self.num_layers;
+        let Some((cells_mask, cells)) = self.layers.get_mut(self.num_layers) else { return };
+        let [_, _, of_u, of_ycc @ ..] = cells;
+        *of_u = *u;
+        for (to, from) in of_ycc.iter_mut().zip(ycc) {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = *from as u16;
+            }
         }
+        *cells_mask = place(cells, planes, mask, alphas, &mut self.last, &mut self.kappa);
         self.num_layers += 1;
     }
 }
@@ -233,7 +341,7 @@ wide! {
         alphas: &[f32; BLOCK_LISTS],
         last: &mut [f32; BLOCK_LISTS],
         kappa: &mut [f32; BLOCK_LISTS],
-    ) -> [bool; BLOCK_LISTS] = place_any;
+    ) -> u64 = place_any;
 }
 
 #[inline(always)]
@@ -244,7 +352,7 @@ fn place_any(
     alphas: &[f32; BLOCK_LISTS],
     last: &mut [f32; BLOCK_LISTS],
     kappa: &mut [f32; BLOCK_LISTS],
-) -> [bool; BLOCK_LISTS] {
+) -> u64 {
     let mut fits = [false; BLOCK_LISTS];
     for i in 0..BLOCK_LISTS {
         let front = whole(lesser(greater(planes.0.at(i), last[i]), MAX_FRONT) + 0.5);
@@ -252,12 +360,12 @@ fn place_any(
         let back = whole(lesser(greater(planes.1.at(i), after + LEAST_LENGTH), MAX_BACK) + 0.5);
         // The cell before may end so deep that none fits behind it.
         fits[i] = (mask >> i & 1 == 1) & (back > front) & (after >= last[i]);
-        cells.front[i] = front as u16;
-        cells.back[i] = back as u16;
+        cells[0][i] = front as u16;
+        cells[1][i] = back as u16;
         last[i] = if fits[i] { back as i32 as f32 } else { last[i] };
         kappa[i] *= if fits[i] { 1.0 - alphas[i] } else { 1.0 };
     }
-    fits
+    fits.iter().enumerate().fold(0, |mask, (i, fits)| mask | u64::from(*fits) << i)
 }
 
 /// As the machine has it: without a thought for NaN.
@@ -276,7 +384,17 @@ pub(super) fn blocks_along(side: u32) -> usize {
     (side as usize).div_ceil(BLOCK)
 }
 
-const NO_ENDS: u32 = u32::MAX;
+/// The first list of each row of a block.
+const FIRST_OF_ROWS: u64 = u64::from_ne_bytes([1; 8]);
+/// Words of a list's cell, and of a row of these.
+const NUM_PLANES: usize = 6;
+pub(super) const NO_CELLS: Cells = [[0; BLOCK_LISTS]; NUM_PLANES];
+const WORDS_OF_ROW: usize = NUM_PLANES * BLOCK;
+/// What the parts of a band are counted as, in bytes, whatever memory they take.
+const BYTES_OF_BLOCK: usize = 16;
+const BYTES_OF_LAYER: usize = 24;
+const BYTES_OF_MATTER: usize = 128;
+const BYTES_OF_CELL: usize = 12;
 /// Depth units that a cell has at least.
 const LEAST_LENGTH: f32 = 16.0;
 const MAX_FRONT: f32 = 65500.0;

@@ -8,10 +8,10 @@ use rayon::prelude::*;
 use super::super::bands::Borders;
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::{CodecError, MAX_BANDS, MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS, at_most, split_off};
-use super::band::{Band, Cell, blocks_along};
+use super::band::{Band, Cells, NO_CELLS, blocks_along};
 use super::coding::{BandCoder, Nothing, Place};
 use super::entropy::{Decoder, Reader};
-use super::model::{BLOCK, MAX_LAYERS};
+use super::model::{BLOCK, BLOCK_LISTS, MAX_LAYERS, lists_of};
 use super::motion::Motion;
 use super::picture::{self, Corrections, roots};
 use super::reference::{Reference, References};
@@ -76,7 +76,7 @@ impl Head {
 
     /// Whether a band has corrections.
     pub(super) fn has_corrections(&self, band: &Band) -> bool {
-        self.steps.picture > 0.0 && !band.cells.is_empty()
+        self.steps.picture > 0.0 && band.num_cells() > 0
     }
 }
 
@@ -127,7 +127,7 @@ impl BlocksChunk {
     /// Number of segments.
     pub fn num_segments(&self) -> usize {
         match &self.content {
-            Content::Base(band) => band.cells.len(),
+            Content::Base(band) => band.num_cells(),
             Content::Corrections(_) => 0,
         }
     }
@@ -192,7 +192,9 @@ pub(super) fn read<'a, C: Reader>(
             None => None,
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
-        let coder = BandCoder::new(begin(coded), &head, place, motion);
+        // About as many cells as a band of the reference has.
+        let num_cells = reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(MAX_CHUNK_SEGMENTS));
+        let coder = BandCoder::new(begin(coded), &head, place, motion, num_cells);
         let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
         if !head.is_split && head.has_corrections(&band) {
             let corrections;
@@ -252,7 +254,7 @@ impl BlocksAssembly {
         if self.seen >> header.index.0 & 1 == 1 {
             return Err(CodecError::Duplicate(header.index));
         }
-        let num_segments: usize = self.bands.iter().flat_map(|(base, _)| base).map(|b| b.cells.len()).sum();
+        let num_segments: usize = self.bands.iter().flat_map(|(base, _)| base).map(|b| b.num_cells()).sum();
         at_most("segments in a frame", num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
         let (base, corrections) = &mut self.bands[usize::from(header.band)];
         if if header.is_base() { base.is_some() } else { corrections.is_some() } {
@@ -280,9 +282,9 @@ impl BlocksAssembly {
                 (None, _) => {
                     let borders = self.head.and_then(|head| head.borders);
                     let place = place(&ChunkHeader { band: number as u8, ..self.first }, borders);
-                    let mut band = Band::new(place.across);
+                    let mut band = Band::new(place, 0);
                     (0..place.across * place.num_rows)
-                        .for_each(|_| band.push(0, &super::band::Lists::default()));
+                        .for_each(|_| band.push(0, &mut super::band::Lists::default()));
                     Arc::new(band)
                 }
             }
@@ -300,7 +302,7 @@ impl Reference {
     /// The same, in the memory of a frame.
     pub(in super::super) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
         let width = self.header.camera.intrinsics.width as usize;
-        let total: usize = self.bands.iter().map(|b| b.cells.len()).sum();
+        let total: usize = self.bands.iter().map(|b| b.num_cells()).sum();
         let mut frame = LayeredFrame::in_memory_of(spare, self.header, total);
         let mut ends = &mut frame.offsets[1..];
         let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
@@ -309,7 +311,7 @@ impl Reference {
         for band in &self.bands {
             let rows = band.blocks.len() / band.across.max(1) * BLOCK;
             let lists = (rows * width).min(ends.len());
-            let count = band.cells.len();
+            let count = band.num_cells();
             work.push((
                 band,
                 offset as u32,
@@ -325,56 +327,102 @@ impl Reference {
 
 impl Band {
     /// Writes the ends of the band's lists, counted from `offset`, and their segments.
-    fn write(&self, width: usize, offset: u32, ends: &mut [u32], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
-        let mut to = 0;
-        for (y, ends) in ends.chunks_mut(width).enumerate() {
-            for (x, ends) in ends.chunks_mut(BLOCK).enumerate() {
-                // The lists of a row of a block lie side by side in both.
-                let of = self.cells_of(y / BLOCK * self.across + x);
-                let first = y % BLOCK * BLOCK;
-                let start = if first == 0 { 0 } else { of.ends[first - 1] };
-                let cells = &of.cells[usize::from(start)..usize::from(of.ends[first + ends.len() - 1])];
-                let planes = [&mut *depth, &mut *c_rg, &mut *c_b_tau];
-                write_words(cells, planes.map(|plane| &mut plane[to..to + cells.len()]));
-                for (end, own) in ends.iter_mut().zip(&of.ends[first..]) {
-                    *end = offset + to as u32 + u32::from(own - start);
+    fn write(&self, columns: usize, offset: u32, ends: &mut [u32], planes: [&mut [u32]; 3]) {
+        write_words(self, columns, offset, ends, planes);
+    }
+}
+
+wide! {
+    /// Writes the segments of a band list by list in the packed form of [`LayeredFrame`], and where those of each list end,
+    /// counted from `offset`.
+    fn write_words(
+        band: &Band,
+        columns: usize,
+        offset: u32,
+        ends: &mut [u32],
+        planes: [&mut [u32]; 3],
+    ) = write_words_any;
+}
+
+#[inline(always)]
+fn write_words_any(
+    band: &Band,
+    columns: usize,
+    offset: u32,
+    ends: &mut [u32],
+    [depth, c_rg, c_b_tau]: [&mut [u32]; 3],
+) {
+    let mut to = 0;
+    let mut spread = NO_CELLS;
+    for (y, ends) in ends.chunks_mut(columns * BLOCK).enumerate() {
+        let blocks = y * band.across..(y + 1) * band.across;
+        // How long lists are, then where they end.
+        for (x, block) in blocks.clone().enumerate() {
+            let mut lengths = [0; BLOCK_LISTS];
+            for layer in band.cells_of(block).layers {
+                for (i, length) in lengths.iter_mut().enumerate() {
+                    *length += (layer.mask >> i & 1) as u32;
                 }
-                to += cells.len();
+            }
+            for (ends, lengths) in ends.chunks_mut(columns).zip(lengths.chunks_exact(BLOCK)) {
+                for (end, length) in ends[x * BLOCK..].iter_mut().zip(lengths) {
+                    *end = *length;
+                }
+            }
+        }
+        let first = to;
+        for end in &mut *ends {
+            to += *end;
+            *end = offset + to;
+        }
+        for (x, block) in blocks.enumerate() {
+            // Where the next segment of each list goes.
+            let mut places = [0; BLOCK_LISTS];
+            for (row, places) in places.chunks_exact_mut(BLOCK).enumerate() {
+                for (column, place) in places.iter_mut().enumerate() {
+                    let list = row * columns + x * BLOCK + column;
+                    // There is none below the last row of the frame.
+                    *place = match list.checked_sub(1) {
+                        Some(before) => ends.get(before).map_or(0, |end| end - offset),
+                        None => first,
+                    };
+                }
+            }
+            let mut walk = band.cells_of(block).walk(&mut spread);
+            while let Some((layer, cells)) = walk.next() {
+                let words = words_of(cells);
+                for i in lists_of(layer.mask) {
+                    let place = places[i] as usize;
+                    places[i] += 1;
+                    depth[place] = words[0][i];
+                    c_rg[place] = words[1][i];
+                    c_b_tau[place] = words[2][i];
+                }
             }
         }
     }
 }
 
-wide! {
-    /// Writes segments in the packed form of [`LayeredFrame`], into as many words of each plane.
-    fn write_words(cells: &[Cell], planes: [&mut [u32]; 3]) = write_words_any;
-}
-
+/// Cells as segments in the packed form.
 #[inline(always)]
-fn write_words_any(cells: &[Cell], [depth, c_rg, c_b_tau]: [&mut [u32]; 3]) {
+fn words_of([front, back, u, y, co, cg]: &Cells) -> [[u32; BLOCK_LISTS]; 3] {
     let scales = scales();
-    for (n, cells) in cells.chunks(BATCH).enumerate() {
-        let words = n * BATCH..n * BATCH + cells.len();
-        let (mut alpha, mut tau, mut ycc) = ([0.0; BATCH], [0; BATCH], [[0; 3]; BATCH]);
-        for (i, (cell, depth)) in cells.iter().zip(&mut depth[words.clone()]).enumerate() {
-            *depth = u32::from(cell.front) | u32::from(cell.back) << 16;
-            alpha[i] = scales.alpha[usize::from(cell.u)];
-            tau[i] = u32::from(scales.tau_half[usize::from(cell.u)]);
-            ycc[i] = cell.ycc;
-        }
-        let (mut rg, mut b_tau) = ([0; BATCH], [0; BATCH]);
-        for i in 0..BATCH {
-            let [r, g, b] = roots(ycc[i]).map(|root| root * root * alpha[i]);
-            rg[i] = pack_halves(r, g);
-            b_tau[i] = pack_halves(b, 0.0) | tau[i] << 16;
-        }
-        c_rg[words.clone()].copy_from_slice(&rg[..cells.len()]);
-        c_b_tau[words].copy_from_slice(&b_tau[..cells.len()]);
+    let (mut alpha, mut tau) = ([0.0; BLOCK_LISTS], [0; BLOCK_LISTS]);
+    for (i, code) in u.iter().enumerate() {
+        alpha[i] = scales.alpha[usize::from(*code)];
+        tau[i] = u32::from(scales.tau_half[usize::from(*code)]);
     }
+    let mut words = [[0; BLOCK_LISTS]; 3];
+    let [depth, rg, b_tau] = &mut words;
+    for i in 0..BLOCK_LISTS {
+        let [r, g, b] = roots([y[i] as i16, co[i] as i16, cg[i] as i16]).map(|root| root * root * alpha[i]);
+        depth[i] = u32::from(front[i]) | u32::from(back[i]) << 16;
+        rg[i] = pack_halves(r, g);
+        b_tau[i] = pack_halves(b, 0.0) | tau[i] << 16;
+    }
+    words
 }
 
-/// Segments that are packed at once.
-const BATCH: usize = 32;
 /// Bits of the first byte of a head.
 const IS_PREDICTED: u8 = 1;
 const IS_SPLIT: u8 = 2;

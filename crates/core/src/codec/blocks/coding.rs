@@ -114,6 +114,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         head: &Head,
         place: Place,
         reference: Option<(&'a Reference, Motion)>,
+        num_cells: usize,
     ) -> Self {
         Self {
             coder,
@@ -121,7 +122,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             steps: head.steps,
             place,
             reference,
-            band: Band::new(place.across),
+            band: Band::new(place, num_cells),
             layers: Vec::new(),
             has_edges: head.has_edges,
             edges: EdgeRows::default(),
@@ -143,7 +144,8 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             self.edges.begin_row(self.layers.len());
             for x in 0..self.place.across {
                 self.block(x, y, source, &mut plan);
-                super::super::at_most("segments in a chunk", self.band.cells.len(), limit)?;
+                super::super::at_most("segments in a chunk", self.band.num_cells(), limit)?;
+                super::super::at_most("rows of segments in a chunk", self.band.num_rows(), limit / 4)?;
                 super::super::at_most("layers in a chunk", self.band.planes.len(), limit / 8)?;
                 if self.coder.is_overrun() {
                     return Err(CodecError::Payload { plane: "blocks", problem: "ends too early".into() });
@@ -244,7 +246,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             Origin::Kept => BlockClass::Kept,
             Origin::Copied => BlockClass::Copied,
         });
-        self.band.push(first_plane, &self.lists);
+        self.band.push(first_plane, &mut self.lists);
         self.origins.push(origin);
     }
 

@@ -7,7 +7,7 @@ use super::coding::{BandCoder, Origin, Place, Plan, PlaneCode, Source};
 use super::entropy::Encoder;
 use super::model::BLOCK_LISTS;
 use super::motion::Motion;
-use super::picture::{self, Composer, composite_roots};
+use super::picture::{self, composite_roots};
 use super::reference::{Notes, Reference};
 use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
@@ -38,7 +38,7 @@ pub(super) fn band(
 ) -> Result<EncodedBand, CodecError> {
     let steps = head.steps;
     let mut layering = Layering::new(frame, place, rule, steps, reference, wanted);
-    let coder = BandCoder::new(Encoder::new(), head, place, reference);
+    let coder = BandCoder::new(Encoder::new(), head, place, reference, segments(frame, place));
     let (coder, mut decoded, origins) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
     if layering.is_abandoned {
         return Err(CodecError::Abandoned);
@@ -47,12 +47,12 @@ pub(super) fn band(
         let notes = layering.notes;
         return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded, notes });
     }
-    let Layering { wanted, wanted_of, composer, .. } = &mut layering;
+    let Layering { wanted, wanted_of, .. } = &layering;
     let source = |block: usize, planes: &mut [Plane; 3]| {
         // A block of the reference has its corrections in it.
         let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
         match wanted.get(wanted_of[block] as usize) {
-            Some(wanted) if !is_corrected => miss(composer, wanted, decoded.cells_of(block), planes),
+            Some(wanted) if !is_corrected => miss(wanted, decoded.cells_of(block), planes),
             _ => 0,
         }
     };
@@ -67,19 +67,23 @@ pub(super) fn band(
     Ok(EncodedBand { base, corrections, decoded, notes: layering.notes })
 }
 
+/// Segments of a band.
+fn segments(frame: &LayeredFrame, place: Place) -> usize {
+    let row = |block: usize| (block * super::model::BLOCK).min(place.size[1]) * place.size[0];
+    (frame.offsets[row(place.first_row + place.num_rows)] - frame.offsets[row(place.first_row)]) as usize
+}
+
 /// By how much the lists of a block composite to too little, as roots, when they should composite to `wanted`; and
 /// which have matter.
-fn miss(composer: &mut Composer, wanted: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
-    composite_roots(composer, cells, planes);
-    let mut mask = 0;
+fn miss(wanted: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
+    composite_roots(cells, planes);
     for i in 0..BLOCK_LISTS {
-        mask |= u64::from(!cells.list(i).is_empty()) << i;
         let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c][i] - planes[c][i]));
         for (plane, value) in planes.iter_mut().zip(ycc) {
             plane[i] = value;
         }
     }
-    mask
+    cells.mask()
 }
 
 /// Planes that are coded as a block's own.
@@ -121,7 +125,6 @@ struct Layering<'a> {
     planes: Vec<Planes>,
     best: Vec<Planes>,
     notes: Notes,
-    composer: Box<Composer>,
     /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
     /// [`NO_WANTED`] where there is nothing.
     wanted: Vec<[Plane; 3]>,
@@ -153,7 +156,6 @@ impl<'a> Layering<'a> {
             planes: Vec::new(),
             best: Vec::new(),
             notes: Vec::with_capacity(place.across * place.num_rows),
-            composer: Composer::new(),
             wanted: Vec::new(),
             wanted_of: Vec::with_capacity(place.across * place.num_rows),
             is_wanted,
@@ -175,7 +177,7 @@ impl<'a> Layering<'a> {
         }
         let Some(wanted) = self.wanted.last() else { return false };
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
-        miss(&mut self.composer, wanted, band.cells_of(block), &mut planes);
+        miss(wanted, band.cells_of(block), &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
         mean <= SAME * self.steps.picture
     }

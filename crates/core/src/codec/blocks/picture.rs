@@ -2,11 +2,11 @@
 //! many small errors, and one more plane a block takes most of it back.
 
 use super::super::{CodecError, MAX_CHUNK_SEGMENTS, at_most};
-use super::band::{Band, Cell, CellsOf};
+use super::band::{Band, Cells, CellsOf, NO_CELLS};
 use super::coding::{Expected, Place, fixed_of, residual};
 use super::entropy::Coder;
 use super::meter::About;
-use super::model::{BLOCK_LISTS, MAX_LAYERS};
+use super::model::BLOCK_LISTS;
 use super::scales::{f32_from_fixed, fixed_from_f32, roots_from_ycc, scales, ycc_from_roots};
 use super::smooth::{Border, smooth_roots};
 use super::steps::Steps;
@@ -85,108 +85,57 @@ pub(super) fn code<C: Coder>(
     Ok((coder, out))
 }
 
-/// Scratch memory to composite the cells of a block with, cell by cell.
-#[derive(Clone, Debug)]
-pub(super) struct Composer {
-    alpha: [f32; MOST_CELLS],
-    /// Y, Co, Cg in units of 1/8192.
-    ycc: [[i16; MOST_CELLS]; 3],
-    /// Of red, green and blue.
-    roots: [[f32; MOST_CELLS]; 3],
-}
-
-impl Composer {
-    pub(super) fn new() -> Box<Self> {
-        Box::new(Self { alpha: [0.0; MOST_CELLS], ycc: [[0; MOST_CELLS]; 3], roots: [[0.0; MOST_CELLS]; 3] })
-    }
-}
-
 wide! {
     /// The roots of red, green and blue that the lists of a block composite to, into `found`.
-    pub(super) fn composite_roots(composer: &mut Composer, of: CellsOf<'_>, found: &mut [Plane; 3])
-        = composite_roots_any;
+    pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [Plane; 3]) = composite_roots_any;
 }
 
 wide! {
-    /// Multiplies the roots of the colours of a block's cells, list by list.
-    fn multiply(
-        composer: &mut Composer,
-        cells: &mut [Cell],
-        ends: &[u16; BLOCK_LISTS],
-        factors: &[Plane; 3],
-    ) = multiply_any;
+    /// Multiplies the roots of the colours of a layer's cells, list by list.
+    fn multiply(cells: &mut Cells, factors: &[Plane; 3]) = multiply_any;
 }
 
 #[inline(always)]
-fn composite_roots_any(composer: &mut Composer, of: CellsOf<'_>, found: &mut [Plane; 3]) {
+fn composite_roots_any(of: CellsOf<'_>, found: &mut [Plane; 3]) {
     let scales = scales();
-    let Composer { alpha, ycc: [y, co, cg], roots: [r, g, b] } = composer;
-    let num = of.cells.len().min(MOST_CELLS);
-    for (i, cell) in of.cells[..num].iter().enumerate() {
-        alpha[i] = scales.alpha[usize::from(cell.u)];
-        [y[i], co[i], cg[i]] = cell.ycc;
-    }
-    for i in 0..num {
-        [r[i], g[i], b[i]] = roots([y[i], co[i], cg[i]]);
-    }
-    let mut start = 0;
-    for (i, &end) in of.ends.iter().enumerate() {
-        let end = usize::from(end).min(num);
-        let (mut sum, mut kappa) = ([0.0; 3], 1.0);
-        for n in start..end {
-            for (sum, root) in sum.iter_mut().zip([r[n], g[n], b[n]]) {
-                *sum += kappa * alpha[n] * root * root;
-            }
-            kappa *= 1.0 - alpha[n];
+    let mut kappa = [1.0; BLOCK_LISTS];
+    *found = [[0.0; BLOCK_LISTS]; 3];
+    let [r, g, b] = &mut *found;
+    let mut spread = NO_CELLS;
+    let mut walk = of.walk(&mut spread);
+    while let Some((_, [_, _, u, y, co, cg])) = walk.next() {
+        // That of a list without a cell is 0.
+        let mut alpha = [0.0; BLOCK_LISTS];
+        for (alpha, code) in alpha.iter_mut().zip(u) {
+            *alpha = scales.alpha[usize::from(*code)];
         }
-        (found[0][i], found[1][i], found[2][i]) = sum.into();
-        start = end;
+        for i in 0..BLOCK_LISTS {
+            let roots = roots([y[i] as i16, co[i] as i16, cg[i] as i16]);
+            let seen = kappa[i] * alpha[i];
+            r[i] += seen * roots[0] * roots[0];
+            g[i] += seen * roots[1] * roots[1];
+            b[i] += seen * roots[2] * roots[2];
+            kappa[i] *= 1.0 - alpha[i];
+        }
     }
     for found in found.as_flattened_mut() {
         *found = found.max(LEAST).sqrt();
     }
 }
 
-/// By the same factor in all cells of a list.
+/// By the same factor in all cells of a list. Nothing stays nothing.
 #[inline(always)]
-fn multiply_any(
-    composer: &mut Composer,
-    cells: &mut [Cell],
-    ends: &[u16; BLOCK_LISTS],
-    factors: &[Plane; 3],
-) {
-    let Composer { ycc: [y, co, cg], roots: [r, g, b], .. } = composer;
-    let num = cells.len().min(MOST_CELLS);
-    for (i, cell) in cells[..num].iter().enumerate() {
-        [y[i], co[i], cg[i]] = cell.ycc;
-    }
-    for i in 0..num {
-        [r[i], g[i], b[i]] = roots([y[i], co[i], cg[i]]);
-    }
-    let mut start = 0;
-    for (i, &end) in ends.iter().enumerate() {
-        let end = usize::from(end).min(num);
-        for n in start..end {
-            r[n] *= factors[0][i];
-            g[n] *= factors[1][i];
-            b[n] *= factors[2][i];
-        }
-        start = end;
-    }
-    for i in 0..num {
-        let changed = [r[i].min(MAX_ROOT), g[i].min(MAX_ROOT), b[i].min(MAX_ROOT)];
-        [y[i], co[i], cg[i]] = ycc_from_roots(changed).map(fixed_from_f32);
-    }
-    start = 0;
-    for (i, &end) in ends.iter().enumerate() {
-        let end = usize::from(end).min(num);
+fn multiply_any([_, _, _, y, co, cg]: &mut Cells, [of_r, of_g, of_b]: &[Plane; 3]) {
+    for i in 0..BLOCK_LISTS {
+        let own = [y[i] as i16, co[i] as i16, cg[i] as i16];
+        let [r, g, b] = roots(own);
+        let changed = [(r * of_r[i]).min(MAX_ROOT), (g * of_g[i]).min(MAX_ROOT), (b * of_b[i]).min(MAX_ROOT)];
+        let changed = ycc_from_roots(changed).map(fixed_from_f32);
         // What is right stays as it is, to the bit.
-        if [factors[0][i], factors[1][i], factors[2][i]] != [1.0; 3] {
-            for n in start..end {
-                cells[n].ycc = [y[n], co[n], cg[n]];
-            }
-        }
-        start = end;
+        let is_right = (of_r[i] == 1.0) & (of_g[i] == 1.0) & (of_b[i] == 1.0);
+        y[i] = if is_right { own[0] } else { changed[0] } as u16;
+        co[i] = if is_right { own[1] } else { changed[1] } as u16;
+        cg[i] = if is_right { own[2] } else { changed[2] } as u16;
     }
 }
 
@@ -229,7 +178,7 @@ impl PictureRow {
     }
 
     /// Multiplies the colours of a row's lists so that they composite to what they shall.
-    fn apply(&self, composer: &mut Composer, band: &mut Band, first_block: usize) {
+    fn apply(&self, band: &mut Band, first_block: usize) {
         for (x, Shown { mask, found, wanted }) in self.blocks.iter().enumerate() {
             if *mask == 0 {
                 continue;
@@ -238,9 +187,7 @@ impl PictureRow {
             for (factor, found) in factors.as_flattened_mut().iter_mut().zip(found.as_flattened()) {
                 *factor = (*factor / *found).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
             }
-            if let Some((cells, ends)) = band.cells_mut(first_block + x) {
-                multiply(composer, cells, ends, &factors);
-            }
+            band.change(first_block + x, |cells| multiply(cells, &factors));
         }
     }
 }
@@ -252,14 +199,13 @@ impl Corrections {
         if self.planes.is_empty() {
             return;
         }
-        let mut composer = Composer::new();
         let across = band.across.max(1);
         let [mut above, mut own] = [(); 2].map(|()| PictureRow::new(across));
         for (y, places) in self.places.chunks(across).enumerate() {
             for (x, (&place, shown)) in places.iter().zip(&mut own.blocks).enumerate() {
                 match self.planes.get(place as usize) {
                     Some(differences) => {
-                        shown.set(&mut composer, band.cells_of(y * across + x), differences);
+                        shown.set(band.cells_of(y * across + x), differences);
                     }
                     None => shown.mask = 0,
                 }
@@ -269,25 +215,20 @@ impl Corrections {
             }
             // Nothing comes to it any more.
             if y > 0 {
-                above.apply(&mut composer, band, (y - 1) * across);
+                above.apply(band, (y - 1) * across);
             }
             std::mem::swap(&mut above, &mut own);
         }
         let num_rows = self.places.len().div_ceil(across);
-        above.apply(&mut composer, band, num_rows.saturating_sub(1) * across);
+        above.apply(band, num_rows.saturating_sub(1) * across);
     }
 }
 
 impl Shown {
     /// With what the cells of a block composite to too little.
-    fn set(&mut self, composer: &mut Composer, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
-        composite_roots(composer, cells, &mut self.found);
-        self.mask = 0;
-        let mut start = 0;
-        for (i, &end) in cells.ends.iter().enumerate() {
-            self.mask |= u64::from(end > start) << i;
-            start = end;
-        }
+    fn set(&mut self, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
+        composite_roots(cells, &mut self.found);
+        self.mask = cells.mask();
         for i in 0..BLOCK_LISTS {
             let difference = [differences[0][i], differences[1][i], differences[2][i]];
             let difference = roots_from_ycc(difference.map(f32_from_fixed));
@@ -313,21 +254,20 @@ const MAX_FACTOR: f32 = 2.0;
 /// Least colour of a list.
 const LEAST: f32 = 1e-5;
 const NONE: u32 = u32::MAX;
-/// Cells of a block.
-const MOST_CELLS: usize = MAX_LAYERS * BLOCK_LISTS;
 
 #[cfg(test)]
 mod tests {
     use super::super::band::Lists;
-    use super::super::model::DepthPlane;
+    use super::super::model::{BLOCK, DepthPlane};
     use super::*;
 
     const ACROSS: usize = 4;
     const ROWS: usize = 5;
+    const PLACE: Place = Place { across: ACROSS, first_row: 0, num_rows: ROWS, size: [ACROSS * BLOCK, ROWS * BLOCK] };
 
     /// A band of smooth layers, with blocks that have no matter and lists that have none, and corrections for most of it.
     fn corrected() -> (Band, Corrections) {
-        let (mut band, mut lists) = (Band::new(ACROSS), Lists::default());
+        let (mut band, mut lists) = (Band::new(PLACE, 0), Lists::default());
         let mut corrections = Corrections { places: vec![], planes: vec![] };
         for block in 0..ACROSS * ROWS {
             let first_plane = band.planes.len();
@@ -343,7 +283,7 @@ mod tests {
                 band.planes.push(planes);
                 lists.push(&planes, mask, &u, &ycc, &alphas);
             }
-            band.push(first_plane, &lists);
+            band.push(first_plane, &mut lists);
             if [3, 9, 14].contains(&block) {
                 corrections.places.push(NONE);
             } else {
@@ -355,13 +295,23 @@ mod tests {
         (band, corrections)
     }
 
+    /// Y, Co, Cg of the cells of a block.
+    fn colors(band: &Band, block: usize) -> Vec<[u16; 3]> {
+        let mut colors = vec![];
+        let mut spread = NO_CELLS;
+        let mut walk = band.cells_of(block).walk(&mut spread);
+        while let Some((_, [_, _, _, y, co, cg])) = walk.next() {
+            colors.extend((0..BLOCK_LISTS).map(|i| [y[i], co[i], cg[i]]));
+        }
+        colors
+    }
+
     /// All of the picture at once: first the borders between blocks beside each other, then those to blocks below.
     fn at_once(band: &mut Band, corrections: &Corrections, steps: &[f32; 3]) {
-        let mut composer = Composer::new();
         let mut shown = PictureRow::new(ACROSS * ROWS);
         for (block, &place) in corrections.places.iter().enumerate() {
             if let Some(differences) = corrections.planes.get(place as usize) {
-                shown.blocks[block].set(&mut composer, band.cells_of(block), differences);
+                shown.blocks[block].set(band.cells_of(block), differences);
             }
         }
         for (border, back) in [(Border::Beside, 1), (Border::Below, ACROSS)] {
@@ -372,7 +322,7 @@ mod tests {
                 }
             }
         }
-        shown.apply(&mut composer, band, 0);
+        shown.apply(band, 0);
     }
 
     #[test]
@@ -386,12 +336,12 @@ mod tests {
         assert!(by_rows == all);
         corrections.apply(&mut plain, None);
         let moved = |block: usize| {
-            let differ = by_rows.cells_of(block).cells.iter().zip(plain.cells_of(block).cells);
-            differ.filter(|(a, b)| a.ycc != b.ycc).count()
+            let [smoothed, plain] = [&by_rows, &plain].map(|band| colors(band, block));
+            smoothed.iter().zip(&plain).filter(|(a, b)| a != b).count()
         };
         assert!((0..ACROSS * ROWS).map(moved).sum::<usize>() > 200);
         // Blocks without corrections stay as they were, also beside those that have some.
-        assert!([3, 14].iter().all(|&block| by_rows.cells_of(block).cells == before.cells_of(block).cells));
+        assert!([3, 14].iter().all(|&block| colors(&by_rows, block) == colors(&before, block)));
         assert!(moved(10) > 0);
     }
 }

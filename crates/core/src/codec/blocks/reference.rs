@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, Cell, CellsOf, greater, lesser};
+use super::band::{Band, Cells, Layer, NO_CELLS, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::{Motion, Shift};
-use super::scales::{Scales, f32_from_fixed, scales, whole};
+use super::scales::{f32_from_fixed, scales, whole};
 use super::steps::Steps;
 use super::transform::Plane;
 use crate::ids::FrameId;
@@ -63,6 +63,15 @@ impl Reference {
     /// Memory that it takes, the same for who has encoded it and who has decoded it.
     fn num_bytes(&self) -> usize {
         self.bands.iter().map(|band| band.num_bytes()).sum()
+    }
+
+    /// Cells of all bands, and how many these are, one at least.
+    pub(super) fn num_cells(&self) -> usize {
+        self.bands.iter().map(|band| band.num_cells()).sum()
+    }
+
+    pub(super) fn num_bands(&self) -> usize {
+        self.bands.len().max(1)
     }
 
     /// The band and the number in it of the block at column `x` and row `y` of blocks.
@@ -153,21 +162,21 @@ pub(super) struct Fetched {
     pub(super) planes: [Plane; 4],
     /// The lists where there is matter.
     pub(super) mask: u64,
+    scratch: Box<Scratch>,
 }
 
-/// A list of the reference between two depths.
-#[derive(Clone, Copy, Default)]
-struct Content {
-    u: f32,
-    /// 0 for no matter.
-    alpha: f32,
-    /// Times α.
-    ycc: [f32; 3],
+/// Memory to fetch with.
+#[derive(Clone, Debug)]
+struct Scratch {
+    between: Between,
+    contents: Contents,
+    spread: Cells,
 }
 
 impl Fetched {
     pub(super) fn new() -> Self {
-        Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0 }
+        let scratch = Scratch { between: Between::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
+        Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0, scratch: Box::new(scratch) }
     }
 }
 
@@ -202,34 +211,45 @@ fn fetch_any(
     let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
     const SIDE: i32 = BLOCK as i32;
     let (first_x, first_y) = (left.div_euclid(SIDE), top.div_euclid(SIDE));
-    let blocks = [0, 1].map(|dy| {
-        [0, 1].map(|dx| {
-            let found = reference.block(first_x + dx, first_y + dy);
-            found.map_or(CellsOf::NONE, |(band, block)| band.cells_of(block))
-        })
-    });
-    if blocks.as_flattened().iter().all(|block| block.cells.is_empty()) {
-        return;
-    }
-    let scales = scales();
     let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
-    let mut content = Contents::NOTHING;
+    let mut found = [[[0.0; 2 * BLOCK]; BLOCK + 1]; NUM_VALUES];
     let mut has_any = false;
-    for row in 0..rows {
-        let y = inner_y + row;
-        let dy = row as f32 - fy - MIDDLE;
-        let mut between = Between::NOWHERE;
-        for column in 0..LANES {
-            let dx = column as f32 - fx - MIDDLE;
-            let low = front.z + front.dx * dx + front.dy * dy + shift.z;
-            let high = (back.z + back.dx * dx + back.dy * dy + shift.z).max(low + least_length);
-            between.set(column, low, high);
+    let Scratch { between, contents, spread } = &mut *fetched.scratch;
+    for (by, bx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        // The rows and columns of the block that are looked at.
+        let [ys, xs] = [(by, inner_y, rows), (bx, inner_x, columns)].map(|(n, inner, num)| {
+            let inside = |v: usize| v.saturating_sub(n * BLOCK).min(BLOCK);
+            inside(inner)..inside(inner + num)
+        });
+        let Some((band, block)) = reference.block(first_x + bx as i32, first_y + by as i32) else { continue };
+        let cells = band.cells_of(block);
+        if xs.is_empty() || ys.is_empty() || cells.layers.is_empty() {
+            continue;
         }
-        for column in 0..columns {
-            let x = inner_x + column;
-            let cells = blocks[y / BLOCK][x / BLOCK].list(y % BLOCK * BLOCK + x % BLOCK);
-            if !cells.is_empty() {
-                has_any |= content.set(row, column, &between.content(column, scales, cells));
+        between.ys = ys.clone();
+        between.xs = xs;
+        look(between, &Looked {
+            planes: (*front, *back),
+            at: [(bx * BLOCK) as f32 - inner_x as f32, (by * BLOCK) as f32 - inner_y as f32],
+            part: [fx, fy],
+            shift: shift.z,
+            least_length,
+        });
+        contents.clear();
+        let mut is_there = false;
+        let mut walk = cells.walk(spread);
+        while let Some((_, cells)) = walk.next_of(|layer| between.has(layer)) {
+            is_there |= add(contents, between, cells);
+        }
+        if !is_there {
+            continue;
+        }
+        has_any = true;
+        contents.finish(between.lists());
+        for (found, values) in found.iter_mut().zip(&contents.values) {
+            for y in ys.clone() {
+                let row = by * BLOCK + y - inner_y;
+                found[row][bx * BLOCK..][..BLOCK].copy_from_slice(&values[y * BLOCK..][..BLOCK]);
             }
         }
     }
@@ -243,13 +263,13 @@ fn fetch_any(
     for (dy, dx, w) in taps.into_iter().filter(|(.., w)| *w > 0.0) {
         let [weight, sums @ ..] = &mut sums;
         for row in 0..BLOCK {
-            let alpha = &content.values[0][row + dy][dx..dx + BLOCK];
+            let alpha = &found[0][row + dy][inner_x + dx..][..BLOCK];
             // Where nothing is, all is zero.
             for (sum, alpha) in weight[row * BLOCK..][..BLOCK].iter_mut().zip(alpha) {
                 *sum += if *alpha > 0.0 { w } else { 0.0 };
             }
-            for (sums, values) in sums.iter_mut().zip(&content.values) {
-                let values = &values[row + dy][dx..dx + BLOCK];
+            for (sums, values) in sums.iter_mut().zip(&found) {
+                let values = &values[row + dy][inner_x + dx..][..BLOCK];
                 for (sum, value) in sums[row * BLOCK..][..BLOCK].iter_mut().zip(values) {
                     *sum += w * value;
                 }
@@ -289,91 +309,181 @@ fn fetch_any(
     }
 }
 
-/// Rows of a number for each of the lists that a block's may lie between.
-type Rows = [[f32; BLOCK + 1]; BLOCK + 1];
-
-/// What these lists of the reference have between two depths: opacity, u, and Y, Co, Cg times opacity.
-struct Contents {
-    values: [Rows; 5],
-}
-
-impl Contents {
-    const NOTHING: Self = Self { values: [[[0.0; BLOCK + 1]; BLOCK + 1]; 5] };
-
-    /// Returns whether there is anything.
-    #[inline(always)]
-    fn set(&mut self, row: usize, column: usize, content: &Content) -> bool {
-        let &Content { u, alpha, ycc: [y, co, cg] } = content;
-        for (rows, value) in self.values.iter_mut().zip([alpha, u, y, co, cg]) {
-            rows[row][column] = value;
-        }
-        alpha > 0.0
-    }
-}
-
-/// Between which two depths the lists of a row are looked at.
+/// Between which two depths the lists of a block of the reference are looked at.
+#[derive(Clone, Debug)]
 struct Between {
-    low: [f32; LANES],
-    high: [f32; LANES],
+    low: Plane,
+    high: Plane,
     /// A cell is in front of these depths if it ends at this depth unit or before, and behind if it begins at this one or
-    /// after.
-    in_front: [u32; LANES],
-    behind: [u32; LANES],
+    /// after. All are, of a list that is not looked at.
+    in_front: [i32; BLOCK_LISTS],
+    behind: [i32; BLOCK_LISTS],
+    /// The least and the most of these.
+    range: [i32; 2],
+    /// The rows and columns that are looked at. Nothing is said of lists in other rows.
+    ys: std::ops::Range<usize>,
+    xs: std::ops::Range<usize>,
+}
+
+/// What the depths of a block's lists follow from.
+struct Looked {
+    planes: (DepthPlane, DepthPlane),
+    /// First column and row of the block, counted from those that are looked at.
+    at: [f32; 2],
+    /// By how much these lie beside lists of the reference, and how much deeper all is there.
+    part: [f32; 2],
+    shift: f32,
+    least_length: f32,
+}
+
+wide! {
+    /// Fills in the depths of the rows and columns.
+    fn look(between: &mut Between, looked: &Looked) = Between::look_any;
 }
 
 impl Between {
-    const NOWHERE: Self =
-        Self { low: [0.0; LANES], high: [0.0; LANES], in_front: [0; LANES], behind: [0; LANES] };
+    const NOWHERE: Self = Self {
+        low: [0.0; BLOCK_LISTS],
+        high: [0.0; BLOCK_LISTS],
+        in_front: [i32::MAX; BLOCK_LISTS],
+        behind: [0; BLOCK_LISTS],
+        range: [i32::MAX, 0],
+        ys: 0..0,
+        xs: 0..0,
+    };
 
+    /// The lists of the rows.
     #[inline(always)]
-    fn set(&mut self, i: usize, low: f32, high: f32) {
-        (self.low[i], self.high[i]) = (low, high);
-        // No cell ends at 0 or before, and none goes on beyond 65535.
-        let units = |depth: f32| whole(lesser(depth, BEYOND_ALL));
-        self.in_front[i] = units(low);
-        let below = units(high);
-        self.behind[i] = below + u32::from((below as i32 as f32) < high);
+    fn lists(&self) -> std::ops::Range<usize> {
+        (self.ys.start * BLOCK).min(BLOCK_LISTS)..(self.ys.end * BLOCK).min(BLOCK_LISTS)
     }
 
-    /// The parts of a list's cells between the two depths, composited: the colour of parts is that of their cells, mixed
-    /// by what of them is seen.
     #[inline(always)]
-    fn content(&self, i: usize, scales: &Scales, cells: &[Cell]) -> Content {
-        let (low, high) = (self.low[i], self.high[i]);
-        let mut sum = Content::default();
-        let mut tau = 0.0;
-        let mut kappa = 1.0;
-        let mut count = 0;
-        for cell in cells {
-            if u32::from(cell.back) <= self.in_front[i] {
-                continue;
-            }
-            if u32::from(cell.front) >= self.behind[i] {
-                break;
-            }
-            let (front, back) = (f32::from(cell.front), f32::from(cell.back));
-            let part = (lesser(back, high) - greater(front, low)) / (back - front);
-            let [of_cell, alpha] = scales.tau_and_alpha(cell.u);
-            let (code, [of_part, alpha]) = if part > WHOLE {
-                (cell.u, [of_cell, alpha])
-            } else {
-                let code = scales.code_of_one(scales.u_from_tau(of_cell * part));
-                (code, scales.tau_and_alpha(code))
-            };
-            let seen = kappa * alpha;
-            for (sum, value) in sum.ycc.iter_mut().zip(cell.ycc) {
-                *sum += seen * f32_from_fixed(value);
-            }
-            sum.u = scales.u(code);
-            sum.alpha += seen;
-            tau += of_part;
-            kappa *= 1.0 - alpha;
-            count += 1;
+    fn look_any(&mut self, looked: &Looked) {
+        let &Looked { planes: (front, back), at, part, shift, least_length } = looked;
+        let (first, last) = (self.xs.start as u32, self.xs.end as u32);
+        let [mut least, mut most] = [i32::MAX, 0];
+        for i in self.lists() {
+            let (x, y) = (i as u32 % BLOCK as u32, i as u32 / BLOCK as u32);
+            let (dx, dy) = (x as f32 + at[0] - part[0] - MIDDLE, y as f32 + at[1] - part[1] - MIDDLE);
+            let low = front.z + front.dx * dx + front.dy * dy + shift;
+            let high = (back.z + back.dx * dx + back.dy * dy + shift).max(low + least_length);
+            // No cell ends at 0 or before, and none goes on beyond 65535.
+            let units = |depth: f32| whole(lesser(depth, BEYOND_ALL)) as i32;
+            let below = units(high);
+            let is_looked_at = (x >= first) & (x < last);
+            (self.low[i], self.high[i]) = (low, high);
+            self.in_front[i] = if is_looked_at { units(low) } else { i32::MAX };
+            self.behind[i] = if is_looked_at { below + i32::from((below as f32) < high) } else { 0 };
+            least = least.min(self.in_front[i]);
+            most = most.max(self.behind[i]);
         }
-        if count > 1 {
-            sum.u = scales.u_from_tau(tau);
+        self.range = [least, most];
+    }
+
+    /// Whether a layer may have a cell between any of the depths.
+    #[inline(always)]
+    fn has(&self, layer: &Layer) -> bool {
+        i32::from(layer.back) > self.range[0] && i32::from(layer.front) < self.range[1]
+    }
+}
+
+wide! {
+    /// Adds the parts of a layer's cells between the two depths behind what is there: the colour of parts is that of their
+    /// cells, mixed by what of them is seen. Returns whether there are any.
+    fn add(contents: &mut Contents, between: &Between, cells: &Cells) -> bool = Contents::add_any;
+}
+
+/// What the lists of a block have between two depths, composited.
+#[derive(Clone, Debug)]
+struct Contents {
+    /// Opacity, u, and Y, Co, Cg times opacity.
+    values: [Plane; NUM_VALUES],
+    tau: Plane,
+    kappa: Plane,
+    /// Cells.
+    count: [u32; BLOCK_LISTS],
+}
+
+impl Contents {
+    const NOTHING: Self = Self {
+        values: [[0.0; BLOCK_LISTS]; NUM_VALUES],
+        tau: [0.0; BLOCK_LISTS],
+        kappa: [1.0; BLOCK_LISTS],
+        count: [0; BLOCK_LISTS],
+    };
+
+    #[inline(always)]
+    fn clear(&mut self) {
+        self.values = [[0.0; BLOCK_LISTS]; NUM_VALUES];
+        self.tau = [0.0; BLOCK_LISTS];
+        self.kappa = [1.0; BLOCK_LISTS];
+        self.count = [0; BLOCK_LISTS];
+    }
+
+    #[inline(always)]
+    fn add_any(&mut self, between: &Between, cells: &Cells) -> bool {
+        let scales = scales();
+        let [fronts, backs, of_u, ycc @ ..] = cells;
+        let lists = between.lists();
+        let (mut codes, mut part) = ([0u16; BLOCK_LISTS], [0.0; BLOCK_LISTS]);
+        let (mut num, mut num_parts) = (0, 0);
+        for i in lists.clone() {
+            let (front, back) = (f32::from(fronts[i]), f32::from(backs[i]));
+            let is_in = (i32::from(backs[i]) > between.in_front[i]) & (i32::from(fronts[i]) < between.behind[i]);
+            part[i] = (lesser(back, between.high[i]) - greater(front, between.low[i])) / (back - front);
+            codes[i] = if is_in { of_u[i] } else { 0 };
+            num += i32::from(is_in);
+            num_parts += i32::from(is_in & !(part[i] > WHOLE));
         }
-        sum
+        if num == 0 {
+            return false;
+        }
+        // No cell has neither optical depth nor opacity.
+        let (mut tau, mut alpha) = ([0.0; BLOCK_LISTS], [0.0; BLOCK_LISTS]);
+        for i in lists.clone() {
+            [tau[i], alpha[i]] = scales.tau_and_alpha(codes[i]);
+        }
+        if num_parts > 0 {
+            for i in lists.clone() {
+                let code = scales.code(scales.u_from_tau(tau[i] * part[i]));
+                let is_part = (codes[i] > 0) & !(part[i] > WHOLE);
+                codes[i] = if is_part { code } else { codes[i] };
+            }
+            for i in lists.clone() {
+                [tau[i], alpha[i]] = scales.tau_and_alpha(codes[i]);
+            }
+        }
+        let [sum_alpha, u, sums @ ..] = &mut self.values;
+        for i in lists.clone() {
+            let seen = self.kappa[i] * alpha[i];
+            sum_alpha[i] += seen;
+            u[i] = if codes[i] > 0 { scales.u(codes[i]) } else { u[i] };
+            self.tau[i] += tau[i];
+            self.kappa[i] *= 1.0 - alpha[i];
+            self.count[i] += u32::from(codes[i] > 0);
+            for (sum, ycc) in sums.iter_mut().zip(ycc) {
+                sum[i] += seen * f32_from_fixed(ycc[i] as i16);
+            }
+        }
+        true
+    }
+
+    /// Several cells have u of their optical depth together.
+    #[inline(always)]
+    fn finish(&mut self, lists: std::ops::Range<usize>) {
+        let [_, u, ..] = &mut self.values;
+        let (u, tau, count) = (&mut u[lists.clone()], &self.tau[lists.clone()], &self.count[lists]);
+        if count.iter().fold(0, |most, count| most.max(*count)) > 1 {
+            let scales = scales();
+            let mut together = [0.0; BLOCK_LISTS];
+            for (together, tau) in together.iter_mut().zip(tau) {
+                *together = scales.u_from_tau(*tau);
+            }
+            for ((u, together), count) in u.iter_mut().zip(&together).zip(count) {
+                *u = if *count > 1 { *together } else { *u };
+            }
+        }
     }
 }
 
@@ -390,8 +500,8 @@ const MAX_AHEAD: usize = 10;
 const WHOLE: f32 = 0.999;
 /// Depth units beyond all matter.
 const BEYOND_ALL: f32 = 70_000.0;
-/// Lists of a row that are looked at, with some to fill vectors.
-const LANES: usize = 16;
+/// Opacity, u, Y, Co and Cg.
+const NUM_VALUES: usize = 5;
 /// Half of a block in lists.
 pub(super) const HALF: f32 = BLOCK as f32 / 2.0;
 const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;

@@ -20,13 +20,28 @@ pub(super) struct Scales {
     /// α = 1 − e^−τ.
     pub(super) alpha: Box<[f32]>,
     /// Optical depth τ, a half float, positive from code 1 on, and α.
-    tau_and_alpha: Box<[[f32; 2]; CODES as usize]>,
+    tau_and_alpha: Box<[Pair; CODES as usize]>,
     /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and by how much the next is
     /// more. As long as a power of two, so that a masked place is within.
-    u_at: Box<[[f32; 2]; PLACES]>,
+    u_at: Box<[Pair; PLACES]>,
     /// Codes to a unit of u, and back.
     codes_per_u: f32,
     u_per_code: f32,
+}
+
+/// Two numbers that are looked up at once, as one word.
+#[derive(Clone, Copy)]
+struct Pair(u64);
+
+impl Pair {
+    fn new(a: f32, b: f32) -> Self {
+        Self(u64::from(a.to_bits()) | u64::from(b.to_bits()) << 32)
+    }
+
+    #[inline(always)]
+    fn get(self) -> [f32; 2] {
+        [f32::from_bits(self.0 as u32), f32::from_bits((self.0 >> 32) as u32)]
+    }
 }
 
 /// The only one.
@@ -43,11 +58,11 @@ impl Scales {
             let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
             u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
         };
-        let mut u_at = Box::new([[0.0; 2]; PLACES]);
+        let mut u_at = Box::new([Pair(0); PLACES]);
         let mut next = u_of_place(0);
         for (i, at) in u_at.iter_mut().enumerate().take(OCTAVES * PER_OCTAVE + 1) {
             let u = std::mem::replace(&mut next, u_of_place(i + 1));
-            *at = [u, next - u];
+            *at = Pair::new(u, next - u);
         }
         let tau_half: Box<[u16]> = (0..CODES)
             .map(|code| {
@@ -60,9 +75,9 @@ impl Scales {
             .collect();
         let tau: Box<[f32]> = tau_half.iter().map(|&half| unpack_halves(half.into()).0).collect();
         let alpha: Box<[f32]> = tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect();
-        let mut tau_and_alpha = Box::new([[0.0; 2]; CODES as usize]);
+        let mut tau_and_alpha = Box::new([Pair(0); CODES as usize]);
         for ((both, tau), alpha) in tau_and_alpha.iter_mut().zip(&tau).zip(&alpha) {
-            *both = [*tau, *alpha];
+            *both = Pair::new(*tau, *alpha);
         }
         Self {
             alpha,
@@ -80,22 +95,14 @@ impl Scales {
         let bits = tau.clamp(LEAST_TAU, TAU_MAX).to_bits();
         let place = (bits - LEAST_TAU.to_bits()) >> REST_BITS;
         let part = (bits & ((1 << REST_BITS) - 1)) as f32 * (1.0 / (1 << REST_BITS) as f32);
-        let [u, growth] = self.u_at[place as usize % PLACES];
+        let [u, growth] = self.u_at[place as usize % PLACES].get();
         u + growth * part
     }
 
     /// τ and α of a code.
     #[inline(always)]
     pub(super) fn tau_and_alpha(&self, code: u16) -> [f32; 2] {
-        self.tau_and_alpha[usize::from(code % CODES)]
-    }
-
-    /// As [`Scales::code`], for one cell where no vectors are made of many.
-    #[inline(always)]
-    pub(super) fn code_of_one(&self, u: f32) -> u16 {
-        let code = u * self.codes_per_u + 0.5;
-        let most = f32::from(CODES - 1);
-        ((if code < most { code } else { most }) as u16).max(1)
+        self.tau_and_alpha[usize::from(code % CODES)].get()
     }
 
     /// The code of a cell with matter: at least 1.
