@@ -253,11 +253,11 @@ fn order_does_not_matter_and_the_base_is_enough() {
             seen_base += usize::from(chunk.is_base);
             assert_eq!(assembly.base_complete(), seen_base == num_base);
             assert_eq!((assembly.num_inserted(), assembly.complete()), (n + 1, n + 1 == order.len()));
-            let frame = assembly.to_frame();
+            let frame = assembly.to_frame(None);
             frame.validate().unwrap();
             assert!(frame == all || n + 1 < order.len());
         }
-        assert_eq!(assembly.to_frame(), all);
+        assert_eq!(assembly.to_frame(None), all);
     }
 }
 
@@ -270,7 +270,7 @@ fn the_base_holds_what_is_seen() {
         for chunk in encoded.chunks.iter().filter(|c| c.is_base == base) {
             assembly.insert(decode_chunk(&chunk.bytes).unwrap()).unwrap();
         }
-        let light: f32 = assembly.to_frame().flatten().pixels.iter().map(|p| p[3]).sum();
+        let light: f32 = assembly.to_frame(None).flatten().pixels.iter().map(|p| p[3]).sum();
         light
     };
     assert!(only(true) > 1.5 * only(false), "{} {}", only(true), only(false));
@@ -412,7 +412,7 @@ fn contradicting_chunks_are_refused_and_change_nothing() {
     let ours = chunks(&frame, Settings::default());
     let mut assembly = Assembly::new(&ours[0].header);
     assembly.insert(ours[0].clone()).unwrap();
-    let before = assembly.to_frame();
+    let before = assembly.to_frame(None);
     let mut later = frame.clone();
     later.header.frame = FrameId(8);
     let mut moved = frame.clone();
@@ -444,7 +444,7 @@ fn contradicting_chunks_are_refused_and_change_nothing() {
     let mut lower = chunks(&lower, Settings::default()).into_iter().find(|c| c.header.band != band).unwrap();
     lower.header.index = ours[1].header.index;
     assert_eq!(refused(&mut assembly, lower), "other borders of bands");
-    assert_eq!((assembly.num_inserted(), assembly.to_frame()), (1, before));
+    assert_eq!((assembly.num_inserted(), assembly.to_frame(None)), (1, before));
     for chunk in ours.into_iter().skip(1) {
         assembly.insert(chunk).unwrap();
     }
@@ -461,7 +461,15 @@ fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
             let mut chunks = bytes(&encoded);
             chunks.reverse();
             let assembled = assemble(&chunks, &References::default()).unwrap().to_frame();
-            assert_eq!(decode_whole(&chunks, &mut None).unwrap().as_ref(), Some(&assembled));
+            // Whatever was there before.
+            for mut spare in [
+                None,
+                Some(random_frame(width, height, k, seed + 9)),
+                Some(LayeredFrame::empty(frame.header)),
+            ] {
+                assert_eq!(decode_whole(&chunks, &mut spare).unwrap().as_ref(), Some(&assembled));
+                assert!(spare.is_none());
+            }
             assert_eq!(decode_whole(&chunks[1..], &mut None), Ok(None), "not all of them, {width}×{height}");
         }
         let two = encode(&frame, &Settings::default()).unwrap();
@@ -501,7 +509,7 @@ fn a_whole_frame_is_what_is_assembled_of_its_chunks() {
     let encoded = encode(&full_frame(16, 128, 2), &one(10)).unwrap();
     let [first, second] = &bytes(&encoded)[..] else { panic!("{} chunks", encoded.chunks.len()) };
     let same_band = [&second[..7], &first[7..8], &second[8..]].concat();
-    let found = decode_whole(&[first, &same_band[..]]);
+    let found = decode_whole(&[first, &same_band[..]], &mut None);
     let what = "its band and group are there under another index";
     assert!(
         matches!(found, Err(CodecError::Contradiction { what: found, .. }) if found == what),
@@ -539,7 +547,7 @@ fn damaged_bytes_never_do_more_than_fail() {
                 for other in &encoded.chunks {
                     let _ = assembly.insert(decode_chunk(&other.bytes).unwrap());
                 }
-                assembly.to_frame().validate().unwrap();
+                assembly.to_frame(None).validate().unwrap();
             }
             for len in 0..chunk.bytes.len() {
                 assert!(decode_chunk(&chunk.bytes[..len]).is_err());

@@ -60,6 +60,12 @@ impl Band {
             + BYTES_OF_CELL * self.num_cells
     }
 
+    /// An empty band that is counted as so many bytes, or a few less.
+    #[cfg(test)]
+    pub(super) fn counted_as(num_bytes: usize) -> Self {
+        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
+    }
+
     /// A band without blocks yet, with memory for so many and about so many cells.
     pub(super) fn new(place: Place, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;

@@ -263,7 +263,8 @@ mod tests {
 
     const ACROSS: usize = 4;
     const ROWS: usize = 5;
-    const PLACE: Place = Place { across: ACROSS, first_row: 0, num_rows: ROWS, size: [ACROSS * BLOCK, ROWS * BLOCK] };
+    const PLACE: Place =
+        Place { across: ACROSS, first_row: 0, num_rows: ROWS, size: [ACROSS * BLOCK, ROWS * BLOCK] };
 
     /// A band of smooth layers, with blocks that have no matter and lists that have none, and corrections for most of it.
     fn corrected() -> (Band, Corrections) {

@@ -228,13 +228,16 @@ fn fetch_any(
         }
         between.ys = ys.clone();
         between.xs = xs;
-        look(between, &Looked {
-            planes: (*front, *back),
-            at: [(bx * BLOCK) as f32 - inner_x as f32, (by * BLOCK) as f32 - inner_y as f32],
-            part: [fx, fy],
-            shift: shift.z,
-            least_length,
-        });
+        look(
+            between,
+            &Looked {
+                planes: (*front, *back),
+                at: [(bx * BLOCK) as f32 - inner_x as f32, (by * BLOCK) as f32 - inner_y as f32],
+                part: [fx, fy],
+                shift: shift.z,
+                least_length,
+            },
+        );
         contents.clear();
         let mut is_there = false;
         let mut walk = cells.walk(spread);
@@ -430,7 +433,8 @@ impl Contents {
         let (mut num, mut num_parts) = (0, 0);
         for i in lists.clone() {
             let (front, back) = (f32::from(fronts[i]), f32::from(backs[i]));
-            let is_in = (i32::from(backs[i]) > between.in_front[i]) & (i32::from(fronts[i]) < between.behind[i]);
+            let is_in =
+                (i32::from(backs[i]) > between.in_front[i]) & (i32::from(fronts[i]) < between.behind[i]);
             part[i] = (lesser(back, between.high[i]) - greater(front, between.low[i])) / (back - front);
             codes[i] = if is_in { of_u[i] } else { 0 };
             num += i32::from(is_in);

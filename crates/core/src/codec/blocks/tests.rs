@@ -357,10 +357,7 @@ fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
 #[test]
 fn references_are_bounded_in_bytes() {
     let header = made(&scene(Builtin::Cloud), 1, 64, 64, 0.0).header;
-    let num_cells = MAX_REFERENCE_BYTES / 3 / size_of::<band::Cell>();
-    let mut band = band::Band::new(1);
-    band.cells = vec![band::Cell::default(); num_cells];
-    let band = Arc::new(band);
+    let band = Arc::new(band::Band::counted_as(MAX_REFERENCE_BYTES / 3));
     let of = |id| {
         let header = FrameHeader { frame: FrameId(id), ..header };
         Arc::new(Reference::new(header, None, vec![band.clone()]))
