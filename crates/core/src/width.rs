@@ -1,5 +1,8 @@
 //! Functions compiled several times: as every machine can run them, and with wider instructions for those that have them.
 
+#[cfg(target_arch = "x86_64")]
+use std::sync::LazyLock;
+
 /// Defines a function by one that is always inlined, for each [`Width`]. No multiplication is fused with an addition, so the
 /// bits are the same.
 macro_rules! wide {
@@ -56,17 +59,22 @@ pub(crate) fn width() -> Width {
 
 /// The widest that this machine has.
 #[cfg(target_arch = "x86_64")]
+#[inline]
 fn of_machine() -> Width {
-    use std::arch::is_x86_feature_detected as has;
-    // Only with others that came years later, on processors that do not slow down for wide ones.
-    let is_late = has!("avx512vbmi2") && has!("bmi1") && has!("bmi2") && has!("lzcnt") && has!("popcnt");
-    if is_late && has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
-        Width::Avx512
-    } else if has!("avx2") {
-        Width::Avx2
-    } else {
-        Width::Any
-    }
+    static OF_MACHINE: LazyLock<Width> = LazyLock::new(|| {
+        use std::arch::is_x86_feature_detected as has;
+        // Only with others that came years later, on processors that do not slow down for wide ones.
+        let is_late =
+            has!("avx512vbmi2") && has!("bmi1") && has!("bmi2") && has!("lzcnt") && has!("popcnt");
+        if is_late && has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
+            Width::Avx512
+        } else if has!("avx2") {
+            Width::Avx2
+        } else {
+            Width::Any
+        }
+    });
+    *OF_MACHINE
 }
 
 #[cfg(test)]

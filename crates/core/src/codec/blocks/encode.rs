@@ -205,14 +205,15 @@ impl Layering<'_> {
         offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
         plan: &mut Plan,
     ) -> f32 {
-        plan.layers.clear();
         plan.origin = Origin::Fresh;
         self.is_abandoned |= x == 0 && !(self.is_wanted)();
         if self.is_abandoned {
+            plan.layers.clear();
             return 0.0;
         }
         let at = [x as u32, (y + self.place.first_row) as u32];
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
+            plan.layers.clear();
             self.wanted_of.push(NO_WANTED);
             return 0.0;
         }
@@ -221,6 +222,7 @@ impl Layering<'_> {
         self.wanted.push(self.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
+            plan.layers.clear();
             return self.reference.map_or(0.0, |(reference, _)| reference.note(at.map(|v| v as i32)));
         }
         let per_layer = self.rule.error_per_layer();

@@ -159,7 +159,8 @@ impl Relayer {
 
     #[inline(always)]
     fn tried_any(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
-        if planes.is_empty() {
+        // No error is less than 0.
+        if planes.is_empty() || limit < 0.0 {
             return f32::INFINITY;
         }
         let per_sample = lists.per_sample();

@@ -13,6 +13,8 @@ pub struct BlockLists {
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
+    /// Where the most visible segment of a list begins; not a number if it has none.
+    pub(super) depth: Column,
     /// The lists that are looked at where not all are: of those with segments as many as there is room for, evenly spread. If
     /// there are fewer, the rest are lists without.
     samples: [u8; SAMPLES],
@@ -77,6 +79,7 @@ impl Default for BlockLists {
             starts: std::array::from_fn(|i| i as u32),
             pieces: vec![behind; BLOCK_LISTS],
             slope: [1.0; BLOCK_LISTS],
+            depth: [f32::NAN; BLOCK_LISTS],
             samples: [0; SAMPLES],
             per_sample: 1.0,
             unpacked: Box::default(),
@@ -176,13 +179,18 @@ impl BlockLists {
             for column in 0..BLOCK {
                 let i = row * BLOCK + column;
                 let mut before = Before::default();
+                let (mut most, mut depth) = (0.0, f32::NAN);
                 if column < columns {
                     for index in offsets[column] as usize..offsets[column + 1] as usize {
                         let (piece, behind) = self.unpacked.piece(index - start, before);
+                        let visible = before.kappa * piece.alpha;
+                        depth = select(visible > most, piece.front, depth);
+                        most = greater(visible, most);
                         self.pieces.push(piece);
                         before = behind;
                     }
                 }
+                self.depth[i] = depth;
                 self.pieces.push(Piece {
                     front: f32::INFINITY,
                     back: f32::INFINITY,

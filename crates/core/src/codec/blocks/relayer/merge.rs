@@ -45,17 +45,7 @@ struct Bin {
 /// Growth of depth rightwards and downwards: the median difference between neighbours in the depth of their most
 /// visible segments.
 pub(super) fn slopes(lists: &BlockLists) -> [f32; 2] {
-    let mut depth = [f32::NAN; BLOCK_LISTS];
-    for (i, depth) in depth.iter_mut().enumerate() {
-        let mut most = 0.0;
-        for piece in lists.list(i) {
-            let visible = piece.before.kappa * piece.alpha;
-            if visible > most {
-                most = visible;
-                *depth = piece.front;
-            }
-        }
-    }
+    let depth = &lists.depth;
     [1, BLOCK].map(|step| {
         let mut differences = [0.0; BLOCK_LISTS];
         let mut num = 0;
