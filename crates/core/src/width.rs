@@ -64,8 +64,7 @@ fn of_machine() -> Width {
     static OF_MACHINE: LazyLock<Width> = LazyLock::new(|| {
         use std::arch::is_x86_feature_detected as has;
         // Only with others that came years later, on processors that do not slow down for wide ones.
-        let is_late =
-            has!("avx512vbmi2") && has!("bmi1") && has!("bmi2") && has!("lzcnt") && has!("popcnt");
+        let is_late = has!("avx512vbmi2") && has!("bmi1") && has!("bmi2") && has!("lzcnt") && has!("popcnt");
         if is_late && has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
             Width::Avx512
         } else if has!("avx2") {

@@ -4,21 +4,26 @@ use super::super::MAX_CHUNK_SEGMENTS;
 use super::super::bands::Borders;
 use super::band::blocks_along;
 use super::model::{BLOCK, BLOCK_LISTS};
-use super::relayer::BlockLists;
 use crate::layer::LayeredFrame;
 
 /// Where the bands of a frame end, in rows of blocks. `None` where [`Borders::sharing`] has none, and for a frame so large that a
 /// band would have more blocks than a chunk may correct: bands of equal height have no more.
-pub(super) fn borders(frame: &LayeredFrame, num_bands: u8, is_predicted: bool) -> Option<Borders> {
-    let work_of_block = if is_predicted { WORK_OF_PREDICTED } else { WORK_OF_BLOCK };
+pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Option<Borders> {
     let intrinsics = frame.header.camera.intrinsics;
+    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
     let (across, down) = (blocks_along(intrinsics.width), blocks_along(intrinsics.height));
+    let mut longest = vec![0; width];
     let work: Vec<usize> = (0..down)
         .map(|y| {
-            let lists = |y: usize| (y * BLOCK).min(intrinsics.height as usize) * intrinsics.width as usize;
-            let segments = frame.offsets[lists(y + 1)] - frame.offsets[lists(y)];
-            let is_filled = |x: &usize| !BlockLists::is_nothing(frame, *x as u32, y as u32);
-            segments as usize + work_of_block * (0..across).filter(is_filled).count()
+            longest.fill(0);
+            for row in y * BLOCK..((y + 1) * BLOCK).min(height) {
+                let ends = &frame.offsets[row * width..=(row + 1) * width];
+                for ((longest, start), end) in longest.iter_mut().zip(ends).zip(&ends[1..]) {
+                    *longest = (end - start).max(*longest);
+                }
+            }
+            let of_block = |columns: &[u32]| columns.iter().fold(0, |most, length| most.max(*length));
+            longest.chunks(BLOCK).map(|columns| work_of(of_block(columns))).sum()
         })
         .collect();
     let borders = Borders::sharing(&work, num_bands)?;
@@ -27,9 +32,14 @@ pub(super) fn borders(frame: &LayeredFrame, num_bands: u8, is_predicted: bool) -
     (0..num_bands).all(is_within).then_some(borders)
 }
 
-/// What a block with matter takes beside its segments, in segments: in frames alone, and in predicted ones.
-const WORK_OF_BLOCK: usize = 64;
-const WORK_OF_PREDICTED: usize = 24;
+/// About how long a block takes whose longest list has so many segments: time goes by its layers, which are not many more.
+fn work_of(longest: u32) -> usize {
+    match longest {
+        0 => 0,
+        1 => 1,
+        longest => 4 * (longest as usize - 1),
+    }
+}
 
 #[cfg(test)]
 mod tests {
@@ -59,18 +69,18 @@ mod tests {
     fn blocks_without_matter_are_no_work() {
         // Rows of eight blocks, of which two hold anything: each band gets one of these.
         let rows = |per_list: &[u32]| {
-            let borders = borders(&frame(64, per_list), 2, false).unwrap();
+            let borders = borders(&frame(64, per_list), 2).unwrap();
             [0, 1].map(|band| borders.rows(band, per_list.len()))
         };
         assert_eq!(rows(&[0, 0, 0, 0, 1, 1]), [0..5, 5..6]);
         assert_eq!(rows(&[1, 1, 0, 0, 0, 0]), [0..1, 1..6]);
-        assert_eq!(borders(&frame(64, &[0; 9]), 4, false), None);
+        assert_eq!(borders(&frame(64, &[0; 9]), 4), None);
     }
 
     #[test]
     fn a_band_has_no_more_blocks_than_its_chunk_may_correct() {
         // Empty rows of 2048 blocks above four with matter: the first band has them and one of those. 64 are 2^17 blocks.
-        let of = |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4, false);
+        let of = |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
         assert_eq!(of(63).unwrap().rows(0, 67), 0..64);
         assert_eq!(of(64), None);
     }

@@ -156,7 +156,7 @@ impl<'a> Layering<'a> {
             planes: Vec::new(),
             best: Vec::new(),
             notes: Vec::with_capacity(place.across * place.num_rows),
-            wanted: Vec::new(),
+            wanted: Vec::with_capacity(place.across * place.num_rows),
             wanted_of: Vec::with_capacity(place.across * place.num_rows),
             is_wanted,
             is_abandoned: false,

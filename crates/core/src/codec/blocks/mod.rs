@@ -103,7 +103,7 @@ pub(super) fn encode_while(
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
     let (rule, steps) = steps::from_settings(settings, reference.is_some(), &camera);
     let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
-    let borders = bands::borders(frame, num_bands, reference.is_some());
+    let borders = bands::borders(frame, num_bands);
     let reference_frame = reference.map(Reference::frame);
     let head = Head {
         steps,

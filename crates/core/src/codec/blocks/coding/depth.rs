@@ -116,7 +116,11 @@ impl Steps {
 
     /// The code of the nearest plane.
     pub(in super::super) fn code(&self, plane: &DepthPlane) -> PlaneCode {
-        let nearest = |v: f32, step: f32| (v / step + 0.5).floor() as i32;
+        // Not by `floor`, which is a call where instructions are those of every machine.
+        let nearest = |v: f32, step: f32| {
+            let (code, whole) = (v / step + 0.5, (v / step + 0.5) as i32);
+            whole - i32::from(whole as f32 > code)
+        };
         let slope = self.depth * 0.25;
         PlaneCode {
             z: nearest(plane.z, self.depth),
