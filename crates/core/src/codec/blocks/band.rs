@@ -287,6 +287,7 @@ impl Walk<'_> {
 
 /// The layers of the block that is being coded.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub(super) struct Lists {
     /// With the lists that have a cell. What others have means nothing.
     layers: Box<[(u64, Cells); MAX_LAYERS]>,

@@ -42,6 +42,7 @@ impl DepthPlane {
 
 /// What the lists of a block have between two depth planes.
 #[derive(Clone, Debug, PartialEq)]
+#[repr(align(64))]
 pub struct BlockLayer {
     /// Where the layer begins.
     pub front: DepthPlane,

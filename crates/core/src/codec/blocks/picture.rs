@@ -151,6 +151,7 @@ struct PictureRow {
 }
 
 #[derive(Clone)]
+#[repr(align(64))]
 struct Shown {
     /// The lists with matter; none of a block without corrections.
     mask: u64,

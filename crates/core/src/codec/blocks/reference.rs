@@ -157,6 +157,7 @@ impl References {
 
 /// What a reference has where a layer is.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub(super) struct Fetched {
     /// u, Y, Co, Cg of each list; of those without matter the mean.
     pub(super) planes: [Plane; 4],
@@ -314,6 +315,7 @@ fn fetch_any(
 
 /// Between which two depths the lists of a block of the reference are looked at.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 struct Between {
     low: Plane,
     high: Plane,
@@ -399,6 +401,7 @@ wide! {
 
 /// What the lists of a block have between two depths, composited.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 struct Contents {
     /// Opacity, u, and Y, Co, Cg times opacity.
     values: [Plane; NUM_VALUES],
@@ -438,7 +441,7 @@ impl Contents {
             part[i] = (lesser(back, between.high[i]) - greater(front, between.low[i])) / (back - front);
             codes[i] = if is_in { of_u[i] } else { 0 };
             num += i32::from(is_in);
-            num_parts += i32::from(is_in & !(part[i] > WHOLE));
+            num_parts += i32::from(is_in & (part[i] <= WHOLE));
         }
         if num == 0 {
             return false;
@@ -451,7 +454,7 @@ impl Contents {
         if num_parts > 0 {
             for i in lists.clone() {
                 let code = scales.code(scales.u_from_tau(tau[i] * part[i]));
-                let is_part = (codes[i] > 0) & !(part[i] > WHOLE);
+                let is_part = (codes[i] > 0) & (part[i] <= WHOLE);
                 codes[i] = if is_part { code } else { codes[i] };
             }
             for i in lists.clone() {

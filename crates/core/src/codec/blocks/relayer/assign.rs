@@ -23,6 +23,7 @@ pub(super) struct Assigned {
 
 /// What the lists have in a layer.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 struct Cells {
     /// Which have anything. Of the others, only the opacity counts: 0.
     mask: u64,
@@ -37,6 +38,7 @@ struct Cells {
 
 /// Pieces that are joined with what a list has in their layer, to be weighed all at once.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 struct Joints {
     num: usize,
     /// As in [`move_of_union`].

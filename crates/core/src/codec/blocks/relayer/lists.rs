@@ -7,6 +7,7 @@ use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 
 /// The segments of a block's lists, front to back; reused from block to block.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub struct BlockLists {
     /// The pieces of list `i` are `starts[i]..starts[i + 1]`, of which the last is what is behind all matter.
     starts: [u32; BLOCK_LISTS + 1],
@@ -29,6 +30,7 @@ wide! {
 
 /// The segments of a row of a block's lists.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 struct Unpacked {
     front: RowOf<f32>,
     back: RowOf<f32>,
@@ -44,6 +46,7 @@ type RowOf<T> = [T; BLOCK * MAX_K];
 
 /// A segment and what is in front of it.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
 pub(super) struct Piece {
     pub(super) front: f32,
     pub(super) back: f32,
@@ -273,6 +276,7 @@ impl BlockLists {
 
 /// What the sampled lists have collected up to a cut through the block.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub(super) struct Collected {
     /// Optical depth.
     pub(super) tau: Sample,
@@ -300,6 +304,7 @@ impl Collected {
 
 /// Walks through the sampled lists at once, front to back. Depths are those of the lists less `shear`.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub(super) struct Walk {
     pub(super) shear: Sample,
     /// Slopes of [`BlockLists`].
