@@ -219,7 +219,7 @@ impl Layering<'_> {
         }
         self.lists.read(self.frame, at[0], at[1]);
         self.wanted_of.push(self.wanted.len() as u32);
-        self.wanted.push(self.lists.roots());
+        self.wanted.push(*self.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
             plan.layers.clear();

@@ -14,6 +14,8 @@ pub struct BlockLists {
     pieces: Vec<Piece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
+    /// Of red, green and blue that a list composites to.
+    roots: [Column; 3],
     /// Where the most visible segment of a list begins; not a number if it has none.
     pub(super) depth: Column,
     /// The lists that are looked at where not all are: of those with segments as many as there is room for, evenly spread. If
@@ -82,6 +84,7 @@ impl Default for BlockLists {
             starts: std::array::from_fn(|i| i as u32),
             pieces: vec![behind; BLOCK_LISTS],
             slope: [1.0; BLOCK_LISTS],
+            roots: [[0.0; BLOCK_LISTS]; 3],
             depth: [f32::NAN; BLOCK_LISTS],
             samples: [0; SAMPLES],
             per_sample: 1.0,
@@ -201,13 +204,17 @@ impl BlockLists {
                     ..Piece::default()
                 });
                 self.starts[i + 1] = self.pieces.len() as u32;
-                let [r, g, b] = before.c;
-                self.slope[i] = r.max(g).max(b);
+                for (roots, c) in self.roots.iter_mut().zip(before.c) {
+                    roots[i] = greater(c, 0.0);
+                }
             }
         }
-        for slope in &mut self.slope {
+        let [r, g, b] = &mut self.roots;
+        for i in 0..BLOCK_LISTS {
             // The picture shows about the root of the colour, so an error in a dark list counts for more.
-            *slope = (0.5 / greater(*slope, 0.01).sqrt()).sqrt();
+            let brightest = greater(greater(r[i], g[i]), b[i]);
+            self.slope[i] = (0.5 / greater(brightest, 0.01).sqrt()).sqrt();
+            (r[i], g[i], b[i]) = (r[i].sqrt(), g[i].sqrt(), b[i].sqrt());
         }
         self.sample();
     }
@@ -223,15 +230,8 @@ impl BlockLists {
     }
 
     /// The roots of red, green and blue that the lists composite to.
-    pub fn roots(&self) -> [[f32; BLOCK_LISTS]; 3] {
-        let mut roots = [[0.0; BLOCK_LISTS]; 3];
-        for (i, end) in self.starts[1..].iter().enumerate() {
-            let c = self.pieces[*end as usize - 1].before.c;
-            for (roots, c) in roots.iter_mut().zip(c) {
-                roots[i] = c.max(0.0).sqrt();
-            }
-        }
-        roots
+    pub fn roots(&self) -> &[[f32; BLOCK_LISTS]; 3] {
+        &self.roots
     }
 
     /// Whether no list has a segment.
