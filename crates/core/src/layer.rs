@@ -385,6 +385,37 @@ mod tests {
     }
 
     #[test]
+    fn memory_of_a_frame_is_used_again_where_it_is_about_enough() {
+        let bounds = crate::space::Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+        let header = |side: u32| {
+            let intrinsics = crate::camera::Intrinsics::perspective(side, side, 0.7);
+            FrameHeader::alone(
+                Camera::new(crate::camera::Pose::orbit(Vec3::ZERO, 0.3, 0.2, 5.0), intrinsics, &bounds),
+                8,
+            )
+        };
+        let sizes = |frame: &LayeredFrame| {
+            [&frame.offsets, &frame.depth, &frame.c_rg, &frame.c_b_tau].map(|words| words.len())
+        };
+        let mut first = LayeredFrame::in_memory_of(None, header(20), 1000);
+        assert_eq!(sizes(&first), [401, 1000, 1000, 1000]);
+        first.offsets.fill(7);
+        let at = first.depth.as_ptr();
+        // Some more, and down to half: the same memory.
+        let more = LayeredFrame::in_memory_of(Some(first), header(20), 1100);
+        assert_eq!((sizes(&more), more.depth.as_ptr(), more.offsets[0]), ([401, 1100, 1100, 1100], at, 0));
+        let less = LayeredFrame::in_memory_of(Some(more), header(18), 600);
+        assert_eq!((sizes(&less), less.depth.as_ptr()), ([325, 600, 600, 600], at));
+        // Far less keeps no memory that it has no use for, and more has its own.
+        let far_less = LayeredFrame::in_memory_of(Some(less), header(2), 10);
+        assert_eq!(sizes(&far_less), [5, 10, 10, 10]);
+        assert!(far_less.depth.capacity() <= 20 && far_less.offsets.capacity() <= 10);
+        let far_more = LayeredFrame::in_memory_of(Some(far_less), header(30), 5000);
+        assert_eq!(sizes(&far_more), [901, 5000, 5000, 5000]);
+        assert!(far_more.depth.iter().all(|word| *word == 0));
+    }
+
+    #[test]
     fn the_more_segments_the_fewer_lists() {
         assert_eq!([1, 8].map(max_lists), [MAX_LISTS; 2]);
         assert_eq!([0, 255].map(max_lists), [MAX_LISTS, ALWAYS_LISTS]);

@@ -127,3 +127,47 @@ fn decode(
 
 /// The newest is looked at, the one before may still be, and one may be kept for what it sees of the volume.
 const MAX_GIVEN: usize = 3;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use isinglass_core::camera::{Camera, Intrinsics, Pose};
+    use isinglass_core::ids::FrameId;
+    use isinglass_core::layer::FrameHeader;
+    use isinglass_core::session::client::FrameTimes;
+    use isinglass_core::space::Aabb;
+
+    use super::*;
+
+    #[test]
+    fn memory_is_taken_of_frames_that_nobody_has() {
+        let received = |id| {
+            let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+            let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.2, 5.0);
+            let camera = Camera::new(pose, Intrinsics::perspective(4, 3, 0.7), &bounds);
+            let frame =
+                LayeredFrame::empty(FrameHeader { frame: FrameId(id), ..FrameHeader::alone(camera, 4) });
+            Arc::new(ReceivedFrame {
+                frame,
+                is_complete: true,
+                is_exact: false,
+                times: FrameTimes::default(),
+            })
+        };
+        let mut given = Given::default();
+        assert!(given.take().is_none());
+        let [first, second] = [1, 2].map(received);
+        given.note(&first);
+        given.note(&second);
+        assert!(given.take().is_none(), "both are looked at");
+        drop(second);
+        assert_eq!(given.take().map(|frame| frame.header.frame), Some(FrameId(2)));
+        assert!(given.take().is_none(), "the first is still looked at, the second is taken");
+        // Frames that stay with others are not waited for.
+        let kept: Vec<_> = (3..9).map(received).collect();
+        kept.iter().for_each(|frame| given.note(frame));
+        assert_eq!((given.0.len(), Arc::strong_count(&first)), (MAX_GIVEN, 1));
+        drop(kept);
+        assert_eq!(given.take().map(|frame| frame.header.frame), Some(FrameId(6)));
+    }
+}

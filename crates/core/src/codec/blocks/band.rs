@@ -406,3 +406,114 @@ const BYTES_OF_CELL: usize = 12;
 const LEAST_LENGTH: f32 = 16.0;
 const MAX_FRONT: f32 = 65500.0;
 const MAX_BACK: f32 = 65535.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLACE: Place = Place { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
+    const PLANES: Planes =
+        (DepthPlane { z: 3000.0, dx: 5.0, dy: -4.0 }, DepthPlane { z: 5000.0, dx: 5.0, dy: 7.0 });
+    /// All lists, none, one, a row, two in rows that do not touch.
+    const MASKS: [u64; 5] = [u64::MAX, 0, 1 << 29, 0xff00, 1 << 63 | 2];
+
+    /// A band of a block for each mask and one with all of them, and what these blocks have: the masks that are not empty.
+    fn band() -> (Band, Vec<Vec<u64>>) {
+        let (mut band, mut lists) = (Band::new(PLACE, 100), Lists::default());
+        let alone = MASKS.iter().map(|mask| vec![*mask]);
+        let blocks: Vec<Vec<u64>> = alone.chain([MASKS.to_vec()]).collect();
+        for masks in &blocks {
+            let first_plane = band.planes.len();
+            lists.clear();
+            for (n, &mask) in masks.iter().enumerate() {
+                band.planes.push(moved(n));
+                let value = |i: usize| 1 + (100 * n + i) as u16;
+                let ycc = [0, 1, 2].map(|c| std::array::from_fn(|i| -(value(i) as i16) * (c + 1)));
+                lists.push(&moved(n), mask, &std::array::from_fn(value), &ycc, &[0.5; BLOCK_LISTS]);
+            }
+            band.push(first_plane, &mut lists);
+        }
+        (band, blocks)
+    }
+
+    fn moved(n: usize) -> Planes {
+        let deeper = |plane: DepthPlane| DepthPlane { z: plane.z + 4000.0 * n as f32, ..plane };
+        (deeper(PLANES.0), deeper(PLANES.1))
+    }
+
+    fn found(band: &Band, block: usize) -> Vec<(u64, Cells)> {
+        let (mut spread, mut found) = (NO_CELLS, vec![]);
+        let mut walk = band.cells_of(block).walk(&mut spread);
+        while let Some((layer, cells)) = walk.next() {
+            assert_eq!(
+                cells[0].iter().zip(cells[1]).filter(|(_, back)| *back > 0).map(|(f, _)| *f).min(),
+                Some(layer.front)
+            );
+            assert_eq!(cells[1].iter().max(), Some(&layer.back));
+            found.push((layer.mask, *cells));
+        }
+        found
+    }
+
+    #[test]
+    fn cells_are_where_they_were_put_and_nowhere_else() {
+        let (band, blocks) = band();
+        let filled = |masks: &[u64]| {
+            masks.iter().copied().enumerate().filter(|(_, mask)| *mask != 0).collect::<Vec<_>>()
+        };
+        for (block, masks) in blocks.iter().enumerate() {
+            let (found, filled) = (found(&band, block), filled(masks));
+            assert_eq!(band.has_matter(block), !filled.is_empty());
+            assert_eq!(band.cells_of(block).mask(), masks.iter().fold(0, |all, mask| all | mask));
+            assert_eq!(found.len(), filled.len());
+            for ((found_mask, cells), (n, mask)) in found.into_iter().zip(filled) {
+                assert_eq!(found_mask, mask);
+                let n = if masks.len() > 1 { n } else { 0 };
+                let [front, back, u, y, co, cg] = cells;
+                for i in 0..BLOCK_LISTS {
+                    let there = mask >> i & 1 == 1;
+                    let value = if there { 1 + (100 * n + i) as u16 } else { 0 };
+                    assert_eq!(
+                        (u[i], y[i] as i16, co[i] as i16, cg[i] as i16),
+                        (value, -(value as i16), -2 * value as i16, -3 * value as i16)
+                    );
+                    let at = |plane: DepthPlane| if there { (plane.at(i) + 0.5) as u16 } else { 0 };
+                    assert_eq!([front[i], back[i]], [at(moved(n).0), at(moved(n).1)]);
+                }
+            }
+        }
+        let num: u32 = blocks.iter().flatten().map(|mask| mask.count_ones()).sum();
+        assert_eq!(band.num_cells(), num as usize);
+        // A row of eight each for one list and for a row, two for lists far apart.
+        assert_eq!(band.num_rows(), 2 * (8 + 1 + 1 + 2));
+        assert_eq!(band.num_bytes(), 16 * 6 + 24 * 10 + 128 * 5 + 12 * num as usize);
+    }
+
+    #[test]
+    fn blocks_are_copied_to_other_places_and_changed_alone() {
+        let (band, blocks) = band();
+        let mut other = Band::new(PLACE, 0);
+        for block in [5, 2, 1, 5, 0] {
+            other.copy(&band, block);
+        }
+        for (copied, block) in [5, 2, 1, 5, 0].into_iter().enumerate() {
+            assert_eq!(found(&other, copied), found(&band, block));
+            assert_eq!(other.planes[other.layers(copied)], band.planes[band.layers(block)]);
+        }
+        let before = other.clone();
+        other.change(3, |[.., y, _, _]| y.iter_mut().for_each(|y| *y = y.wrapping_mul(2)));
+        for copied in 0..5 {
+            let [now, before] = [&other, &before].map(|band| found(band, copied));
+            assert_eq!(now == before, copied != 3);
+            for ((_, now), (_, before)) in now.iter().zip(&before) {
+                let times = if copied == 3 { 2 } else { 1 };
+                assert!(now[3].iter().zip(before[3]).all(|(now, before)| *now == before.wrapping_mul(times)));
+                assert_eq!(
+                    (now[..3].to_vec(), now[4..].to_vec()),
+                    (before[..3].to_vec(), before[4..].to_vec())
+                );
+            }
+        }
+        assert_eq!(blocks.len(), 6);
+    }
+}

@@ -95,8 +95,10 @@ fn what_decodes_is_what_the_encoder_worked_with() {
                 let reference = references.newest().cloned();
                 let (encoded, reference) = encode(&frame, &settings, reference.as_deref()).unwrap();
                 let assembly = assemble(&bytes(&encoded), &references).unwrap();
-                let (found, decoded) = assembly.to_frame_and_reference(None);
+                // In the memory of whatever frame.
+                let (found, decoded) = assembly.to_frame_and_reference(Some(frame.clone()));
                 found.validate().unwrap();
+                assert_eq!(assembly.to_frame(), found);
                 assert_eq!(*decoded.unwrap(), reference);
                 assert_eq!(found, reference.to_frame());
                 assert_eq!(found.header, encoded.header);

@@ -328,7 +328,7 @@ const MIN_DIFFERENCES: usize = 4;
 /// One over the least transmittance in front of a colour.
 const PER_KAPPA_MAX: f32 = 1e4;
 /// Unions that cost up to so many times the least are made at a time.
-const RISE: f32 = 2.0;
+const RISE: f32 = 4.0;
 /// Numbers that the least is sought among at a time.
 const LEAST_LANES: usize = 16;
 /// Bins of depth that ends of segments are sorted into.
