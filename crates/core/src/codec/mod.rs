@@ -419,7 +419,8 @@ pub const MAX_FRAME_LISTS: usize = (1 << 25) - 1;
 /// Most segments of a frame: each of its planes fits a storage binding of 128 MiB.
 pub const MAX_FRAME_SEGMENTS: usize = 1 << 25;
 /// Most segments of a chunk. A band of a 3840×2160 frame with K = 16 has 8 in the base of each of its 1 044 480 lists,
-/// just less than this; a forged chunk cannot ask for more than 100 MB of them.
+/// just less than this; a forged chunk cannot ask for more than 100 MB of them, or in blocks, where it may have but four to a row
+/// of eight lists, for 200 MB.
 pub const MAX_CHUNK_SEGMENTS: usize = 1 << 23;
 /// Most bytes of a chunk, header included; a receiver need not read further.
 pub const MAX_CHUNK_BYTES: usize = 32 << 20;

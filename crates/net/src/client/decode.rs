@@ -24,6 +24,7 @@ pub(super) fn run(shared: &Shared) {
         if job.connection != connection {
             connection = job.connection;
             references.clear();
+            given = Given::default();
         }
         if job.is_first {
             assembly = None;

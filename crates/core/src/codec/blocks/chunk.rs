@@ -192,8 +192,9 @@ pub(super) fn read<'a, C: Reader>(
             None => None,
         };
         let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
-        // About as many cells as a band of the reference has.
-        let num_cells = reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(MAX_CHUNK_SEGMENTS));
+        // About as many cells as a band of the reference has, but no more than so few bytes may be for.
+        let num_cells =
+            reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));
         let coder = BandCoder::new(begin(coded), &head, place, motion, num_cells);
         let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
         if !head.is_split && head.has_corrections(&band) {
@@ -256,6 +257,12 @@ impl BlocksAssembly {
         }
         let num_segments: usize = self.bands.iter().flat_map(|(base, _)| base).map(|b| b.num_cells()).sum();
         at_most("segments in a frame", num_segments + chunk.num_segments(), MAX_FRAME_SEGMENTS)?;
+        let num_rows: usize = self.bands.iter().flat_map(|(base, _)| base).map(|b| b.num_rows()).sum();
+        let own = match &chunk.content {
+            Content::Base(band) => band.num_rows(),
+            Content::Corrections(_) => 0,
+        };
+        at_most("rows of segments in a frame", num_rows + own, MAX_FRAME_SEGMENTS / 4)?;
         let (base, corrections) = &mut self.bands[usize::from(header.band)];
         if if header.is_base() { base.is_some() } else { corrections.is_some() } {
             return Err(header.contradicts("its band and group are there under another index"));
@@ -283,8 +290,8 @@ impl BlocksAssembly {
                     let borders = self.head.and_then(|head| head.borders);
                     let place = place(&ChunkHeader { band: number as u8, ..self.first }, borders);
                     let mut band = Band::new(place, 0);
-                    (0..place.across * place.num_rows)
-                        .for_each(|_| band.push(0, &mut super::band::Lists::default()));
+                    let mut nothing = super::band::Lists::default();
+                    (0..place.across * place.num_rows).for_each(|_| band.push(0, &mut nothing));
                     Arc::new(band)
                 }
             }
@@ -423,6 +430,8 @@ fn words_of([front, back, u, y, co, cg]: &Cells) -> [[u32; BLOCK_LISTS]; 3] {
     words
 }
 
+/// More than a byte of a predicted frame is for.
+const CELLS_PER_BYTE: usize = 64;
 /// Bits of the first byte of a head.
 const IS_PREDICTED: u8 = 1;
 const IS_SPLIT: u8 = 2;

@@ -145,7 +145,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             for x in 0..self.place.across {
                 self.block(x, y, source, &mut plan);
                 super::super::at_most("segments in a chunk", self.band.num_cells(), limit)?;
-                super::super::at_most("rows of segments in a chunk", self.band.num_rows(), limit / 2)?;
+                super::super::at_most("rows of segments in a chunk", self.band.num_rows(), limit / 4)?;
                 super::super::at_most("layers in a chunk", self.band.planes.len(), limit / 8)?;
                 if self.coder.is_overrun() {
                     return Err(CodecError::Payload { plane: "blocks", problem: "ends too early".into() });

@@ -60,16 +60,17 @@ impl Reference {
         self.header.frame
     }
 
-    /// Memory that it takes, the same for who has encoded it and who has decoded it.
+    /// What it is counted as, the same for who has encoded it and who has decoded it.
     fn num_bytes(&self) -> usize {
         self.bands.iter().map(|band| band.num_bytes()).sum()
     }
 
-    /// Cells of all bands, and how many these are, one at least.
+    /// Cells of all bands.
     pub(super) fn num_cells(&self) -> usize {
         self.bands.iter().map(|band| band.num_cells()).sum()
     }
 
+    /// How many these are, one at least.
     pub(super) fn num_bands(&self) -> usize {
         self.bands.len().max(1)
     }
@@ -496,8 +497,9 @@ impl Contents {
 
 /// Frames that are kept: a frame names none that is older.
 pub const MAX_REFERENCES: usize = 12;
-/// Memory of the frames that are kept. A cell takes 12 bytes, so that 1280×720 lists of 4 in the mean take 44 MB, of which
-/// twelve fit, and 1920×1080 lists of 8 200 MB, of which two do. Where fewer fit, a frame that is lost costs one without a
+/// What the frames that are kept are counted as, together. A cell counts 12 bytes, so that 1280×720 lists of 4 in the mean count 44 MB,
+/// of which twelve fit, and 1920×1080 lists of 8 200 MB, of which two do. They take a tenth more, and those of layers with few cells
+/// up to seven times as much. Where fewer fit, a frame that is lost costs one without a
 /// reference.
 pub const MAX_REFERENCE_BYTES: usize = 512 << 20;
 /// Frames that may be named although the receiver is not known to have them: at 30 a second a third of one, and so the
