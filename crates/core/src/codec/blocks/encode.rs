@@ -361,4 +361,34 @@ mod tests {
         let (searched, _) = planned(three, &[[20000.0, 20700.0], [24000.0, 24700.0]]);
         assert_eq!((searched.origin, searched.codes.len()), (Origin::Fresh, 3));
     }
+
+    /// A row of a layer takes the memory of eight lists, even if one of them has matter: few segments must not take much.
+    #[test]
+    fn rows_of_layers_are_bounded_as_well_as_segments() {
+        let coded = |has_matter: fn(usize) -> bool, limit: usize| {
+            let list = |i| if has_matter(i) { vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)] } else { vec![] };
+            let frame = frame(list);
+            let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+            let place = Place { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
+            let head = Head {
+                steps,
+                reference: None,
+                is_split: false,
+                has_edges: true,
+                is_smooth: true,
+                borders: None,
+            };
+            let mut layering = Layering::new(&frame, place, RULE, steps, None, ALWAYS);
+            match BandCoder::new(Encoder::new(), &head, place, None, 0).run(&mut layering, limit) {
+                Ok((_, band, _)) => Ok((band.num_cells(), band.num_rows())),
+                Err(CodecError::TooLarge { what, .. }) => Err(what),
+                Err(other) => panic!("{other}"),
+            }
+        };
+        let one_of_eight = |i: usize| i % 8 == 3;
+        assert_eq!(coded(one_of_eight, 32), Ok((8, 8)));
+        assert_eq!(coded(one_of_eight, 28), Err("rows of segments in a chunk"));
+        assert_eq!(coded(|_| true, 64), Ok((64, 8)));
+        assert_eq!(coded(|_| true, 60), Err("segments in a chunk"));
+    }
 }
