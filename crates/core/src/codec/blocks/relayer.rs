@@ -16,6 +16,7 @@
 mod assign;
 mod lists;
 mod merge;
+mod moved;
 #[cfg(test)]
 pub(super) mod tests;
 
@@ -138,8 +139,7 @@ impl Relayer {
 
     #[inline(always)]
     fn fit_near(&mut self, slopes: [f32; 2], lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
-        self.assigned.start(planes, lists);
-        self.assigned.put_lists::<false>(lists, 0..SAMPLES, lists);
+        self.assigned.put_all::<false>(&mut self.walk, lists, planes, lists);
         self.assigned.fit(slopes, planes, lists);
     }
 
@@ -150,10 +150,7 @@ impl Relayer {
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
     ) {
-        self.assigned.start(planes, &All);
-        if !planes.is_empty() {
-            self.assigned.put_lists::<false>(lists, 0..BLOCK_LISTS, &All);
-        }
+        self.assigned.put_all::<true>(&mut self.walk, lists, planes, &All);
         self.assigned.layers(planes, out);
     }
 
@@ -163,18 +160,7 @@ impl Relayer {
         if planes.is_empty() || limit < 0.0 {
             return f32::INFINITY;
         }
-        let per_sample = lists.per_sample();
-        self.assigned.start(planes, lists);
-        let mut error = 0.0;
-        for part in 0..PARTS {
-            let slots = part * SAMPLES / PARTS..(part + 1) * SAMPLES / PARTS;
-            self.assigned.put_lists::<true>(lists, slots, lists);
-            error = self.assigned.error(lists, planes, lists) * per_sample;
-            if error > limit {
-                return f32::INFINITY;
-            }
-        }
-        error
+        moved::moved(&mut self.walk, lists, planes, lists, lists.per_sample(), limit)
     }
 }
 
@@ -287,8 +273,6 @@ fn fourth_root(x: f32) -> f32 {
 
 const LANES: usize = 16;
 const SAMPLES: usize = BLOCK_LISTS / 4;
-/// Parts of the sampled lists after which planes that do not suit are given up.
-const PARTS: usize = 2;
 /// Three quarters of the bits of 1, less what makes the error alike to both sides.
 const FOURTH_ROOT_BIAS: u32 = 0x2fa0_0000 - 0x0005_0000;
 /// Least visibility in errors: what is hidden here is seen from another pose.

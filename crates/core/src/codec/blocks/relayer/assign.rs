@@ -2,11 +2,9 @@
 
 use glam::Vec3;
 
-use super::lists::{BlockLists, Piece};
-use super::merge::move_of_union;
-use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, Lists, greater, power_5_4, select, sum};
+use super::lists::{BlockLists, Collected, TAU_MIN, Walk};
+use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, Lists, SAMPLES, Sample, greater, lesser, select, sum};
 use crate::codec::blocks::model::{BLOCK, BlockLayer, DepthPlane};
-use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
 /// The matter of some lists, put into layers: those of all lists or of the sampled ones. Columns are by their number
@@ -16,9 +14,6 @@ pub(super) struct Assigned {
     /// Those of the first `num` are of the layers.
     cells: Vec<Cells>,
     num: usize,
-    joints: Joints,
-    /// Error by joining pieces.
-    joined: f32,
 }
 
 /// What the lists have in a layer.
@@ -32,186 +27,96 @@ struct Cells {
     alpha: Column,
     tau: Column,
     c: [Column; 3],
-    /// Where the layer ends.
-    end: Column,
-}
-
-/// Pieces that are joined with what a list has in their layer, to be weighed all at once.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct Joints {
-    num: usize,
-    /// As in [`move_of_union`].
-    ends: [Column; 4],
-    tau: Column,
-    alphas: [Column; 2],
-    first: [Column; 3],
-    both: [Column; 3],
-    /// How much of it is seen.
-    weight: Column,
 }
 
 const ZERO: Column = [0.0; BLOCK_LISTS];
-const NO_CELLS: Cells =
-    Cells { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3], end: ZERO };
+const NO_CELLS: Cells = Cells { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
 
-impl Default for Joints {
-    fn default() -> Self {
-        Self {
-            num: 0,
-            ends: [ZERO; 4],
-            tau: ZERO,
-            alphas: [ZERO; 2],
-            first: [ZERO; 3],
-            both: [ZERO; 3],
-            weight: ZERO,
-        }
-    }
-}
-
-impl Joints {
-    /// How far matter is moved by these, and forgets them.
+impl Cells {
+    /// What lists from `first` on have collected between two places, `from` one where the source colours `e` are seen. `pieces` are
+    /// the numbers of those there. Returns the lists, bit by bit, whose colours are unknown: the difference of two that hardly
+    /// differ is but rounding.
     #[inline(always)]
-    fn weigh(&mut self) -> f32 {
-        let num = std::mem::take(&mut self.num);
-        self.weight[num..].fill(0.0);
-        let mut moved = ZERO;
-        for (i, moved) in moved.iter_mut().enumerate() {
-            let ends = [self.ends[0][i], self.ends[1][i], self.ends[2][i], self.ends[3][i]];
-            let alphas = [self.alphas[0][i], self.alphas[1][i]];
-            let first = [self.first[0][i], self.first[1][i], self.first[2][i]];
-            let both = [self.both[0][i], self.both[1][i], self.both[2][i]];
-            let weight = self.weight[i];
-            let weighted = weight * move_of_union(ends, self.tau[i], alphas, first, both);
-            *moved = select(weight > 0.0, weighted, 0.0);
+    fn fill(
+        &mut self,
+        first: usize,
+        from: &Collected,
+        to: &Collected,
+        e: &[Sample; 3],
+        pieces: [&[u32; SAMPLES]; 2],
+    ) -> u64 {
+        let slots = first..first + SAMPLES;
+        let [front, back, alpha, tau] = [&mut self.front, &mut self.back, &mut self.alpha, &mut self.tau]
+            .map(|column| &mut column[slots.clone()]);
+        let [r, g, b] = self.c.each_mut().map(|column| &mut column[slots.clone()]);
+        let (mut mask, mut hidden) = (0, 0);
+        for i in 0..SAMPLES {
+            let has_matter = from.next[i] < to.last[i];
+            mask |= u64::from(has_matter) << i;
+            let is_one = pieces[0][i] == pieces[1][i];
+            let is_hidden = from.kappa[i] - to.kappa[i] < LEAST_SEEN;
+            hidden |= u64::from(has_matter & is_hidden & !is_one) << i;
+            // Where there is nothing these are infinite.
+            front[i] = select(has_matter, from.next[i], 0.0);
+            back[i] = select(has_matter, to.last[i], 0.0);
+            tau[i] = lesser(greater(to.tau[i] - from.tau[i], TAU_MIN), TAU_MAX);
+            alpha[i] = select(has_matter, 1.0 - to.kappa[i] * from.per_kappa[i], 0.0);
+            let color = |n: usize| {
+                let seen = (to.c[n][i] - from.c[n][i]) * from.per_kappa[i];
+                select(is_one, e[n][i] * alpha[i], seen)
+            };
+            (r[i], g[i], b[i]) = (color(0), color(1), color(2));
         }
-        sum(BLOCK_LISTS, |i| [moved[i]])[0]
+        self.mask |= mask << first;
+        hidden << first
+    }
+
+    /// The colours of lists that have them from some of their pieces.
+    #[inline(always)]
+    fn fill_hidden(&mut self, mut hidden: u64, lists: &BlockLists, pieces: [&[u32; SAMPLES]; 2]) {
+        while hidden != 0 {
+            let slot = hidden.trailing_zeros() as usize;
+            hidden &= hidden - 1;
+            let [first, last] = pieces.map(|pieces| pieces[slot % SAMPLES]);
+            let c = lists.composite(first, last, self.front[slot], self.back[slot]);
+            for (column, c) in self.c.iter_mut().zip(c) {
+                column[slot] = c;
+            }
+        }
     }
 }
 
 impl Assigned {
-    /// Begins with layers between these planes; a layer ends half way between its back plane and the front plane of the
-    /// next.
+    /// Puts the matter of lists into layers between these planes: what they collect up to the end of one, less what they
+    /// have up to its front.
     #[inline(always)]
-    pub(super) fn start(&mut self, planes: &[(DepthPlane, DepthPlane)], of: &impl Lists) {
-        self.joined = 0.0;
-        self.joints.num = 0;
-        self.num = planes.len();
-        self.cells.resize(self.cells.len().max(self.num), NO_CELLS);
-        for (n, cells) in self.cells[..self.num].iter_mut().enumerate() {
-            cells.mask = 0;
-            cells.alpha = ZERO;
-            match planes.get(n + 1) {
-                None => cells.end = [f32::INFINITY; BLOCK_LISTS],
-                Some((next, _)) => {
-                    for (slot, end) in cells.end[..of.num()].iter_mut().enumerate() {
-                        let i = of.list(slot);
-                        *end = 0.5 * (planes[n].1.at(i) + next.at(i));
-                    }
-                }
-            }
-        }
-    }
-
-    /// Puts the segments of lists into the layers, of which there must be one. What is joined is weighed for [`Self::error`]
-    /// only if that `IS_WEIGHED`.
-    #[inline(always)]
-    pub(super) fn put_lists<const IS_WEIGHED: bool>(
+    pub(super) fn put_all<const HAS_COLORS: bool>(
         &mut self,
+        walk: &mut Walk,
         lists: &BlockLists,
-        slots: std::ops::Range<usize>,
+        planes: &[(DepthPlane, DepthPlane)],
         of: &impl Lists,
     ) {
-        for slot in slots {
-            let list = of.list(slot);
-            let mut layer = 0;
-            let mut end = self.cells[0].end[slot];
-            for piece in lists.list(list) {
-                let short = SNAP * (piece.back - piece.front);
-                let mut from = piece.front;
-                loop {
-                    // An end of a segment that is short beside it stays with the rest.
-                    while end < from || end - piece.front < short {
-                        layer += 1;
-                        end = self.cells[layer].end[slot];
-                    }
-                    let to = if piece.back - end < short { piece.back } else { end };
-                    if to > from {
-                        self.put::<IS_WEIGHED>(layer, slot, piece, from..to, lists.slope[list]);
-                    }
-                    if to >= piece.back {
-                        break;
-                    }
-                    from = to;
-                    layer += 1;
-                    end = self.cells[layer].end[slot];
+        self.num = planes.len();
+        self.cells.resize(self.cells.len().max(self.num), NO_CELLS);
+        for cells in &mut self.cells[..self.num] {
+            cells.mask = 0;
+        }
+        for first in (0..of.num()).step_by(SAMPLES) {
+            let numbers = std::array::from_fn(|i| of.list(first + i));
+            let mut before = Collected::NOTHING;
+            walk.start_at_borders(lists, &numbers, &mut before);
+            for (n, cells) in self.cells[..self.num].iter_mut().enumerate() {
+                let (first_pieces, e) = (walk.index, walk.e);
+                let mut here = Collected::NOTHING;
+                walk.go_to_borders(lists, &borders(planes, n, &numbers), &mut here, &mut ());
+                let pieces = [&first_pieces, &walk.index];
+                let hidden = cells.fill(first, &before, &here, &e, pieces);
+                if HAS_COLORS {
+                    cells.fill_hidden(hidden, lists, pieces);
                 }
+                before = here;
             }
-        }
-        if IS_WEIGHED {
-            self.joined += self.joints.weigh();
-        }
-    }
-
-    /// Puts a part of a segment behind what a list has in the layer.
-    #[inline(always)]
-    fn put<const IS_WEIGHED: bool>(
-        &mut self,
-        layer: usize,
-        slot: usize,
-        piece: &Piece,
-        part: std::ops::Range<f32>,
-        slope: f32,
-    ) {
-        let cells = &mut self.cells[layer];
-        let mut c = piece.c;
-        let (mut tau, mut alpha) = (piece.tau, piece.alpha);
-        let share = (part.end - part.start) / (piece.back - piece.front);
-        if share < WHOLE {
-            tau *= share;
-            alpha = opacity(tau);
-            let share = alpha / piece.alpha;
-            c = c.map(|c| c * share);
-        }
-        if cells.mask >> slot & 1 == 0 {
-            cells.mask |= 1 << slot;
-            (cells.front[slot], cells.back[slot]) = (part.start, part.end);
-            (cells.tau[slot], cells.alpha[slot]) = (tau, alpha);
-            for (cells, c) in cells.c.iter_mut().zip(c) {
-                cells[slot] = c;
-            }
-            return;
-        }
-        let alpha_first = cells.alpha[slot];
-        let alpha_both = alpha_first + (1.0 - alpha_first) * alpha;
-        cells.tau[slot] = (cells.tau[slot] + tau).min(TAU_MAX);
-        let first = [0, 1, 2].map(|n| cells.c[n][slot]);
-        let both = [0, 1, 2].map(|n| first[n] + c[n] * (1.0 - alpha_first));
-        for (cells, both) in cells.c.iter_mut().zip(both) {
-            cells[slot] = both;
-        }
-        let back_first = std::mem::replace(&mut cells.back[slot], part.end);
-        cells.alpha[slot] = alpha_both;
-        if !IS_WEIGHED {
-            return;
-        }
-        let joints = &mut self.joints;
-        let at = joints.num % BLOCK_LISTS;
-        for n in 0..3 {
-            joints.first[n][at] = first[n];
-            joints.both[n][at] = both[n];
-        }
-        joints.ends[0][at] = cells.front[slot];
-        joints.ends[1][at] = back_first;
-        joints.ends[2][at] = part.start;
-        joints.ends[3][at] = part.end;
-        joints.tau[at] = cells.tau[slot];
-        joints.alphas[0][at] = alpha_first;
-        joints.alphas[1][at] = alpha_both;
-        joints.weight[at] = greater(piece.before.kappa, KAPPA_FLOOR) * slope;
-        joints.num = at + 1;
-        if at + 1 == BLOCK_LISTS {
-            self.joined += joints.weigh();
         }
     }
 
@@ -258,31 +163,14 @@ impl Assigned {
         planes.truncate(kept);
         self.num = kept;
     }
+}
 
-    /// How far matter has moved: by being joined, and to the planes of its layer.
-    #[inline(always)]
-    pub(super) fn error(
-        &self,
-        lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
-        of: &impl Lists,
-    ) -> f32 {
-        let mut error = self.joined;
-        let mut kappa = [1.0; BLOCK_LISTS];
-        for (cells, (front, back)) in self.cells.iter().zip(planes) {
-            let [moved] = sum(of.num(), |slot| {
-                let i = of.list(slot);
-                let d = (cells.front[slot] - front.at(i)).abs() + 0.5 * (cells.back[slot] - back.at(i)).abs();
-                let seen = select(kappa[slot] > KAPPA_FLOOR, kappa[slot], KAPPA_FLOOR) * lists.slope[i];
-                // Where a list has nothing, its opacity is 0.
-                [cells.alpha[slot] * seen * power_5_4(d)]
-            });
-            error += moved;
-            for (kappa, alpha) in kappa[..of.num()].iter_mut().zip(&cells.alpha) {
-                *kappa *= 1.0 - alpha;
-            }
-        }
-        error
+/// Where layer `n` ends in some lists: half way between its back plane and the front plane of the next.
+#[inline(always)]
+pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[usize; SAMPLES]) -> Sample {
+    match planes.get(n + 1) {
+        None => [f32::MAX; SAMPLES],
+        Some((next, _)) => lists.map(|i| 0.5 * (planes[n].1.at(i) + next.at(i))),
     }
 }
 
@@ -326,9 +214,7 @@ fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl Lists) -> 
     DepthPlane { z: mz - dx * mx - dy * my, dx, dy }
 }
 
-/// An end of a segment that is cut off by a layer's border stays if it is shorter than this share of the segment.
-const SNAP: f32 = 0.1;
-/// A larger share of a segment is the whole.
-const WHOLE: f32 = 0.999;
+/// Opacity as seen below which the colour as seen does not tell the colour.
+const LEAST_SEEN: f32 = 5e-5;
 /// Square of the distance, in lists, over which slopes are held back.
 const SLOPE_DAMPING: f32 = 0.5;

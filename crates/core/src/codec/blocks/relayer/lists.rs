@@ -1,6 +1,6 @@
 //! The lists of a block as curves: what a ray along a list has collected up to a depth.
 
-use super::{Column, SAMPLES, Sample, greater, select};
+use super::{Column, SAMPLES, Sample, greater, lesser, select};
 use crate::codec::blocks::model::{BLOCK, BLOCK_LISTS};
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
@@ -52,22 +52,18 @@ type RowOf<T> = [T; BLOCK * MAX_K];
 pub(super) struct Piece {
     pub(super) front: f32,
     pub(super) back: f32,
-    pub(super) tau: f32,
-    pub(super) alpha: f32,
     /// Optical depth of a depth unit.
     rate: f32,
-    /// Premultiplied colour.
-    pub(super) c: [f32; 3],
     /// Source colour C/α.
     e: [f32; 3],
-    pub(super) before: Before,
+    before: Before,
 }
 
 /// What a ray has collected before a piece.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Before {
+struct Before {
     tau: f32,
-    pub(super) kappa: f32,
+    kappa: f32,
     c: [f32; 3],
 }
 
@@ -135,28 +131,23 @@ impl Unpacked {
         }
     }
 
-    /// Segment `i`, and what is collected before the next.
+    /// Segment `i`, its opacity as seen, and what is collected before the next.
     #[inline(always)]
-    fn piece(&self, i: usize, before: Before) -> (Piece, Before) {
+    fn piece(&self, i: usize, before: Before) -> (Piece, f32, Before) {
         let i = i % (BLOCK * MAX_K);
-        let at = |of: &[RowOf<f32>; 3]| [of[0][i], of[1][i], of[2][i]];
-        let (tau, c) = (self.tau[i], at(&self.c));
         let piece = Piece {
             front: self.front[i],
             back: self.back[i],
-            tau,
-            alpha: self.alpha[i],
             rate: self.rate[i],
-            c,
-            e: at(&self.e),
+            e: [self.e[0][i], self.e[1][i], self.e[2][i]],
             before,
         };
         let behind = Before {
-            tau: before.tau + tau,
+            tau: before.tau + self.tau[i],
             kappa: before.kappa * self.kappa[i],
-            c: [0, 1, 2].map(|n| before.c[n] + before.kappa * c[n]),
+            c: [0, 1, 2].map(|n| before.c[n] + before.kappa * self.c[n][i]),
         };
-        (piece, behind)
+        (piece, before.kappa * self.alpha[i], behind)
     }
 }
 
@@ -188,8 +179,7 @@ impl BlockLists {
                 let (mut most, mut depth) = (0.0, f32::NAN);
                 if column < columns {
                     for index in offsets[column] as usize..offsets[column + 1] as usize {
-                        let (piece, behind) = self.unpacked.piece(index - start, before);
-                        let visible = before.kappa * piece.alpha;
+                        let (piece, visible, behind) = self.unpacked.piece(index - start, before);
                         depth = select(visible > most, piece.front, depth);
                         most = greater(visible, most);
                         self.pieces.push(piece);
@@ -267,6 +257,21 @@ impl BlockLists {
         usize::from(self.samples[i]) % BLOCK_LISTS
     }
 
+    /// The colour of what some pieces of a list, the last of them included, have between two depths.
+    #[inline(always)]
+    pub(super) fn composite(&self, first: u32, last: u32, front: f32, back: f32) -> [f32; 3] {
+        let (mut kappa, mut c) = (1.0, [0.0; 3]);
+        for piece in &self.pieces[first as usize..=last as usize] {
+            let depth = lesser(piece.back, back) - greater(piece.front, front);
+            let next = kappa * transmittance(greater(depth, 0.0) * piece.rate);
+            for (c, e) in c.iter_mut().zip(piece.e) {
+                *c += e * (kappa - next);
+            }
+            kappa = next;
+        }
+        c
+    }
+
     /// The segments of list `i`.
     #[inline(always)]
     pub(super) fn list(&self, i: usize) -> &[Piece] {
@@ -310,17 +315,41 @@ pub(super) struct Walk {
     /// Slopes of [`BlockLists`].
     pub(super) slope: Sample,
     /// Index of the piece that the walk is in or in front of.
-    index: [u32; SAMPLES],
+    pub(super) index: [u32; SAMPLES],
     /// The columns of these pieces.
     front: Sample,
     back: Sample,
     rate: Sample,
-    e: [Sample; 3],
+    pub(super) e: [Sample; 3],
     tau: Sample,
     kappa: Sample,
     c: [Sample; 3],
     /// Where the pieces before end.
     last: Sample,
+    border: Sample,
+}
+
+/// What wants to know when a walk leaves pieces. No closure, as those do not get the instructions that their callers have.
+pub(super) trait Leaving {
+    /// These lists, bit by bit, have left a piece each, and the walk is at the front of the next.
+    fn left(&mut self, walk: &Walk, lists: u64);
+}
+
+impl Leaving for () {
+    #[inline(always)]
+    fn left(&mut self, _: &Walk, _: u64) {}
+}
+
+/// Whether a piece ends in front of a border, or so little behind it that it ends there.
+#[inline(always)]
+fn is_short_of(border: f32, front: f32, back: f32) -> bool {
+    (back <= border) | ((front < border) & (back - border < SNAP * (back - front)))
+}
+
+/// Whether more than a little of a piece is in front of a border.
+#[inline(always)]
+fn is_within(border: f32, front: f32, back: f32) -> bool {
+    border - front >= SNAP * (back - front)
 }
 
 impl Default for Walk {
@@ -338,16 +367,16 @@ impl Default for Walk {
             kappa: zero,
             c: [zero; 3],
             last: zero,
+            border: zero,
         }
     }
 }
 
 impl Walk {
-    /// To the front of the lists.
+    /// To the front of lists.
     #[inline(always)]
-    pub(super) fn start(&mut self, lists: &BlockLists) {
-        for i in 0..SAMPLES {
-            let list = lists.sampled(i);
+    pub(super) fn start(&mut self, lists: &BlockLists, numbers: &[usize; SAMPLES]) {
+        for (i, &list) in numbers.iter().enumerate() {
             self.index[i] = lists.starts[list];
             self.slope[i] = lists.slope[list];
             self.last[i] = f32::NEG_INFINITY;
@@ -373,25 +402,89 @@ impl Walk {
     /// Goes on to `depth`, which must not lie before the depth of the call before.
     #[inline(always)]
     pub(super) fn go_to(&mut self, lists: &BlockLists, depth: f32, out: &mut Collected) {
+        self.enter_all(lists, |_, back, _| back <= depth, &mut ());
+        self.collected(&[depth; SAMPLES], |depth, front, _| depth > front, out);
+    }
+
+    /// To the front of lists, to go on by [`Self::go_to_borders`].
+    #[inline(always)]
+    pub(super) fn start_at_borders(
+        &mut self,
+        lists: &BlockLists,
+        numbers: &[usize; SAMPLES],
+        out: &mut Collected,
+    ) {
+        self.shear = [0.0; SAMPLES];
+        self.border = [f32::NEG_INFINITY; SAMPLES];
+        self.start(lists, numbers);
+        self.collected(&self.border, |_, _, _| false, out);
+    }
+
+    /// Goes on to a depth for each list, or stays where it is if it is farther. An end of a segment that is short beside it stays
+    /// with the rest. `leaving` is told of the pieces that are left.
+    #[inline(always)]
+    pub(super) fn go_to_borders(
+        &mut self,
+        lists: &BlockLists,
+        depth: &Sample,
+        out: &mut Collected,
+        leaving: &mut impl Leaving,
+    ) {
+        for (border, depth) in self.border.iter_mut().zip(depth) {
+            *border = greater(*depth, *border);
+        }
+        let border = self.border;
+        self.enter_all(lists, |front, back, i| is_short_of(border[i], front, back), leaving);
+        self.collected(&border, is_within, out);
+    }
+
+    /// Leaves the pieces, from their front to their back, that this says are passed.
+    #[inline(always)]
+    fn enter_all(
+        &mut self,
+        lists: &BlockLists,
+        is_passed: impl Fn(f32, f32, usize) -> bool,
+        leaving: &mut impl Leaving,
+    ) {
         loop {
-            let mut is_behind = 0u64;
-            for (i, back) in self.back.iter().enumerate() {
-                is_behind |= u64::from(*back <= depth) << i;
+            let mut passed = 0u64;
+            for i in 0..SAMPLES {
+                passed |= u64::from(is_passed(self.front[i], self.back[i], i)) << i;
             }
-            if is_behind == 0 {
+            if passed == 0 {
                 break;
             }
-            while is_behind != 0 {
-                let i = is_behind.trailing_zeros() as usize;
-                is_behind &= is_behind - 1;
+            let mut rest = passed;
+            while rest != 0 {
+                let i = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
                 self.last[i] = self.back[i];
                 self.index[i] += 1;
                 self.enter(lists, i);
             }
+            leaving.left(self, passed);
         }
+    }
+
+    /// What is collected where pieces begin, and the pieces before have ended.
+    #[inline(always)]
+    pub(super) fn at_fronts(&self) -> Collected {
+        let Self { tau, kappa, c, front: next, last, .. } = *self;
+        Collected { tau, kappa, per_kappa: [1.0; SAMPLES], c, next, last }
+    }
+
+    /// Whether the piece of list `i` begins in front of the border that the walk goes to.
+    #[inline(always)]
+    pub(super) fn begins(&self, i: usize) -> bool {
+        is_within(self.border[i], self.front[i], self.back[i])
+    }
+
+    /// What is collected at these depths, if they are inside of their piece, or before it.
+    #[inline(always)]
+    fn collected(&self, depth: &Sample, is_inside: impl Fn(f32, f32, f32) -> bool, out: &mut Collected) {
         for i in 0..SAMPLES {
-            let front = self.front[i];
-            let is_inside = depth > front;
+            let (front, depth) = (self.front[i], depth[i]);
+            let is_inside = is_inside(depth, front, self.back[i]);
             // Nothing is left of infinity less infinity.
             let x = select(is_inside, (depth - front) * self.rate[i], 0.0);
             let kappa = transmittance(x);
@@ -423,7 +516,9 @@ const SPREAD: [u8; BLOCK_LISTS] = {
 };
 
 /// Least optical depth of a segment: the source colour C/α of a thinner one would not be a number to rely on.
-const TAU_MIN: f32 = 1e-4;
+pub(super) const TAU_MIN: f32 = 1e-4;
+/// An end of a segment that is cut off by a border stays if it is shorter than this share of the segment.
+const SNAP: f32 = 0.1;
 /// Least transmittance to divide by.
 const KAPPA_MIN: f32 = 1e-35;
 

@@ -161,7 +161,7 @@ impl Merge {
     #[inline(always)]
     fn collect(&mut self, walk: &mut Walk, lists: &BlockLists) {
         self.rows.resize(self.cuts.len().max(self.rows.len()), Collected::NOTHING);
-        walk.start(lists);
+        walk.start(lists, &std::array::from_fn(|i| lists.sampled(i)));
         for (cut, row) in self.cuts.iter().zip(&mut self.rows) {
             walk.go_to(lists, *cut, row);
         }
@@ -231,7 +231,7 @@ impl Group {
 
 /// Weight of an error behind `kappa`.
 #[inline(always)]
-fn weight(kappa: f32, slope: f32) -> f32 {
+pub(super) fn weight(kappa: f32, slope: f32) -> f32 {
     select(kappa > KAPPA_FLOOR, kappa, KAPPA_FLOOR) * slope
 }
 
@@ -264,14 +264,14 @@ fn misfit(front: &Collected, back: &Collected, slope: &Sample) -> f32 {
 fn joined(rows: [&Collected; 4], slope: &Sample) -> f32 {
     let mut moved = [0.0; SAMPLES];
     for (i, moved) in moved.iter_mut().enumerate() {
-        *moved = joined_in_list(rows, slope, i);
+        *moved = joined_in_list(rows, i) * weight(rows[0].kappa[i], slope[i]);
     }
     sum(SAMPLES, |i| [moved[i]])[0]
 }
 
-/// The same in list `i`.
+/// The same in list `i`, without the weight.
 #[inline(always)]
-fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], slope: &Sample, i: usize) -> f32 {
+pub(super) fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], i: usize) -> f32 {
     let ends = [front.next[i], mid.last[i], mid_next.next[i], back.last[i]];
     let in_both = (ends[0] < ends[1]) & (ends[2] < ends[3]);
     let per_kappa = front.per_kappa[i];
@@ -285,7 +285,7 @@ fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], slope: &Sample,
     let alpha = 1.0 - mid.kappa[i] * per_kappa;
     let alphas = [alpha, 1.0 - back.kappa[i] * per_kappa];
     let moved = move_of_union(ends, back.tau[i] - front.tau[i], alphas, first, both);
-    select(in_both, moved * weight(front.kappa[i], slope[i]), 0.0)
+    select(in_both, moved, 0.0)
 }
 
 /// How far the collected colour or opacity, whichever is more, moves when a piece from `ends[0]` to `ends[1]` and
@@ -293,7 +293,7 @@ fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], slope: &Sample,
 /// between the ends, times length^¼. `alphas` are the opacities of the first piece and of the two, `first` and `both`
 /// their colours.
 #[inline(always)]
-pub(super) fn move_of_union(
+fn move_of_union(
     ends: [f32; 4],
     tau: f32,
     [alpha, alpha_of_both]: [f32; 2],

@@ -104,14 +104,7 @@ fn given(
     out: &mut Vec<BlockLayer>,
 ) -> f32 {
     relayer.given(lists, planes, out);
-    let (assigned, mut weighed) = (&mut relayer.assigned, vec![]);
-    assigned.start(planes, &All);
-    if !planes.is_empty() {
-        assigned.put_lists::<true>(lists, 0..BLOCK_LISTS, &All);
-    }
-    assigned.layers(planes, &mut weighed);
-    assert_eq!(*out, weighed);
-    assigned.error(lists, planes, &All)
+    moved::moved(&mut relayer.walk, lists, planes, &All, 1.0, f32::INFINITY)
 }
 
 #[test]
@@ -142,6 +135,33 @@ fn matter_is_conserved() {
     let layer = &mut layers[0];
     layer.c[layer.mask.trailing_zeros() as usize] *= 0.9;
     assert!(greatest_change(&frame, &layers) > 1e-3);
+}
+
+/// Behind so much that what is seen of them is less than the rounding of what is seen in front.
+#[test]
+fn what_is_hidden_keeps_its_colour() {
+    let flat = |z| DepthPlane { z, dx: 0.0, dy: 0.0 };
+    let hidden = [segment(21000.0, 21400.0, 0.9, 0.4), segment(21500.0, 21900.0, 0.2, 0.7)];
+    for tau_in_front in [0.0, 2.0, 9.0, 14.0] {
+        let front = (tau_in_front > 0.0).then(|| segment(20000.0, 20500.0, 0.6, tau_in_front));
+        let frame = frame(|_| front.into_iter().chain(hidden).collect());
+        let (mut relayer, mut layers) = (Relayer::default(), vec![]);
+        let planes = [(flat(20000.0), flat(20500.0)), (flat(21000.0), flat(21900.0))];
+        relayer.given(&lists(&frame), &planes, &mut layers);
+        let first = usize::from(front.is_some());
+        let mut over = Over::default();
+        for segment in frame.list(0).skip(first).map(|index| frame.segment(index)) {
+            over.add(segment.c, segment.tau);
+        }
+        let found = composite_of_layers(&layers[1..], 0);
+        for (found, wanted) in found.iter().zip(over.rgba()) {
+            assert!((found - wanted).abs() < 2e-3 * wanted, "{tau_in_front}: {found} {wanted}");
+        }
+        // As seen behind τ = 14 the colour is but rounding: the law would not hold of a difference.
+        let kappa = (-tau_in_front).exp();
+        let seen = (0.6 + kappa * over.rgba()[0]) - 0.6;
+        assert_eq!((seen / kappa / over.rgba()[0] - 1.0).abs() > 2e-3, tau_in_front > 10.0);
+    }
 }
 
 #[test]
