@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::lists::{BlockLists, Collected, TAU_MIN, Walk};
 use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, Lists, SAMPLES, Sample, greater, lesser, select, sum};
 use crate::codec::blocks::model::{BLOCK, BlockLayer, DepthPlane};
+use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
 /// The matter of some lists, put into layers: those of all lists or of the sampled ones. Columns are by their number
@@ -33,9 +34,9 @@ const ZERO: Column = [0.0; BLOCK_LISTS];
 const NO_CELLS: Cells = Cells { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
 
 impl Cells {
-    /// What lists from `first` on have collected between two places, `from` one where the source colours `e` are seen. `pieces` are
-    /// the numbers of those there. Returns the lists, bit by bit, whose colours are unknown: the difference of two that hardly
-    /// differ is but rounding.
+    /// What lists from `first` on have collected between two places, the first in or in front of pieces with the source
+    /// colours `e`; `pieces` are the numbers of the pieces at both. Returns the lists, bit by bit, whose colours are not known
+    /// yet: the difference of two that hardly differ is but rounding.
     #[inline(always)]
     fn fill(
         &mut self,
@@ -60,7 +61,8 @@ impl Cells {
             front[i] = select(has_matter, from.next[i], 0.0);
             back[i] = select(has_matter, to.last[i], 0.0);
             tau[i] = lesser(greater(to.tau[i] - from.tau[i], TAU_MIN), TAU_MAX);
-            alpha[i] = select(has_matter, 1.0 - to.kappa[i] * from.per_kappa[i], 0.0);
+            // Of two transmittances that are next to nothing the quotient would tell nothing.
+            alpha[i] = select(has_matter, opacity(tau[i]), 0.0);
             let color = |n: usize| {
                 let seen = (to.c[n][i] - from.c[n][i]) * from.per_kappa[i];
                 select(is_one, e[n][i] * alpha[i], seen)
@@ -87,8 +89,8 @@ impl Cells {
 }
 
 impl Assigned {
-    /// Puts the matter of lists into layers between these planes: what they collect up to the end of one, less what they
-    /// have up to its front.
+    /// Puts the matter of lists into layers between these planes: what they collect up to the end of a layer, less what they
+    /// have up to its front. A layer ends half way between its back plane and the front plane of the next.
     #[inline(always)]
     pub(super) fn put_all<const HAS_COLORS: bool>(
         &mut self,
@@ -165,7 +167,7 @@ impl Assigned {
     }
 }
 
-/// Where layer `n` ends in some lists: half way between its back plane and the front plane of the next.
+/// Where layer `n` ends in some lists.
 #[inline(always)]
 pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[usize; SAMPLES]) -> Sample {
     match planes.get(n + 1) {

@@ -420,8 +420,8 @@ impl Walk {
         self.collected(&self.border, |_, _, _| false, out);
     }
 
-    /// Goes on to a depth for each list, or stays where it is if it is farther. An end of a segment that is short beside it stays
-    /// with the rest. `leaving` is told of the pieces that are left.
+    /// Goes on to a depth for each list, or stays where it is if it is farther. An end of a segment that is short beside it
+    /// stays with the rest. `leaving` is told of the pieces that are left.
     #[inline(always)]
     pub(super) fn go_to_borders(
         &mut self,

@@ -23,7 +23,7 @@ impl<'a> Partings<'a> {
         Self { before, slope, mask: 0, at: Collected::NOTHING, joined: 0.0 }
     }
 
-    /// Weighs the partings of these lists: the matter in front and that behind, up to `to`, become one medium.
+    /// Weighs the partings of these lists: the matter in front and that behind, up to `to`, become one medium. Forgets them.
     #[inline(always)]
     fn weigh(&mut self, lists: u64, to: &Collected) {
         let lists = self.mask & lists;
@@ -65,8 +65,8 @@ impl Leaving for Partings<'_> {
     }
 }
 
-/// How far matter of lists, each of which stands for so many, moves by being joined in a layer and to its planes. Infinite as
-/// soon as it is above `limit`.
+/// How far matter of lists, each of which stands for so many, moves by being joined in a layer and to its planes. Infinite
+/// as soon as it is above `limit`.
 #[inline(always)]
 pub(super) fn moved(
     walk: &mut Walk,
