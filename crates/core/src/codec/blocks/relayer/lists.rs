@@ -279,7 +279,7 @@ impl BlockLists {
     }
 }
 
-/// What the sampled lists have collected up to a cut through the block.
+/// What sixteen lists have collected up to a place in each.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub(super) struct Collected {
@@ -307,7 +307,7 @@ impl Collected {
     };
 }
 
-/// Walks through the sampled lists at once, front to back. Depths are those of the lists less `shear`.
+/// Walks through sixteen lists at once, front to back. Depths are those of the lists less `shear`.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Walk {
@@ -466,7 +466,7 @@ impl Walk {
         }
     }
 
-    /// What is collected where pieces begin, and the pieces before have ended.
+    /// What is collected where pieces begin, and the pieces before have ended; without one over the transmittance.
     #[inline(always)]
     pub(super) fn at_fronts(&self) -> Collected {
         let Self { tau, kappa, c, front: next, last, .. } = *self;

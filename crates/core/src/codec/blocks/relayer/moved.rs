@@ -4,6 +4,7 @@ use super::assign::borders;
 use super::lists::{BlockLists, Collected, Leaving, Walk};
 use super::merge::{joined_in_list, weight};
 use super::{DepthPlane, Lists, SAMPLES, Sample, power_5_4, select, sum};
+use crate::kernels::raycast::opacity;
 
 /// Where the matter of a list in a layer is parted by a gap or into two pieces: what is collected up to there.
 struct Partings<'a> {
@@ -91,7 +92,7 @@ pub(super) fn moved(
             for (i, to_planes) in to_planes.iter_mut().enumerate() {
                 let d = (before.next[i] - front.at(numbers[i])).abs()
                     + 0.5 * (here.last[i] - back.at(numbers[i])).abs();
-                let alpha = 1.0 - here.kappa[i] * before.per_kappa[i];
+                let alpha = opacity(here.tau[i] - before.tau[i]);
                 let moved = alpha * weight(before.kappa[i], slope[i]) * power_5_4(d);
                 *to_planes = select(before.next[i] < here.last[i], moved, 0.0);
             }
