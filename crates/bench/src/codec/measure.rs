@@ -181,15 +181,18 @@ impl Judge<'_> {
     ) -> Result<Vec<Measured>, BenchError> {
         let levels = codec.levels();
         let mut coded: [HashMap<Rung, CodedPart>; 3] = Default::default();
-        let mut heights: HashMap<[Rung; 3], Height> = HashMap::new();
-        let mut all = Vec::new();
-        // Twice, as a climb that begins with planes of half the size may never find what is best without.
-        for has_half in [false, true] {
+        let mut places: HashMap<[Rung; 3], usize> = HashMap::new();
+        let mut all: Vec<Measured> = Vec::new();
+        // With planes of half the size and without, as a climb that begins with them may never find what is best without; and for
+        // all turns together and for each, as depths matter at some only.
+        for (has_half, aim) in
+            [false, true].into_iter().flat_map(|h| aims(self.truths.len()).map(move |a| (h, a)))
+        {
             let ladders = Part::ALL.map(|part| ladder(layout, part, levels.len(), has_half));
             climb(ladders.each_ref().map(|rungs| rungs.len() - 1), |at| {
                 let rungs = [0, 1, 2].map(|i| ladders[i][at[i]]);
-                if let Some(height) = heights.get(&rungs) {
-                    return Ok(*height);
+                if let Some(&place) = places.get(&rungs) {
+                    return Ok(height(&all[place], aim));
                 }
                 for (i, part) in Part::ALL.into_iter().enumerate() {
                     if let Entry::Vacant(place) = coded[i].entry(rungs[i]) {
@@ -212,8 +215,8 @@ impl Judge<'_> {
                     decode_ms: three.iter().map(|p| p.decode_ms).sum(),
                     distortion: self.distortion(joined)?,
                 };
-                let height = height(&measured);
-                heights.insert(rungs, height);
+                let height = height(&measured, aim);
+                places.insert(rungs, all.len());
                 all.push(measured);
                 Ok::<_, BenchError>(height)
             })?;
@@ -256,7 +259,13 @@ fn settings_name(rungs: [Rung; 3], levels: &[String]) -> String {
     [part("C", rungs[0]), part("α", rungs[1]), part("D", rungs[2])].join(", ")
 }
 
-fn height(measured: &Measured) -> Height {
-    let distortion = measured.distortion.iter().map(|d| d.dssim).sum();
-    Height { bytes: measured.bytes as f64, distortion }
+/// What climbs are for: all turns together (none), and where there are several each alone.
+fn aims(num_turns: usize) -> impl Iterator<Item = Option<usize>> {
+    let each = if num_turns > 1 { num_turns } else { 0 };
+    std::iter::once(None).chain((0..each).map(Some))
+}
+
+fn height(measured: &Measured, aim: Option<usize>) -> Height {
+    let seen = measured.distortion.iter().enumerate().filter(|(turn, _)| aim.is_none_or(|aim| aim == *turn));
+    Height { bytes: measured.bytes as f64, distortion: seen.map(|(_, d)| d.dssim).sum() }
 }

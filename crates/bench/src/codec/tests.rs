@@ -121,6 +121,21 @@ fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves()
     assert!(fields["dssim"].is_f64() && fields["psnr_db"].is_f64(), "{fields}");
 }
 
+/// Depths matter at a turn only: settings that are best at the own pose are none that a search for both together asks for.
+#[test]
+fn settings_are_searched_for_every_turn_as_well_as_for_all() {
+    let searched = |angles: &[f32]| {
+        let mut options = CodecOptions { sequence: None, ..options(&["blocks-planes"]) };
+        options.subject.ks = vec![4];
+        options.subject.angles_degrees = angles.to_vec();
+        let settings = run(&options).unwrap().points.into_iter().map(|p| p.settings);
+        settings.collect::<std::collections::BTreeSet<_>>()
+    };
+    let [own, turned, both] = [searched(&[0.0]), searched(&[10.0]), searched(&[0.0, 10.0])];
+    assert!(both.is_superset(&own) && both.is_superset(&turned));
+    assert!(!turned.is_superset(&own) && !own.is_superset(&turned), "one search would do for both");
+}
+
 #[test]
 fn an_anchor_is_measured_in_any_case_and_one_that_is_none_refused() {
     let anchored = |anchor: Option<&str>, codecs: &[&str]| {
