@@ -118,6 +118,8 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
     let (orders, orders_out) = mpsc::channel(MAX_ORDERS);
+    // The first frame neither waits for the tables nor takes long because of them, which would be held against its coding.
+    tokio::task::spawn_blocking(isinglass_core::codec::prepare);
     tracing::info!(%address, backend = backend.description(), "serving");
     let librarian = Librarian {
         loader,

@@ -231,6 +231,15 @@ pub enum CodecError {
     },
 }
 
+/// Makes the tables of all codings, some tens of milliseconds of work that the first frame would wait for otherwise.
+pub fn prepare() {
+    for color_bits in [8, 10] {
+        // There are scales with so many bits.
+        let _ = scale::of(color_bits);
+    }
+    blocks::prepare();
+}
+
 /// Encodes a frame, which must be valid ([`LayeredFrame::validate`]). Bands are encoded in parallel.
 ///
 /// Fails only on settings out of range and on frames above [`MAX_FRAME_LISTS`], [`MAX_FRAME_SEGMENTS`],

@@ -194,8 +194,9 @@ impl Pilot {
                 let (Some(bytes), true) = (bytes, self.exact_bytes.is_known()) else { return in_blocks };
                 let bytes = f64::from(bytes) / counted(num_lists);
                 let exact = self.exact_bytes.get() * lists;
-                let later = (self.exact_micros.get() - self.blocks_micros.get()) * lists
-                    + (exact - bytes) * 1e6 / rate;
+                // Bytes are what a link feels: that blocks took longer to encode, as the first ones do, makes up for none.
+                let longer = (self.exact_micros.get() - self.blocks_micros.get()).max(0.0);
+                let later = longer * lists + (exact - bytes) * 1e6 / rate;
                 let may_be_later = EXACT_LATER_MICROS.max(making * EXACT_SHARE_OF_MAKING);
                 if later < may_be_later { Coding::default() } else { in_blocks }
             }
@@ -558,6 +559,7 @@ mod tests {
         };
         assert_eq!(coding(20_000, 2_000_000), None);
         assert_eq!(coding(20_000, 100_000), Some(100), "too narrow");
+        assert_eq!(coding(100, 150_000), Some(100), "too narrow, though blocks take longer to encode");
         assert_eq!(coding(40_000, 2_000_000), Some(100), "exact frames take longer to encode");
     }
 }

@@ -19,6 +19,8 @@ pub(super) fn run(shared: &Shared) {
     let mut references = References::default();
     let mut given = Given::default();
     let mut connection = 0;
+    // While the connection is made.
+    codec::prepare();
     while let Some(job) = next_job(shared) {
         let _span = tracing::debug_span!("frame", frame = job.frame.0).entered();
         if job.connection != connection {

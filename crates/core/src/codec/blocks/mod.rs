@@ -169,5 +169,11 @@ pub(super) fn encode_while(
     Ok((EncodedFrame { header: frame_header, chunks }, reference))
 }
 
+/// Makes the tables.
+pub(super) fn prepare() {
+    scales::scales();
+    syntax::Contexts::new();
+}
+
 /// Bands of a frame: their headers and their estimates, which start anew, cost some percent.
 const MOST_BANDS: u8 = 4;
