@@ -42,10 +42,10 @@ fn cast_ray(ray: Ray) -> Over {
         return over_identity();
     }
     let whole = vec2f(clipped.s0, clipped.s1);
-    var parts: array<Parts, MAX_FRAMES>;
+    var parts = array<Parts, MAX_FRAMES>();
     parts[0] = parts_of(0u, ray, whole);
     // What the newest frame sees all of it shows alone.
-    let num = select(num_frames(), 1u, all(parts[0].inner == whole));
+    let num = select(combination.num_frames, 1u, all(parts[0].inner == whole));
     for (var n = 1u; n < num; n++) {
         parts[n] = parts_of(n, ray, whole);
     }
@@ -90,11 +90,6 @@ fn cast_ray(ray: Ray) -> Over {
         from_s = to;
     }
     return shown(acc, ray);
-}
-
-// As zero() does, this hides a uniform.
-fn num_frames() -> u32 {
-    return combination.num_frames + zero();
 }
 
 fn parts_of(n: u32, ray: Ray, whole: vec2f) -> Parts {
@@ -171,15 +166,15 @@ fn inset_at(n: u32, part: Parts, s: f32) -> f32 {
 // call of the caster for both: devices in software compile each, and that takes them seconds.
 fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX_FRAMES>>, alone: u32, piece: vec2f) {
     var change = 0.0;
-    for (var n = 0u; n < num_frames() && alone == MIXED; n++) {
+    for (var n = 0u; n < combination.num_frames && alone == MIXED; n++) {
         change = max(change, abs(inset_at(n, (*parts)[n], piece.x) - inset_at(n, (*parts)[n], piece.y)));
     }
     let steps = clamp(ceil(change), 1.0, BAND);
     for (var i = 0.0; i < steps; i += 1.0) {
         let step = mix(piece.xx, piece.yy, vec2f(i, i + 1.0) / steps);
-        var weights: array<f32, MAX_FRAMES>;
+        var weights = array<f32, MAX_FRAMES>();
         var rest = 1.0;
-        for (var n = 0u; n < num_frames(); n++) {
+        for (var n = 0u; n < combination.num_frames; n++) {
             let part = (*parts)[n];
             // The newest frame's band can have no width: then all that it sees is covered.
             var covered = select(0.0, 1.0, part.outer.x < part.outer.y);
@@ -195,10 +190,10 @@ fn add(acc: ptr<function, Over>, ray: Ray, parts: ptr<function, array<Parts, MAX
         if (sum <= 0.0) {
             continue;
         }
-        let is_over = compositing() == BY_OVER;
+        let is_over = COMPOSITING == BY_OVER;
         var tau = 0.0;
         var light = vec3f(0.0);
-        for (var n = 0u; n < num_frames(); n++) {
+        for (var n = 0u; n < combination.num_frames; n++) {
             if (weights[n] <= LEAST_WEIGHT) {
                 continue;
             }
@@ -234,11 +229,6 @@ fn cast_between(n: u32, ray: Ray, within: vec2f) -> Over {
         walk(line, &acc);
     }
     return acc;
-}
-
-// How segments become one colour: all frames are of one look.
-fn compositing() -> u32 {
-    return combination.casters[0].compositing + zero();
 }
 
 fn offset_at(i: u32) -> u32 {
@@ -281,11 +271,6 @@ fn matter_word(i: u32) -> u32 {
         case 3u: { return matter_3[i]; }
         default: { return matter_0[i]; }
     }
-}
-
-// Several frames are cast between lists.
-fn takes_nearest() -> bool {
-    return false;
 }
 
 // No frame.

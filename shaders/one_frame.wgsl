@@ -1,5 +1,8 @@
 // Novel views from one layered frame: its planes, and the function cast of crates/core/src/kernels/raycast.rs.
 
+// Whether rays are sampled (subsample.wgsl).
+override IS_SAMPLED: bool;
+
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
@@ -41,27 +44,16 @@ fn count_at(i: u32) -> u32 {
     return counts[i];
 }
 
-// Whether the list that the line is in is taken alone (`CastOptions::nearest`).
-fn takes_nearest() -> bool {
-    return caster.is_nearest != zero();
-}
-
-// How segments become one colour.
-fn compositing() -> u32 {
-    return caster.compositing + zero();
-}
-
 // Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
 fn cast_ray(ray: Ray) -> Over {
-    if (caster.has_frame == zero()) {
-        return over_identity();
-    }
     var acc = identity();
     let line = clip(ray, vec2f(0.0, NEVER));
-    if (line.hit && caster.num_samples > zero()) {
-        sample_line(line, &acc);
-    } else if (line.hit) {
-        walk(line, &acc);
+    if (line.hit) {
+        if (IS_SAMPLED) {
+            sample_line(line, &acc);
+        } else {
+            walk(line, &acc);
+        }
     }
     return shown(acc, ray);
 }

@@ -17,16 +17,18 @@ struct Line {
     hit: bool,
 }
 
-// The first offset, which is 0 in every frame. Conditions that depend on uniforms alone compare with it: a device in
-// software (lavapipe) builds the values of such uniforms into the kernel and compiles it anew for every draw, which takes
-// longer than a hundred pictures; what is in a storage buffer it leaves there.
-fn zero() -> u32 {
-    return offset_at(0u);
-}
+// What one pipeline is for (Purpose in crates/gpu/src/shaders.rs). As constants these cost neither registers nor branches.
+
+// How segments become one colour: core::mode::Compositing.
+override COMPOSITING: u32;
+// Whether the list that the line is in is taken alone (`CastOptions::reconstruction`).
+override IS_NEAREST: bool;
+// Whether empty cells are jumped.
+override SKIPS_EMPTY_SPACE: bool;
 
 // Clips in homogeneous coordinates, to what is left of the volume and to two world distances.
 fn clip(ray: Ray, within: vec2f) -> Line {
-    var line: Line;
+    var line = Line();
     let clipped =
         clip_region(caster.bounds_min, caster.bounds_max, caster.clip_normal, caster.clip_offset, ray);
     if (clipped.s1 <= clipped.s0) {
@@ -91,8 +93,6 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     let columns = columns_of(line.p0[along], line.d[along]);
     let rows = columns_of(p_across, d_across);
     let strides = select(vec2i(size.x, 1), vec2i(1, size.x), along == 0u);
-    let is_nearest = takes_nearest();
-    let is_whole = caster.skips_empty_space == zero();
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
     var row = clamp(i32(floor(p_across)), 0, size[across] - 1);
     var num_left = 0;
@@ -101,8 +101,9 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     var enter = at(line, 0.0);
     var is_done = false;
     loop {
-        var met: Met;
-        var leave: Point;
+        // Some compilers give a variable without a value its zeros once only: what was met before must not be met again.
+        var met = Met();
+        var leave = enter;
         loop {
             if (num_left == 0) {
                 // To the border of the tile, of the frame or to the end of the line.
@@ -110,12 +111,12 @@ fn walk(line: Line, acc: ptr<function, Over>) {
                 let border = at(line, min(column_end(columns, column, num - 1), 1.0));
                 let row_in = p_across + d_across * enter.t - 0.5;
                 let row_out = p_across + d_across * border.t - 0.5;
-                if (is_whole || is_occupied(column, row_in, row_out, enter.depth, border.depth, along, size[across])) {
+                if (!SKIPS_EMPTY_SPACE || is_occupied(column, row_in, row_out, enter.depth, border.depth, along, size[across])) {
                     num_left = num;
                     bias = nearer_bias(*acc);
                 } else {
                     column += columns.step * num;
-                    row = select(row, i32(floor(row_out + 0.5)), is_nearest);
+                    row = select(row, i32(floor(row_out + 0.5)), IS_NEAREST);
                     enter = border;
                     is_done = border.t >= 1.0 || column < 0 || column >= size[along];
                 }
@@ -123,13 +124,13 @@ fn walk(line: Line, acc: ptr<function, Over>) {
             if (num_left > 0) {
                 // A column; for the nearest list, the part of it up to the border of the row.
                 let column_t = min(column_end(columns, column, 0), 1.0);
-                let row_t = select(NEVER, column_end(rows, row, 0), is_nearest);
+                let row_t = select(NEVER, column_end(rows, row, 0), IS_NEAREST);
                 leave = at(line, max(min(column_t, row_t), enter.t));
                 let at_across = p_across + d_across * (0.5 * (enter.t + leave.t)) - 0.5;
                 let first = floor(at_across);
-                let first_row = select(i32(first), row, is_nearest);
+                let first_row = select(i32(first), row, IS_NEAREST);
                 let lists = clamp(vec2i(first_row, first_row + 1), vec2i(0), vec2i(size[across] - 1));
-                let fraction = select(saturate((at_across - first - bias) / (1.0 - 2.0 * bias)), 0.0, is_nearest);
+                let fraction = select(saturate((at_across - first - bias) / (1.0 - 2.0 * bias)), 0.0, IS_NEAREST);
                 met.lists = vec2u(column * strides.x + lists * strides.y);
                 met.nearness = vec2f(1.0 - fraction, fraction);
                 met.lo = min(enter.depth, leave.depth);
@@ -164,23 +165,22 @@ fn walk(line: Line, acc: ptr<function, Over>) {
 // Nearness to one of two lists that counts as none: the more, the less is seen of what comes (line.rs).
 fn nearer_bias(acc: Over) -> f32 {
     let bias = min(NEARER_SHARE / (acc.transmittance * acc.transmittance), MOST_NEARER);
-    return select(0.0, bias, compositing() == BY_OVER);
+    return select(0.0, bias, COMPOSITING == BY_OVER);
 }
 
 // Of a projection an Over holds what is collected: colour, and in the place of transmittance the greatest key, 0 for nothing.
 
 // Nothing yet.
 fn identity() -> Over {
-    return Over(vec3f(0.0), select(0.0, 1.0, compositing() == BY_OVER));
+    return Over(vec3f(0.0), select(0.0, 1.0, COMPOSITING == BY_OVER));
 }
 
 // Puts colour and opacity, or in a projection colour and key, behind what is there.
 fn put(acc: ptr<function, Over>, seen: vec4f) {
-    let rule = compositing();
-    if (rule == BY_OVER) {
+    if (COMPOSITING == BY_OVER) {
         (*acc).c += seen.xyz * (*acc).transmittance;
         (*acc).transmittance *= 1.0 - seen.w;
-    } else if (rule == BY_MEAN) {
+    } else if (COMPOSITING == BY_MEAN) {
         (*acc).c += seen.xyz;
     } else if (seen.w > (*acc).transmittance) {
         *acc = Over(seen.xyz, seen.w);
@@ -190,16 +190,15 @@ fn put(acc: ptr<function, Over>, seen: vec4f) {
 // Whether nothing behind matters.
 fn ends_cast(acc: Over) -> bool {
     let is_opaque = acc.transmittance < TRANSMITTANCE_MIN;
-    return select(acc.transmittance >= KEY_FULL, is_opaque, compositing() == BY_OVER);
+    return select(acc.transmittance >= KEY_FULL, is_opaque, COMPOSITING == BY_OVER);
 }
 
 // What is shown of a ray.
 fn shown(acc: Over, ray: Ray) -> Over {
-    let rule = compositing();
-    if (rule == BY_OVER) {
+    if (COMPOSITING == BY_OVER) {
         return acc;
     }
-    let c = acc.c / select(1.0, parts_of_way(caster, ray), rule == BY_MEAN);
+    let c = acc.c / select(1.0, parts_of_way(caster, ray), COMPOSITING == BY_MEAN);
     return Over(c, 1.0 - projected_rgba(c).w);
 }
 
@@ -229,14 +228,13 @@ fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
     var i = select(second, first_behind(met.lists.x, met.lo), met.is_met.x);
     var end = select(last, offset_at(met.lists.x + 1u), met.is_met.x);
     var mixture = vec4f(0.0);
-    let rule = compositing();
+    let is_over = COMPOSITING == BY_OVER;
+    let is_greatest = COMPOSITING == BY_GREATEST;
     var list = identity();
     loop {
         let medium = medium_at(i);
         let overlap = max(min(hi, medium.ends.y) - max(met.lo, medium.ends.x), 0.0);
         let share = overlap / max(medium.ends.y - medium.ends.x, 1.0);
-        let is_over = rule == BY_OVER;
-        let is_greatest = rule == BY_GREATEST;
         let passed = share * ratios[side];
         // Of a mean the share itself; where there is a key, all or nothing.
         let is_higher = overlap > 0.0 && medium.tau > list.transmittance;

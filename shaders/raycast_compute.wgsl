@@ -6,7 +6,8 @@
 // Premultiplied linear colour of the band's pixels.
 @group(1) @binding(2) var<storage, read_write> pixels: array<vec4f>;
 
-@compute @workgroup_size(8, 8)
+// As many pixels as a warp has lanes: a group waits for its slowest ray.
+@compute @workgroup_size(8, 4)
 fn raycast(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(view.width);
     if (id.x >= width || id.y >= band.num_rows) {

@@ -1,5 +1,8 @@
 // Novel view onto the screen, over a background: one triangle that covers the viewport.
 
+// Whether the target stores what it is given, so that the shader encodes.
+override ENCODES_SRGB: bool;
+
 // The new camera.
 @group(1) @binding(0) var<uniform> view: Basis;
 @group(1) @binding(1) var<uniform> display: Display;
@@ -22,7 +25,7 @@ fn view_vertex(@builtin(vertex_index) index: u32) -> Vertex {
 fn view_fragment(vertex: Vertex) -> @location(0) vec4f {
     let acc = cast_ray(basis_ray(view, vertex.pixel.x, vertex.pixel.y).ray);
     let linear = acc.c + display.background * acc.transmittance;
-    if (display.encode_srgb == zero()) {
+    if (!ENCODES_SRGB) {
         return vec4f(linear, 1.0);
     }
     return vec4f(srgb_from_linear(linear.x), srgb_from_linear(linear.y), srgb_from_linear(linear.z), 1.0);

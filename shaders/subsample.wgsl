@@ -83,7 +83,7 @@ fn sample_line(line: Line, acc: ptr<function, Over>) {
             put(acc, sample);
         }
         // Of a projection all samples are taken.
-        if (compositing() == BY_OVER && ends_cast(*acc)) {
+        if (COMPOSITING == BY_OVER && ends_cast(*acc)) {
             return;
         }
         num_before = num;
@@ -97,7 +97,7 @@ fn sample_at(line: Line, distance: f32, length: f32, stretch: TileStretch, along
     let depth = at(line, t).depth;
     let position = line.p0 + line.d * t;
     let column = clamp(i32(position[along]), stretch.columns.x, stretch.columns.y);
-    if (takes_nearest()) {
+    if (IS_NEAREST) {
         return look_up(column, i32(position[1u - along]), depth, length, along);
     }
     let at_across = position[1u - along] - 0.5;
@@ -125,11 +125,10 @@ fn look_up(column: i32, row_unclamped: i32, depth: f32, length: f32, along: u32)
         return vec4f(0.0);
     }
     let sigma = medium.tau * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list));
-    let rule = compositing();
-    if (rule == BY_GREATEST) {
+    if (COMPOSITING == BY_GREATEST) {
         return vec4f(medium.e, medium.tau);
     }
-    if (rule == BY_MEAN) {
+    if (COMPOSITING == BY_MEAN) {
         return vec4f(medium.e * (length * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list))), 0.0);
     }
     let crossed = opacity(sigma * length);

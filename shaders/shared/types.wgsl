@@ -67,30 +67,24 @@ struct Band {
     num_pixels: u32,
 }
 
-// A layered frame with what is constant over all new rays (core::kernels::raycast::Raycaster).
+// A layered frame with what is constant over all new rays (core::kernels::raycast::Raycaster). Before the first frame its
+// box is empty.
 struct Raycaster {
     basis: Basis,
     // What is left of the volume, with a margin (core::clip::Region).
     bounds_min: vec3f,
     units_per_depth: f32,
     bounds_max: vec3f,
-    // 0 before the first frame.
-    has_frame: u32,
-    // 1 for the nearest list, 0 for a mixture of two.
-    is_nearest: u32,
-    // Whether empty cells are jumped.
-    skips_empty_space: u32,
-    // Samples a ray, 0 for all that there is.
+    // Samples a ray, where it is sampled.
     num_samples: u32,
-    // How segments become one colour: core::mode::Compositing.
-    compositing: u32,
     clip_normal: vec3f,
     clip_offset: f32,
     // The volume's box, whatever is left of it.
     volume_min: vec3f,
-    padding_0: u32,
+    // How segments become one colour: core::mode::Compositing.
+    compositing: u32,
     volume_max: vec3f,
-    padding_1: u32,
+    padding_0: u32,
 }
 
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
@@ -112,8 +106,7 @@ struct Combination {
 struct Display {
     // Linear colour behind the volume.
     background: vec3f,
-    // Whether the target stores what it is given, so that the shader encodes.
-    encode_srgb: u32,
+    padding_0: u32,
 }
 
 // Most frames that a picture is made of.

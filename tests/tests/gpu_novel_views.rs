@@ -23,10 +23,10 @@ fn novel_views_are_those_of_the_twin() {
             let twin = raycast::raycast(&frame, &bounds, &camera);
             let found = reprojector.raycast(&camera).unwrap();
             Difference::of(&found, &twin).assert_tolerable(&format!("{name}, {view}"));
-            // Jumping over empty cells leaves out nothing.
+            // Jumping over empty cells leaves out nothing. Without it the kernel is another one, which may round otherwise.
             let skips_none = CastOptions { skips_empty_space: false, ..Default::default() };
             let all = reprojector.raycast_with(&camera, &skips_none).unwrap();
-            assert_eq!(all.pixels, found.pixels, "{name}, {view}");
+            Difference::of(&all, &found).assert_tolerable(&format!("{name}, {view}, all cells"));
             let nearest = CastOptions { reconstruction: Reconstruction::Nearest, ..Default::default() };
             let found = reprojector.raycast_with(&camera, &nearest).unwrap();
             let twin_nearest = caster.picture(&camera, &nearest);
@@ -34,9 +34,8 @@ fn novel_views_are_those_of_the_twin() {
             for reconstruction in [Reconstruction::Nearest, Reconstruction::Mixed] {
                 let sampled = CastOptions { reconstruction, num_samples: 40, ..Default::default() };
                 let found = reprojector.raycast_with(&camera, &sampled).unwrap();
-                let sampled = Difference::of(&found, &caster.picture(&camera, &sampled));
-                // A sample at a segment's end may fall to either side.
-                assert!(sampled.is_another_choice(), "{name}, {view}, sampled: {sampled:?}");
+                let difference = Difference::of(&found, &caster.picture(&camera, &sampled));
+                assert!(difference.is_sampled_alike(), "{name}, {view}, sampled: {difference:?}");
             }
             let mut shifted = camera;
             shifted.pose.eye += camera.pose.world_from_view * Vec3::X * (0.02 * bounds.radius());
@@ -89,16 +88,17 @@ fn several_frames_are_combined_as_by_the_twin() {
                 }
             }
         }
-        // One frame is cast as ever, to the bit, and so are several from the newest one's own pose.
-        let own = near(0.0, 0.0, (72, 56));
-        let together = reprojector.raycast(&own).unwrap();
+        // One frame is cast as ever, and so are several from the newest one's own pose: by two kernels, and compilers fuse other
+        // operations in each, so that their bits differ where nobody sees it.
+        let [own, turned] = [0.0, 12.0].map(|degrees| near(degrees, 0.0, (72, 56)));
+        let together = [own, turned].map(|camera| reprojector.raycast(&camera).unwrap());
         reprojector.set_frame(frames[0], &bounds).unwrap();
-        let alone = reprojector.raycast(&own).unwrap();
-        assert_eq!(together, alone, "{name}");
-        let turned = near(12.0, 0.0, (72, 56));
+        let alone = [own, turned].map(|camera| reprojector.raycast(&camera).unwrap());
+        Difference::of(&together[0], &alone[0]).assert_tolerable(&format!("{name}: several, the own pose"));
+        Difference::of(&together[1], &alone[1]).assert_noticed(&format!("{name}: several, turned"));
         let mut never_several = GpuReprojector::new(gpu, frames[0], &bounds).unwrap();
-        let alone = reprojector.raycast(&turned).unwrap();
-        assert_eq!(never_several.raycast(&turned).unwrap(), alone, "{name}");
+        let again = never_several.raycast(&turned).unwrap();
+        Difference::of(&again, &alone[1]).assert_tolerable(&format!("{name}: one after several"));
     }
 }
 

@@ -150,7 +150,7 @@ fn warm_up(
 ) -> Result<WarmUpDraws, GpuError> {
     let (adapter, device, queue) = (state.adapter.clone(), state.device.clone(), state.queue.clone());
     let warm_up = pass.warm_up(&device, &queue)?;
-    let ctx = ctx.clone();
+    let [ctx, repaint] = [ctx.clone(), ctx.clone()];
     let (sender, ready) = sync_channel(1);
     let submit = move |commands| {
         let (reply, submission) = sync_channel(1);
@@ -165,6 +165,9 @@ fn warm_up(
         if let Err(e) = warm_up.run(Some(&adapter), &device, submit) {
             tracing::warn!("first draws: {e}");
         }
+        // What is shown may have waited for the last of them.
+        drop(warm_up);
+        repaint.request_repaint();
         drop(kept);
     };
     // Without a thread the first pictures come as late as they would have.
@@ -202,7 +205,7 @@ impl PicturePaint {
     }
 
     /// All that the picture is made of.
-    fn still(&self) -> Still {
+    fn still(&self, is_as_asked: bool) -> Still {
         Still {
             frames: std::iter::once(&self.frame).chain(&self.kept).map(Arc::downgrade).collect(),
             camera: self.camera,
@@ -211,6 +214,7 @@ impl PicturePaint {
             stereo: self.stereo,
             quality: self.quality,
             background: self.background,
+            is_as_asked,
         }
     }
 
@@ -239,11 +243,14 @@ struct Still {
     stereo: Stereo,
     quality: Quality,
     background: [f32; 3],
+    /// Whether it is cast as all this says, with a pipeline made for it.
+    is_as_asked: bool,
 }
 
 impl PartialEq for Still {
     fn eq(&self, other: &Self) -> bool {
-        let values = |s: &Self| (s.camera, s.bounds, s.clip, s.stereo, s.quality, s.background);
+        let values =
+            |s: &Self| (s.camera, s.bounds, s.clip, s.stereo, s.quality, s.background, s.is_as_asked);
         self.frames.len() == other.frames.len()
             && self.frames.iter().zip(&other.frames).all(|(a, b)| Weak::ptr_eq(a, b))
             && values(self) == values(other)
@@ -265,7 +272,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         let num_samples = self.quality.num_samples;
         r.pass.set_options(queue, &CastOptions { num_samples, clip: self.clip, ..Default::default() });
         let may_stand = self.stereo.is_mono() && self.fits(screen);
-        r.way = r.stills.next(self.still(), self.is_enlarged(), may_stand);
+        r.way = r.stills.next(self.still(r.pass.casts_as_asked()), self.is_enlarged(), may_stand);
         match r.way {
             Way::Again => {}
             Way::Apart => {

@@ -12,7 +12,7 @@ use crate::device::{CasterLayouts, bind, buffer};
 use crate::error::GpuError;
 use crate::gpu_types::Combination;
 use crate::raycast::{FrameOnGpu, GridBuilder};
-use crate::shaders::Frames;
+use crate::shaders::{Frames, Purpose};
 
 /// Frames in slots, and those that are shown.
 pub(crate) struct FramesOnGpu {
@@ -137,12 +137,26 @@ impl FramesOnGpu {
         queue.write_buffer(&self.combination, 0, bytemuck::bytes_of(&combination));
     }
 
-    /// Which kernel casts what is shown, and its group 0.
-    pub(crate) fn cast(&self) -> (Frames, &wgpu::BindGroup) {
+    /// What casts what is shown, and its group 0.
+    pub(crate) fn cast(&self) -> (Purpose, &wgpu::BindGroup) {
         match self.combined() {
-            Some((_, group)) => (Frames::Several, group),
-            None => (Frames::One, &self.slots[self.shown[0]].bind_group),
+            Some((_, group)) => (self.purpose(Frames::Several, &self.options), group),
+            None => self.cast_newest(&self.options),
         }
+    }
+
+    /// What can stand in for that as long as there is no pipeline for it: all frames have theirs, or the newest alone, and
+    /// all crossings in place of samples.
+    pub(crate) fn cast_instead(&self) -> (Purpose, &wgpu::BindGroup) {
+        self.cast_newest(&CastOptions { num_samples: 0, ..self.options })
+    }
+
+    fn cast_newest(&self, options: &CastOptions) -> (Purpose, &wgpu::BindGroup) {
+        (self.purpose(Frames::One, options), &self.slots[self.shown[0]].bind_group)
+    }
+
+    fn purpose(&self, frames: Frames, options: &CastOptions) -> Purpose {
+        Purpose::new(frames, self.slots[self.shown[0]].compositing(), options)
     }
 
     /// Samples are for devices that cannot cast one frame whole in time, let alone several.

@@ -210,12 +210,25 @@ impl Gpu {
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             // Pipelines of vertices and fragments are their owners'.
-            Kernel::Upscale => &[],
-            Kernel::RaycastCompute(frames) | Kernel::RaycastView(frames) => {
-                &[Some(layouts.caster.of(frames)), Some(&layouts.picture)]
+            Kernel::Upscale | Kernel::RaycastView(..) => &[],
+            Kernel::RaycastCompute(purpose) => {
+                &[Some(layouts.caster.of(purpose.frames)), Some(&layouts.picture)]
             }
         };
         compute_pipeline(self.device(), kernel, entry, groups)
+    }
+
+    /// Runs another text in the place of a kernel's own from now on.
+    #[cfg(test)]
+    pub(crate) fn replace(&self, kernel: Kernel, entry: &'static str, text: &str) {
+        let layouts = self.layouts();
+        let groups = [Some(layouts.caster.of(Frames::One)), Some(&layouts.picture)];
+        let pipeline = pipeline_of_text(self.device(), text, &kernel.constants(), entry, &groups);
+        self.shared
+            .pipelines
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(0, (kernel, entry, pipeline));
     }
 
     /// Pixels that one dispatch may work on, of which none takes more than `steps`: short enough for the watchdogs of window
@@ -412,6 +425,16 @@ pub(crate) fn compute_pipeline(
     entry: &'static str,
     groups: &[Option<&wgpu::BindGroupLayout>],
 ) -> wgpu::ComputePipeline {
+    pipeline_of_text(device, &kernel.source(), &kernel.constants(), entry, groups)
+}
+
+fn pipeline_of_text(
+    device: &wgpu::Device,
+    text: &str,
+    constants: &[(&str, f64)],
+    entry: &'static str,
+    groups: &[Option<&wgpu::BindGroupLayout>],
+) -> wgpu::ComputePipeline {
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(entry),
         bind_group_layouts: groups,
@@ -420,18 +443,22 @@ pub(crate) fn compute_pipeline(
     device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some(entry),
         layout: Some(&layout),
-        module: &shader_module(device, kernel),
+        module: &module_of_text(device, text),
         entry_point: Some(entry),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
         cache: None,
     })
 }
 
 /// The compiled text of a kernel.
 pub(crate) fn shader_module(device: &wgpu::Device, kernel: Kernel) -> wgpu::ShaderModule {
+    module_of_text(device, &kernel.source())
+}
+
+fn module_of_text(device: &wgpu::Device, text: &str) -> wgpu::ShaderModule {
     device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("kernel"),
-        source: wgpu::ShaderSource::Wgsl(kernel.source().into()),
+        source: wgpu::ShaderSource::Wgsl(text.into()),
     })
 }
 

@@ -7,7 +7,7 @@ use isinglass_core::clip::Region;
 use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
-use isinglass_core::kernels::raycast::{CastOptions, MARGIN_UNITS, Reconstruction};
+use isinglass_core::kernels::raycast::{CastOptions, MARGIN_UNITS};
 use isinglass_core::layer::DEPTH_UNITS;
 use isinglass_core::mode::Compositing;
 use isinglass_core::space::Aabb;
@@ -114,17 +114,13 @@ pub(crate) struct Raycaster {
     pub(crate) bounds_min: [f32; 3],
     pub(crate) units_per_depth: f32,
     pub(crate) bounds_max: [f32; 3],
-    pub(crate) has_frame: u32,
-    pub(crate) is_nearest: u32,
-    pub(crate) skips_empty_space: u32,
     pub(crate) num_samples: u32,
-    pub(crate) compositing: u32,
     pub(crate) clip_normal: [f32; 3],
     pub(crate) clip_offset: f32,
     pub(crate) volume_min: [f32; 3],
-    pub(crate) padding_0: u32,
+    pub(crate) compositing: u32,
     pub(crate) volume_max: [f32; 3],
-    pub(crate) padding_1: u32,
+    pub(crate) padding_0: u32,
 }
 
 impl Raycaster {
@@ -143,17 +139,13 @@ impl Raycaster {
             bounds_min: region.bounds.min.into(),
             units_per_depth: depth_per_unit.recip(),
             bounds_max: region.bounds.max.into(),
-            has_frame: 1,
-            is_nearest: (options.reconstruction == Reconstruction::Nearest).into(),
-            skips_empty_space: options.skips_empty_space.into(),
             num_samples: options.num_samples,
-            compositing: compositing as u32,
             clip_normal: region.normal.into(),
             clip_offset: region.offset,
             volume_min: bounds.min.into(),
-            padding_0: 0,
+            compositing: compositing as u32,
             volume_max: bounds.max.into(),
-            padding_1: 0,
+            padding_0: 0,
         }
     }
 }
@@ -177,10 +169,12 @@ pub(crate) struct Combination {
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct Display {
     pub(crate) background: [f32; 3],
-    pub(crate) encode_srgb: u32,
+    pub(crate) padding_0: u32,
 }
 
 /// Lists that a workgroup of `shaders/layering/compact.wgsl` sums.
 pub(crate) const BLOCK: u32 = 256;
-/// Side of the square workgroups of all kernels that work on pixels.
+/// Side of the square workgroups of the kernels that work on pixels, but for the next.
 pub(crate) const WORKGROUP_SIDE: u32 = 8;
+/// Height of the workgroups that cast novel views.
+pub(crate) const CAST_GROUP_HEIGHT: u32 = 4;

@@ -4,6 +4,7 @@
 //! Nothing here panics for want of a GPU, of memory or of a driver that answers: all of that is a [`GpuError`].
 
 pub mod backend;
+mod casts;
 mod combine;
 mod device;
 mod error;
@@ -14,6 +15,8 @@ mod pass_clock;
 mod picture_target;
 mod raycast;
 mod readback;
+#[cfg(test)]
+mod rounding_tests;
 mod scene;
 #[cfg(test)]
 mod shader_tests;

@@ -17,14 +17,22 @@ pub(crate) struct PictureTarget {
     pixels: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
     readback: Readback,
+    /// Height of the kernel's workgroups.
+    group_height: u32,
 }
 
 impl PictureTarget {
+    /// For kernels of square workgroups.
     pub(crate) fn new(gpu: &Gpu) -> Self {
+        Self::of_groups(gpu, WORKGROUP_SIDE)
+    }
+
+    /// For kernels of workgroups of this height.
+    pub(crate) fn of_groups(gpu: &Gpu, group_height: u32) -> Self {
         let (camera, band) = (gpu.uniform::<Basis>("camera"), gpu.uniform::<Band>("band"));
         let pixels = gpu.storage("pixels", BYTES_PER_PIXEL);
         let bind_group = Self::bind(gpu, &camera, &band, &pixels);
-        Self { camera, band, pixels, bind_group, readback: Readback::default() }
+        Self { camera, band, pixels, bind_group, readback: Readback::default(), group_height }
     }
 
     fn bind(gpu: &Gpu, camera: &wgpu::Buffer, band: &wgpu::Buffer, pixels: &wgpu::Buffer) -> wgpu::BindGroup {
@@ -83,7 +91,7 @@ impl PictureTarget {
                 pass.set_bind_group(1, &self.bind_group, &[]);
                 pass.dispatch_workgroups(
                     width.div_ceil(WORKGROUP_SIDE),
-                    band.num_rows.div_ceil(WORKGROUP_SIDE),
+                    band.num_rows.div_ceil(self.group_height),
                     1,
                 );
             }

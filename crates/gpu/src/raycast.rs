@@ -14,7 +14,7 @@ use isinglass_core::space::Aabb;
 use crate::combine::FramesOnGpu;
 use crate::device::{Gpu, bind, buffer, check_binding};
 use crate::error::{GpuError, scoped};
-use crate::gpu_types::Raycaster;
+use crate::gpu_types::{CAST_GROUP_HEIGHT, Raycaster};
 use crate::picture_target::PictureTarget;
 use crate::shaders::Kernel;
 
@@ -137,9 +137,10 @@ impl FrameOnGpu {
         });
         self.seen_by = Some((frame.header.camera, *bounds));
         if is_written.is_err() {
-            // Half a frame is none.
+            // Half a frame is none, and an empty box shows nothing.
             self.seen_by = None;
-            self.uniform.has_frame = 0;
+            self.uniform = bytemuck::Zeroable::zeroed();
+            self.compositing = Compositing::Over;
             self.write_uniform(queue);
         }
         is_written
@@ -164,6 +165,11 @@ impl FrameOnGpu {
     /// The camera of the frame and the box of its volume; none without a frame.
     pub(crate) fn seen_by(&self) -> Option<(&Camera, &Aabb)> {
         self.seen_by.as_ref().map(|(camera, bounds)| (camera, bounds))
+    }
+
+    /// How its segments become one colour.
+    pub(crate) fn compositing(&self) -> Compositing {
+        self.compositing
     }
 
     /// What the casting kernels know of the frame.
@@ -290,7 +296,11 @@ impl GpuReprojector {
                 layout: gpu.layouts().empty_space.clone(),
             };
             let on_gpu = FramesOnGpu::new(gpu.device(), &gpu.layouts().caster, builder);
-            Ok(Self { gpu: gpu.clone(), frames: on_gpu, picture: PictureTarget::new(gpu) })
+            Ok(Self {
+                gpu: gpu.clone(),
+                frames: on_gpu,
+                picture: PictureTarget::of_groups(gpu, CAST_GROUP_HEIGHT),
+            })
         })?;
         reprojector.set_frames(frames, bounds)?;
         Ok(reprojector)
@@ -337,8 +347,8 @@ impl GpuReprojector {
         gpu.attempt("casting a novel view", || {
             frames.set_options(gpu.queue(), options);
             frames.prepare(gpu.queue(), &[*view]);
-            let (kind, group) = frames.cast();
-            let pipeline = gpu.pipeline(Kernel::RaycastCompute(kind), "raycast");
+            let (purpose, group) = frames.cast();
+            let pipeline = gpu.pipeline(Kernel::RaycastCompute(purpose), "raycast");
             picture.draw(gpu, &pipeline, group, view, MAX_CROSSINGS)
         })
     }

@@ -4,12 +4,15 @@
 use std::collections::BTreeMap;
 
 use isinglass_core::kernels::layering::{Layering, Representative};
+use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
-use crate::gpu_types::{BLOCK, Band, Basis, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE};
-use crate::shaders::{Extent, Frames, Kernel, TexelKind};
+use crate::gpu_types::{
+    BLOCK, Band, Basis, CAST_GROUP_HEIGHT, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE,
+};
+use crate::shaders::{Extent, Frames, Kernel, Purpose, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -65,17 +68,13 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             bounds_min,
             units_per_depth,
             bounds_max,
-            has_frame,
-            is_nearest,
-            skips_empty_space,
             num_samples,
-            compositing,
             clip_normal,
             clip_offset,
             volume_min,
-            padding_0,
+            compositing,
             volume_max,
-            padding_1
+            padding_0
         }),
         layout!(Combination {
             casters,
@@ -87,16 +86,32 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             clip_normal,
             clip_offset
         }),
-        layout!(Display { background, encode_srgb }),
+        layout!(Display { background, padding_0 }),
     ]
     .into_iter()
     .collect()
 }
 
+/// One of each kind that is cast for, each constant with both of its values.
+fn all_purposes() -> Vec<Purpose> {
+    let mut purposes = Vec::new();
+    for compositing in [Compositing::Over, Compositing::Greatest, Compositing::Mean] {
+        let one = Purpose { compositing, ..Purpose::default() };
+        purposes.extend([
+            one,
+            Purpose { is_sampled: true, ..one },
+            Purpose { reconstruction: Reconstruction::Nearest, ..one },
+            Purpose { skips_empty_space: false, ..one },
+            Purpose { frames: Frames::Several, ..one },
+        ]);
+    }
+    purposes
+}
+
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
-    for frames in [Frames::One, Frames::Several] {
-        kernels.extend([Kernel::RaycastCompute(frames), Kernel::RaycastView(frames)]);
+    for purpose in all_purposes() {
+        kernels.extend([Kernel::RaycastCompute(purpose), Kernel::RaycastView(purpose, true)]);
     }
     for kind in [TexelKind::Uint, TexelKind::Float] {
         for mode in Mode::ALL {
@@ -228,18 +243,54 @@ const SHADER_ONLY: [&str; 25] = [
     "SUMMARY_WORDS",
 ];
 
+/// The same with the constants of a pipeline in their places: each that the text asks for, and no other.
+fn check_with(source: &str, constants: &[(&'static str, f64)]) -> Result<(), String> {
+    let module = parse(source)?;
+    let mut validator =
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+    let info = validator.validate(&module).map_err(|e| e.emit_to_string(source))?;
+    let constants = constants.iter().map(|&(name, value)| (name.to_owned(), value)).collect();
+    let (module, _) = naga::back::pipeline_constants::process_overrides(&module, &info, None, &constants)
+        .map_err(|e| e.to_string())?;
+    validator.validate_resolved_overrides(&module).map_err(|e| e.emit_to_string(source))?;
+    Ok(())
+}
+
 #[test]
 fn every_concatenation_is_valid() {
     for kernel in all_kernels() {
-        if let Err(e) = check(&kernel.source()) {
+        if let Err(e) = check_with(&kernel.source(), &kernel.constants()) {
             panic!("{kernel:?}: {e}");
         }
     }
+    // Negative controls: a constant that is not given, and one that the text does not have.
+    let kernel = Kernel::RaycastCompute(Purpose::default());
+    assert!(check_with(&kernel.source(), &kernel.constants()[1..]).is_err());
+    let one_more = [&kernel.constants()[..], &[("IS_ANOTHER", 0.0)]].concat();
+    assert!(check_with(&kernel.source(), &one_more).is_err());
     // Negative control: a call of a function that a missing part would define.
     let without_sink = Kernel::Render(TexelKind::Uint, Mode::Composite, Extent::Opaque)
         .source()
         .replace("fn sink_step", "fn other_step");
     assert!(check(&without_sink).is_err());
+}
+
+/// The first variable of a function that begins without a value.
+fn variable_without_value(source: &str) -> Option<&str> {
+    let is_bare =
+        |line: &&str| line.starts_with(' ') && line.trim().starts_with("var ") && !line.contains('=');
+    source.lines().find(is_bare)
+}
+
+/// In a loop, some compilers give such a variable its zeros once only, and later turns find what the turn before left.
+#[test]
+fn variables_begin_with_a_value() {
+    for kernel in all_kernels() {
+        assert_eq!(variable_without_value(&kernel.source()), None, "{kernel:?}");
+    }
+    // Negative control.
+    let source = Kernel::RaycastCompute(Purpose::default()).source();
+    assert!(variable_without_value(&source.replace("var met = Met();", "var met: Met;")).is_some());
 }
 
 #[test]
@@ -332,6 +383,7 @@ fn workgroups_are_those_that_the_host_dispatches() {
                 (_, naga::ShaderStage::Vertex | naga::ShaderStage::Fragment) => continue,
                 (Kernel::Compact, _) => [BLOCK, 1, 1],
                 _ if entry.name == "choose_threshold" => [256, 1, 1],
+                (Kernel::RaycastCompute(_), _) => [WORKGROUP_SIDE, CAST_GROUP_HEIGHT, 1],
                 _ => [WORKGROUP_SIDE, WORKGROUP_SIDE, 1],
             };
             assert_eq!(entry.workgroup_size, expected, "{}", entry.name);

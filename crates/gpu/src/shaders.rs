@@ -1,8 +1,9 @@
 //! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
 
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::layer::MAX_K;
-use isinglass_core::mode::Mode;
+use isinglass_core::mode::{Compositing, Mode};
 
 /// How the voxels are stored, as far as a shader can tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +24,56 @@ pub(crate) enum Extent {
 }
 
 /// What a novel view is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Frames {
     /// One layered frame, at the cost of one.
+    #[default]
     One,
     /// Up to four.
     Several,
+}
+
+/// What a pipeline casts for. Its constants (`override` in the text) cost neither registers nor branches, and what a purpose
+/// does not need is not in its pipeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Purpose {
+    pub(crate) frames: Frames,
+    pub(crate) compositing: Compositing,
+    pub(crate) reconstruction: Reconstruction,
+    pub(crate) skips_empty_space: bool,
+    pub(crate) is_sampled: bool,
+}
+
+impl Default for Purpose {
+    fn default() -> Self {
+        Self::new(Frames::One, Compositing::Over, &CastOptions::default())
+    }
+}
+
+impl Purpose {
+    /// Of frames that are cast so.
+    pub(crate) fn new(frames: Frames, compositing: Compositing, options: &CastOptions) -> Self {
+        Self {
+            frames,
+            compositing,
+            reconstruction: options.reconstruction,
+            skips_empty_space: options.skips_empty_space,
+            is_sampled: options.num_samples > 0,
+        }
+    }
+
+    fn constants(self) -> Vec<(&'static str, f64)> {
+        let is = |condition: bool| f64::from(u8::from(condition));
+        let mut constants = vec![
+            ("COMPOSITING", f64::from(self.compositing as u32)),
+            ("IS_NEAREST", is(self.reconstruction == Reconstruction::Nearest)),
+            ("SKIPS_EMPTY_SPACE", is(self.skips_empty_space)),
+        ];
+        if self.frames == Frames::One {
+            constants.push(("IS_SAMPLED", is(self.is_sampled)));
+        }
+        constants
+    }
 }
 
 /// A kernel in one of its variants.
@@ -44,9 +89,9 @@ pub(crate) enum Kernel {
     /// Entry point `empty_space`.
     EmptySpace,
     /// Entry point `raycast`.
-    RaycastCompute(Frames),
-    /// Entry points `view_vertex`, `view_fragment`.
-    RaycastView(Frames),
+    RaycastCompute(Purpose),
+    /// Entry points `view_vertex`, `view_fragment`, and whether the shader encodes sRGB.
+    RaycastView(Purpose, bool),
     /// Entry points `upscale_vertex`, `upscale_fragment`.
     Upscale,
 }
@@ -58,6 +103,19 @@ impl Kernel {
         let is_text =
             !has_budget(mode, layering) || (mode.is_projection() && layering == Layering::EqualLength);
         Self::Generate(kind, mode, layering, if is_text { k } else { MAX_K as u8 })
+    }
+
+    /// What a pipeline sets in the text: all of its `override` constants.
+    pub(crate) fn constants(self) -> Vec<(&'static str, f64)> {
+        match self {
+            Self::RaycastCompute(purpose) => purpose.constants(),
+            Self::RaycastView(purpose, encodes_srgb) => {
+                let mut constants = purpose.constants();
+                constants.push(("ENCODES_SRGB", f64::from(u8::from(encodes_srgb))));
+                constants
+            }
+            _ => Vec::new(),
+        }
     }
 
     /// The whole WGSL text.
@@ -127,7 +185,7 @@ impl Kernel {
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, EMPTY_SPACE_BUILD],
-            Self::RaycastCompute(frames) => &[
+            Self::RaycastCompute(Purpose { frames, .. }) => &[
                 TYPES,
                 SPACE,
                 LAYER,
@@ -138,7 +196,7 @@ impl Kernel {
                 frames.sampling(),
                 RAYCAST_COMPUTE,
             ],
-            Self::RaycastView(frames) => {
+            Self::RaycastView(Purpose { frames, .. }, _) => {
                 let [part, sampling] = [frames.part(), frames.sampling()];
                 &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, WAY, RAYCAST, part, sampling, RAYCAST_VIEW]
             }

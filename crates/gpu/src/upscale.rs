@@ -3,7 +3,7 @@
 
 use crate::device::{bind, layout, shader_module};
 use crate::shaders::Kernel;
-use crate::warm_up::Draw;
+use crate::warm_up::{Draw, Pipeline};
 
 /// The texture and what draws into and from it.
 pub(crate) struct Upscale {
@@ -110,7 +110,10 @@ impl Upscale {
 
     /// A first draw with the pipeline that enlarges.
     pub(crate) fn warm_up(&self, device: &wgpu::Device) -> Draw {
-        Draw { pipeline: self.enlarge.clone(), groups: vec![self.target(device, [1, 1]).bind_group] }
+        Draw {
+            pipeline: Pipeline::Made(self.enlarge.clone()),
+            groups: vec![self.target(device, [1, 1]).bind_group],
+        }
     }
 
     /// Fills the viewport with what was cast.

@@ -9,7 +9,7 @@
 //! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
 //! once.
 
-use std::sync::OnceLock;
+use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::lens::View;
@@ -17,22 +17,19 @@ use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
+use crate::casts::{Casts, purposes_of_viewers};
 use crate::combine::FramesOnGpu;
-use crate::device::{
-    CasterLayouts, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout, shader_module,
-};
+use crate::device::{CasterLayouts, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout};
 use crate::error::{GpuError, scoped};
 use crate::gpu_types::{Basis, Display};
 use crate::raycast::GridBuilder;
-use crate::shaders::{Frames, Kernel};
+use crate::shaders::{Kernel, Purpose};
 use crate::upscale::Upscale;
-use crate::warm_up::{Draw, WarmUp};
+use crate::warm_up::{Draw, Pipeline, WarmUp};
 
 /// Pipeline, buffers and bind groups for one target format.
 pub struct ViewPass {
-    device: wgpu::Device,
-    /// Of one frame and of several.
-    casts: [Cast; 2],
+    casts: Arc<Casts>,
     frames: FramesOnGpu,
     /// Of the left and of the right eye; a picture of one eye is the left one's.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
@@ -40,29 +37,7 @@ pub struct ViewPass {
     /// View and group of the picture that is cast apart.
     apart: (wgpu::Buffer, wgpu::BindGroup),
     upscale: Upscale,
-    encode_srgb: bool,
     target: wgpu::TextureFormat,
-}
-
-/// The ray caster of one frame or of several.
-struct Cast {
-    layout: wgpu::PipelineLayout,
-    module: wgpu::ShaderModule,
-    /// By [`Channels`]. Most drivers compile a kernel once more for each, so those that few look through are made when they
-    /// are needed.
-    pipelines: [OnceLock<wgpu::RenderPipeline>; 3],
-}
-
-impl Cast {
-    fn pipeline(
-        &self,
-        device: &wgpu::Device,
-        target: wgpu::TextureFormat,
-        channels: Channels,
-    ) -> &wgpu::RenderPipeline {
-        let make = || pipeline(device, target, &self.module, &self.layout, channels);
-        self.pipelines[channels as usize].get_or_init(make)
-    }
 }
 
 /// One of two.
@@ -86,7 +61,7 @@ pub enum Channels {
 }
 
 impl Channels {
-    fn mask(self) -> wgpu::ColorWrites {
+    pub(crate) fn mask(self) -> wgpu::ColorWrites {
         match self {
             Self::All => wgpu::ColorWrites::ALL,
             Self::Red => wgpu::ColorWrites::RED,
@@ -108,17 +83,9 @@ impl ViewPass {
                 compute_pipeline(device, Kernel::EmptySpace, "empty_space", &[Some(&grid_layout)]);
             let builder = GridBuilder { pipeline: grid_pipeline, layout: grid_layout };
             let caster_layouts = CasterLayouts::new(device, fragment);
-            let casts = [Frames::One, Frames::Several].map(|frames| {
-                let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                    label: Some("view"),
-                    bind_group_layouts: &[Some(caster_layouts.of(frames)), Some(&view_layout)],
-                    immediate_size: 0,
-                });
-                let module = shader_module(device, Kernel::RaycastView(frames));
-                let cast = Cast { layout, module, pipelines: Default::default() };
-                cast.pipeline(device, target, Channels::All);
-                cast
-            });
+            let casts = Arc::new(Casts::new(device, target, &caster_layouts, &view_layout));
+            // What the first picture is made with, whether the device can.
+            casts.get_or_make(Purpose::default(), Channels::All);
             let upscale = Upscale::new(device, target);
             let frames = FramesOnGpu::new(device, &caster_layouts, builder);
             let uniform =
@@ -134,14 +101,13 @@ impl ViewPass {
             let resources = [apart.as_entire_binding(), display.as_entire_binding()];
             let apart_group = bind(device, "view apart", &view_layout, &resources);
             let apart = (apart, apart_group);
-            let encode_srgb = !target.is_srgb();
-            let device = device.clone();
-            Ok(Self { device, casts, frames, eyes, display, apart, upscale, encode_srgb, target })
+            Ok(Self { casts, frames, eyes, display, apart, upscale, target })
         })
     }
 
-    /// What the pictures of one eye are drawn with, for a first draw ahead of the first frame. Call it before anything else
-    /// is prepared; it can be run at any time.
+    /// All that the pictures of one eye are drawn with, to be made and drawn with ahead of need. Call it before anything else
+    /// is prepared; it can be run at any time. Until it is dropped, pictures wait for nothing that it is still to make: they are
+    /// of the newest frame alone, are not sampled, or nothing is painted.
     ///
     /// # Errors
     /// If the device has no room for it.
@@ -153,14 +119,13 @@ impl ViewPass {
             let camera = Camera::new(Pose::orbit(glam::Vec3::ONE, 0.0, 0.0, 1.0), pixel, &nowhere);
             self.prepare(queue, &camera, [0.0; 3]);
             let (_, view) = &self.eyes[0];
-            let casts = [Frames::One, Frames::Several].into_iter().filter_map(|frames| {
-                let pipeline = self.pipeline(frames, Channels::All).clone();
-                let group = self.frames.warm_up(device, frames)?;
-                Some(Draw { pipeline, groups: vec![group, view.clone()] })
+            let casts = purposes_of_viewers().filter_map(|purpose| {
+                let group = self.frames.warm_up(device, purpose.frames)?;
+                Some(Draw { pipeline: Pipeline::Cast(purpose), groups: vec![group, view.clone()] })
             });
             let mut draws: Vec<Draw> = casts.collect();
             draws.insert(1, self.upscale.warm_up(device));
-            Ok(WarmUp { target: self.target, draws })
+            Ok(WarmUp { target: self.target, casts: self.casts.clone(), draws })
         })
     }
 
@@ -220,13 +185,12 @@ impl ViewPass {
         timestamps: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
         queue.write_buffer(&self.apart.0, 0, bytemuck::bytes_of(&Basis::of(camera)));
-        let display = Display { background, encode_srgb: self.encode_srgb.into() };
+        let display = Display { background, padding_0: 0 };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
         let size = [camera.intrinsics.width, camera.intrinsics.height];
         self.frames.prepare(queue, &[camera.into()]);
-        let (frames, group) = self.frames.cast();
-        let pipeline = self.casts[frames as usize].pipeline(device, self.target, Channels::All);
-        self.upscale.cast(device, encoder, size, pipeline, [group, &self.apart.1], timestamps);
+        let Some((pipeline, group)) = self.cast(Channels::All) else { return };
+        self.upscale.cast(device, encoder, size, &pipeline, [&group, &self.apart.1], timestamps);
     }
 
     /// Fills the viewport with that picture, however often: copied if it has as many pixels, enlarged if it is smaller.
@@ -234,8 +198,26 @@ impl ViewPass {
         self.upscale.paint(pass);
     }
 
-    fn pipeline(&self, frames: Frames, channels: Channels) -> &wgpu::RenderPipeline {
-        self.casts[frames as usize].pipeline(&self.device, self.target, channels)
+    /// Whether the pipeline that all pictures of one eye are now cast with is there. If not it comes, and what is cast meanwhile is
+    /// not yet as asked.
+    pub fn casts_as_asked(&self) -> bool {
+        !self.casts.are_coming() || self.casts.get(self.frames.cast().0, Channels::All).is_some()
+    }
+
+    /// What casts now, and its group 0. None if that is still to come.
+    fn cast(&self, channels: Channels) -> Option<(wgpu::RenderPipeline, wgpu::BindGroup)> {
+        let wanted = self.frames.cast();
+        let made = |(purpose, group): (Purpose, &wgpu::BindGroup)| {
+            Some((self.casts.get(purpose, channels)?, group.clone()))
+        };
+        if let Some(found) = made(wanted) {
+            return Some(found);
+        }
+        if channels == Channels::All && self.casts.are_coming() {
+            return made(self.frames.cast_instead());
+        }
+        let (purpose, group) = wanted;
+        Some((self.casts.get_or_make(purpose, channels), group.clone()))
     }
 
     fn prepare_views(&self, queue: &wgpu::Queue, views: &[View], background: [f32; 3]) {
@@ -243,7 +225,7 @@ impl ViewPass {
             queue.write_buffer(buffer, 0, bytemuck::bytes_of(&Basis::of(*view)));
         }
         self.frames.prepare(queue, views);
-        let display = Display { background, encode_srgb: self.encode_srgb.into() };
+        let display = Display { background, padding_0: 0 };
         queue.write_buffer(&self.display, 0, bytemuck::bytes_of(&display));
     }
 
@@ -255,42 +237,12 @@ impl ViewPass {
     /// Fills the given channels of the viewport with what an eye sees.
     pub fn paint_eye(&self, pass: &mut wgpu::RenderPass<'_>, eye: Eye, channels: Channels) {
         let (_, bind_group) = &self.eyes[eye as usize];
-        let (frames, group) = self.frames.cast();
-        pass.set_pipeline(self.pipeline(frames, channels));
-        pass.set_bind_group(0, group, &[]);
+        let Some((pipeline, group)) = self.cast(channels) else { return };
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &group, &[]);
         pass.set_bind_group(1, bind_group, &[]);
         pass.draw(0..3, 0..1);
     }
-}
-
-fn pipeline(
-    device: &wgpu::Device,
-    target: wgpu::TextureFormat,
-    module: &wgpu::ShaderModule,
-    layout: &wgpu::PipelineLayout,
-    channels: Channels,
-) -> wgpu::RenderPipeline {
-    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("view"),
-        layout: Some(layout),
-        vertex: wgpu::VertexState {
-            module,
-            entry_point: Some("view_vertex"),
-            compilation_options: Default::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module,
-            entry_point: Some("view_fragment"),
-            compilation_options: Default::default(),
-            targets: &[Some(wgpu::ColorTargetState { write_mask: channels.mask(), ..target.into() })],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }
 
 /// Frames that can be held at a time: as many as the viewer keeps, and one that is not kept.

@@ -1,27 +1,38 @@
-//! The first draw with each pipeline, ahead of time and off the screen.
+//! The pipelines that a viewer may need and the first draw with each, ahead of time and off the screen.
 //!
 //! Software devices, and some drivers of hardware, compile a kernel when it is drawn with for the first time: a second
 //! or more, in which a window that draws with it stands still, as all draws of a device wait for each other. Software
 //! devices keep what they have compiled in a cache that others find it in, so what is
 //! not needed at once is drawn with on another device first.
 
+use std::sync::Arc;
 use std::time::Duration;
 
+use crate::casts::Casts;
 use crate::device::{NoAnswer, poll};
 use crate::error::{GpuError, scoped};
-use crate::view_pass::ViewPass;
+use crate::shaders::Purpose;
+use crate::view_pass::{Channels, ViewPass};
 
 /// Draws of one pixel that nobody sees. Holds what it needs, so that any thread can run it while the window draws.
 pub struct WarmUp {
     pub(crate) target: wgpu::TextureFormat,
+    pub(crate) casts: Arc<Casts>,
     /// The soonest needed first.
     pub(crate) draws: Vec<Draw>,
 }
 
-/// A pipeline for one colour target, and its groups.
+/// What is drawn with, and its groups.
 pub(crate) struct Draw {
-    pub(crate) pipeline: wgpu::RenderPipeline,
+    pub(crate) pipeline: Pipeline,
     pub(crate) groups: Vec<wgpu::BindGroup>,
+}
+
+/// A pipeline for one colour target.
+pub(crate) enum Pipeline {
+    Made(wgpu::RenderPipeline),
+    /// One that casts, to be made.
+    Cast(Purpose),
 }
 
 impl WarmUp {
@@ -50,10 +61,12 @@ impl WarmUp {
                 && let Some(draw) = warm_up.draws.get(number)
             {
                 let submit = |commands| Some(queue.submit([commands]));
-                scoped(device, "drawing one pixel beside", || draw.run(device, &submit, view))?;
+                scoped(device, "drawing one pixel beside", || {
+                    draw.run(device, &warm_up.casts, &submit, view)
+                })?;
                 std::thread::sleep(CACHE_DELAY);
             }
-            if !scoped(device, "drawing one pixel", || draw.run(device, &submit, &view))? {
+            if !scoped(device, "drawing one pixel", || draw.run(device, &self.casts, &submit, &view))? {
                 return Ok(number);
             }
         }
@@ -101,9 +114,17 @@ impl Draw {
     fn run(
         &self,
         device: &wgpu::Device,
+        casts: &Casts,
         submit: &impl Fn(wgpu::CommandBuffer) -> Option<wgpu::SubmissionIndex>,
         view: &wgpu::TextureView,
     ) -> Result<bool, GpuError> {
+        let pipeline = match &self.pipeline {
+            Pipeline::Made(pipeline) => pipeline.clone(),
+            Pipeline::Cast(purpose) => {
+                let made = casts.get(*purpose, Channels::All);
+                made.unwrap_or_else(|| casts.make(*purpose, Channels::All))
+            }
+        };
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -119,7 +140,7 @@ impl Draw {
                 })],
                 ..Default::default()
             });
-            pass.set_pipeline(&self.pipeline);
+            pass.set_pipeline(&pipeline);
             for (i, group) in (0..).zip(&self.groups) {
                 pass.set_bind_group(i, group, &[]);
             }
@@ -131,7 +152,7 @@ impl Draw {
         loop {
             let what = "drawing one pixel";
             match poll(device, wait.clone()) {
-                Ok(Ok(_)) => return Ok(true),
+                Ok(Ok(_)) => break,
                 Ok(Err(wgpu::PollError::Timeout)) => {}
                 Ok(Err(e)) => return Err(GpuError::Failed { what, reason: e.to_string() }),
                 Err(NoAnswer) => {
@@ -139,6 +160,10 @@ impl Draw {
                 }
             }
         }
+        if let Pipeline::Cast(purpose) = self.pipeline {
+            casts.add(purpose, Channels::All, &pipeline);
+        }
+        Ok(true)
     }
 }
 
