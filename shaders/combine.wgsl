@@ -231,10 +231,6 @@ fn cast_between(n: u32, ray: Ray, within: vec2f) -> Over {
     return acc;
 }
 
-fn offset_at(i: u32) -> u32 {
-    return lists_word(i);
-}
-
 fn depth_at(i: u32) -> u32 {
     return lists_word(places.x + i);
 }
@@ -251,8 +247,9 @@ fn e_b_tau_at(i: u32) -> u32 {
     return matter_word(places.z + i);
 }
 
-fn summary_at(i: u32) -> u32 {
-    return matter_word(places.w + i);
+fn summary_at(list: u32) -> vec4u {
+    let i = places.w + 4u * list;
+    return vec4u(matter_word(i), matter_word(i + 1u), matter_word(i + 2u), matter_word(i + 3u));
 }
 
 fn lists_word(i: u32) -> u32 {

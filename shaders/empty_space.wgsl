@@ -24,8 +24,6 @@ fn list_cell(range: vec2f, depth: f32) -> u32 {
 
 // Cells of a list: one bit each of a word.
 const LIST_CELLS: f32 = 32.0;
-// The range of a list as the word of a segment, its occupied cells and those that a segment ends in.
-const SUMMARY_WORDS: u32 = 3;
 // Lists along the side of a tile.
 const TILE: u32 = 8;
 // Slices between near and far: one bit each of a word.

@@ -9,8 +9,9 @@
 // DEPTH_CELLS counts a tile.
 @group(0) @binding(4) var<storage, read_write> counts: array<u32>;
 
-// SUMMARY_WORDS words a list.
-@group(0) @binding(5) var<storage, read_write> summaries: array<u32>;
+// Of each list its range of depth as the word of a segment, the cells of it that hold a segment, those that one ends in, and
+// the index of its first segment. A list without any has a range that nothing is in.
+@group(0) @binding(5) var<storage, read_write> summaries: array<vec4u>;
 // C before, E after.
 @group(0) @binding(6) var<storage, read_write> rg: array<u32>;
 @group(0) @binding(7) var<storage, read_write> b_tau: array<u32>;
@@ -54,14 +55,19 @@ fn empty_space(
 fn summarize(list: u32) {
     let start = offsets[list];
     let end = offsets[list + 1u];
-    var word = 0xffffu;
+    var word = NOTHING;
+    var is_ascending = true;
     let width = u32(caster.basis.width);
     let center = basis_ray(caster.basis, f32(list % width) + 0.5, f32(list / width) + 0.5);
     let parts = parts_of_way(caster, center.ray);
     for (var i = start; i < end; i++) {
-        word = min(word & 0xffffu, depth_plane[i] & 0xffffu) | max(word & 0xffff0000u, depth_plane[i] & 0xffff0000u);
+        let next = depth_plane[i];
+        is_ascending = is_ascending && (next >> 16u) >= (word >> 16u);
+        word = min(word & 0xffffu, next & 0xffffu) | max(word & 0xffff0000u, next & 0xffff0000u);
         light(i, parts);
     }
+    // A cast looks for the end of a list by its range: of one in disorder nothing is shown.
+    word = select(NOTHING, word, is_ascending);
     let range = range_from_word(word);
     var cells = vec2u(0u);
     for (var i = start; i < end; i++) {
@@ -69,10 +75,11 @@ fn summarize(list: u32) {
         let last = list_cell(range, ends.y);
         cells |= vec2u(cell_bits(list_cell(range, ends.x), last), 1u << last);
     }
-    summaries[SUMMARY_WORDS * list] = word;
-    summaries[SUMMARY_WORDS * list + 1u] = cells.x;
-    summaries[SUMMARY_WORDS * list + 2u] = cells.y;
+    summaries[list] = vec4u(word, cells, start);
 }
+
+// The range of no segment.
+const NOTHING: u32 = 0xffffu;
 
 // From C to E; `parts` are those of the list's way.
 fn light(i: u32, parts: f32) {

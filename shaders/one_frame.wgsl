@@ -4,7 +4,6 @@
 override IS_SAMPLED: bool;
 
 @group(0) @binding(0) var<uniform> caster: Raycaster;
-@group(0) @binding(1) var<storage, read> offsets: array<u32>;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
 // E of red and green; E of blue and τ (empty_space_build.wgsl).
 @group(0) @binding(3) var<storage, read> e_rg: array<u32>;
@@ -13,12 +12,8 @@ override IS_SAMPLED: bool;
 @group(0) @binding(5) var<storage, read> occupied: array<u32>;
 // DEPTH_CELLS counts a tile (empty_space_build.wgsl).
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
-// SUMMARY_WORDS words a list (empty_space_build.wgsl).
-@group(0) @binding(7) var<storage, read> summaries: array<u32>;
-
-fn offset_at(i: u32) -> u32 {
-    return offsets[i];
-}
+// One a list (empty_space.wgsl).
+@group(0) @binding(1) var<storage, read> summaries: array<vec4u>;
 
 fn depth_at(i: u32) -> u32 {
     return depth_plane[i];
@@ -36,8 +31,8 @@ fn occupied_at(i: i32) -> u32 {
     return occupied[i];
 }
 
-fn summary_at(i: u32) -> u32 {
-    return summaries[i];
+fn summary_at(list: u32) -> vec4u {
+    return summaries[list];
 }
 
 fn count_at(i: u32) -> u32 {

@@ -81,9 +81,9 @@ fn clip(ray: Ray, within: vec2f) -> Line {
     return line;
 }
 
-// Walks the columns of lists along the line, as many at a time as a tile is wide. A device in software (lavapipe) runs
-// both sides of every branch and each loop at least once, so there is one path for all: each turn of the inner loop looks
-// at one column or leaves one column of tiles out, and only what may be met goes on to `cross`.
+// Walks the columns of lists along the line, as many at a time as a tile is wide. The rays of a group that seek do so together,
+// then cross what they met together: each turn of the inner loop looks at one column or leaves one column of tiles out, and
+// only what may be met goes on to `cross`.
 fn walk(line: Line, acc: ptr<function, Over>) {
     let size = vec2i(i32(caster.basis.width), i32(caster.basis.height));
     let along = select(0u, 1u, abs(line.d.x) + AXIS_BIAS < abs(line.d.y));
@@ -132,6 +132,8 @@ fn walk(line: Line, acc: ptr<function, Over>) {
                 let lists = clamp(vec2i(first_row, first_row + 1), vec2i(0), vec2i(size[across] - 1));
                 let fraction = select(saturate((at_across - first - bias) / (1.0 - 2.0 * bias)), 0.0, IS_NEAREST);
                 met.lists = vec2u(column * strides.x + lists * strides.y);
+                met.column = f32(column);
+                met.rows = vec2f(lists);
                 met.nearness = vec2f(1.0 - fraction, fraction);
                 met.lo = min(enter.depth, leave.depth);
                 met.hi = max(enter.depth, leave.depth);
@@ -154,7 +156,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
             }
         }
         if (any(met.is_met) && met.length > 0.0) {
-            cross(met, line.w0_minus_w1 - line.depth_slope <= 0.0, acc);
+            cross(met, along, line.w0_minus_w1 - line.depth_slope <= 0.0, acc);
         }
         if (is_done || ends_cast(*acc)) {
             return;
@@ -204,6 +206,9 @@ fn shown(acc: Over, ray: Ray) -> Over {
 
 // What a line may meet in a column of lists: the two that it runs between.
 struct Met {
+    // Their column, and their rows.
+    column: f32,
+    rows: vec2f,
     lists: vec2u,
     nearness: vec2f,
     is_met: vec2<bool>,
@@ -216,17 +221,23 @@ struct Met {
 
 // Composites a column of lists: the segments of one list and then of the other, each list by itself, mixed by nearness.
 // Where the ray runs towards the old eye, each segment is put in front of those before.
-fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
+fn cross(met: Met, along: u32, is_forward: bool, acc: ptr<function, Over>) {
     // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
     let hi = max(met.hi, met.lo + MIN_CROSSING);
     // The ray's length over the lists' own lengths, for the same depth.
-    let lengths = vec2f(length_per_depth(met.lists.x), length_per_depth(met.lists.y));
+    let lengths = vec2f(
+        length_per_depth(met.column, met.rows.x, along),
+        length_per_depth(met.column, met.rows.y, along),
+    );
     let ratios = met.length / (hi - met.lo) * caster.units_per_depth / lengths;
-    let second = first_behind(met.lists.y, met.lo);
-    let last = offset_at(met.lists.y + 1u);
+    let summary = summary_of(met.lists.x);
+    let summary_2 = summary_of(met.lists.y);
+    let second = first_behind(summary_2, met.lo);
+    // Where each list is left: behind the stretch, or with the list's last segment.
+    let last_back = min(hi, summary_2.range.y);
     var side = select(1u, 0u, met.is_met.x);
-    var i = select(second, first_behind(met.lists.x, met.lo), met.is_met.x);
-    var end = select(last, offset_at(met.lists.x + 1u), met.is_met.x);
+    var i = select(second, first_behind(summary, met.lo), met.is_met.x);
+    var back = select(last_back, min(hi, summary.range.y), met.is_met.x);
     var mixture = vec4f(0.0);
     let is_over = COMPOSITING == BY_OVER;
     let is_greatest = COMPOSITING == BY_GREATEST;
@@ -246,13 +257,13 @@ fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
         list.transmittance = select(key, list.transmittance * (1.0 - crossed), is_over);
         i += 1u;
         var is_done = false;
-        if (i >= end || medium.ends.y >= hi) {
+        if (medium.ends.y >= back) {
             let w = select(list.transmittance, 1.0 - list.transmittance, is_over);
             mixture += vec4f(list.c, w) * met.nearness[side];
             list = identity();
             is_done = side == 1u || !met.is_met.y;
             i = second;
-            end = last;
+            back = last_back;
             side = 1u;
         }
         if (is_done) {
@@ -266,12 +277,16 @@ fn cross(met: Met, is_forward: bool, acc: ptr<function, Over>) {
 struct Summary {
     // Least front and greatest back, depth units.
     range: vec2f,
-    // The list's cells that hold a segment.
+    // The list's cells that hold a segment, and those that one ends in.
     occupied: u32,
+    ended: u32,
+    // The first segment.
+    first: u32,
 }
 
 fn summary_of(list: u32) -> Summary {
-    return Summary(range_from_word(summary_at(SUMMARY_WORDS * list)), summary_at(SUMMARY_WORDS * list + 1u));
+    let words = summary_at(list);
+    return Summary(range_from_word(words.x), words.y, words.z, words.w);
 }
 
 // Whether a list may have a segment between two depths.
@@ -282,10 +297,9 @@ fn may_meet(list: Summary, lo: f32, hi: f32) -> bool {
 
 // The first segment of a list that may end behind a depth: not those that end in cells before its own. The twin looks at
 // all of a list's ends at once instead.
-fn first_behind(list: u32, depth: f32) -> u32 {
-    let range = range_from_word(summary_at(SUMMARY_WORDS * list));
-    let before = (1u << list_cell(range, depth)) - 1u;
-    return offset_at(list) + countOneBits(summary_at(SUMMARY_WORDS * list + 2u) & before);
+fn first_behind(list: Summary, depth: f32) -> u32 {
+    let before = (1u << list_cell(list.range, depth)) - 1u;
+    return list.first + countOneBits(list.ended & before);
 }
 
 // Whether a stretch of the line, inside of one column of tiles, may meet a segment: the rows are its ends across, as
@@ -314,12 +328,11 @@ fn tile_index(column: i32, tile: i32, along: u32) -> i32 {
 }
 
 // World length along the centre of a list for each unit of view depth.
-fn length_per_depth(list: u32) -> f32 {
-    let width = u32(caster.basis.width);
-    let nx = (2.0 * f32(list % width) + 1.0) / caster.basis.width - 1.0;
-    let ny = 1.0 - (2.0 * f32(list / width) + 1.0) / caster.basis.height;
-    let n = vec2f(nx, ny) * caster.basis.perspective;
-    return length_of(caster.basis.forward + caster.basis.right * n.x + caster.basis.up * n.y);
+fn length_per_depth(column: f32, row: f32, along: u32) -> f32 {
+    let place = select(vec2f(row, column), vec2f(column, row), along == 0u);
+    let n = (2.0 * place + 1.0) / vec2f(caster.basis.width, -caster.basis.height) + vec2f(-1.0, 1.0);
+    let d = caster.basis.forward + (caster.basis.right * n.x + caster.basis.up * n.y) * caster.basis.perspective;
+    return length_of(d);
 }
 
 // A point of the line: its parameter, depth in units and world distance from the start.

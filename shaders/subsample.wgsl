@@ -112,26 +112,28 @@ fn look_up(column: i32, row_unclamped: i32, depth: f32, length: f32, along: u32)
     let row = clamp(row_unclamped, 0, i32(select(caster.basis.width, caster.basis.height, along == 0u)) - 1);
     let position = select(vec2i(row, column), vec2i(column, row), along == 0u);
     let list = u32(position.y * i32(caster.basis.width) + position.x);
-    let end = offset_at(list + 1u);
-    var i = first_behind(list, depth);
-    while (i < end && range_from_word(depth_at(i)).y <= depth) {
-        i += 1u;
-    }
-    if (i >= end) {
+    let summary = summary_of(list);
+    if (depth >= summary.range.y) {
         return vec4f(0.0);
+    }
+    var i = first_behind(summary, depth);
+    while (range_from_word(depth_at(i)).y <= depth) {
+        i += 1u;
     }
     let medium = medium_at(i);
     if (medium.ends.x > depth) {
         return vec4f(0.0);
     }
-    let sigma = medium.tau * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list));
+    // Inverse of the segment's length.
+    let per_length = caster.units_per_depth
+        / ((medium.ends.y - medium.ends.x) * length_per_depth(f32(column), f32(row), along));
     if (COMPOSITING == BY_GREATEST) {
         return vec4f(medium.e, medium.tau);
     }
     if (COMPOSITING == BY_MEAN) {
-        return vec4f(medium.e * (length * caster.units_per_depth / ((medium.ends.y - medium.ends.x) * length_per_depth(list))), 0.0);
+        return vec4f(medium.e * (length * per_length), 0.0);
     }
-    let crossed = opacity(sigma * length);
+    let crossed = opacity(medium.tau * per_length * length);
     return vec4f(medium.e * crossed, crossed);
 }
 

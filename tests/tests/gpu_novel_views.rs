@@ -136,4 +136,9 @@ fn a_reprojector_takes_frames_of_any_size_and_refuses_bad_ones() {
         assert!(matches!(reprojector.set_frame(&bad, &bounds), Err(GpuError::Frame(_) | GpuError::Camera)));
     }
     assert_eq!(reprojector.raycast(&view).unwrap(), before);
+    // A list in disorder, which no decoder gives, ends: nothing of it is shown.
+    let mut disordered = good;
+    disordered.depth.reverse();
+    reprojector.set_frame(&disordered, &bounds).unwrap();
+    Difference::of(&reprojector.raycast(&view).unwrap(), &before).assert_noticed("disorder");
 }

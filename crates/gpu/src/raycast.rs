@@ -61,7 +61,7 @@ impl FrameOnGpu {
     /// Buffers without a frame: nothing is seen.
     pub(crate) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, builder: GridBuilder) -> Self {
         let caster = buffer(device, "caster", size_of::<Raycaster>() as u64, wgpu::BufferUsages::UNIFORM);
-        let buffers = Buffers::new(device, planes([8; NUM_PLANES], alignment(device)));
+        let buffers = Buffers::new(device, planes([SUMMARY_BYTES; NUM_PLANES], alignment(device)));
         let (bind_group, build_group) = buffers.bind(device, layout, &builder, &caster);
         let uniform = bytemuck::Zeroable::zeroed();
         let options = CastOptions::default();
@@ -221,7 +221,7 @@ impl Buffers {
         let [rg, b_tau, summaries] = [plane(C_RG), plane(C_B_TAU), plane(SUMMARIES)];
         let build = [
             caster(),
-            offsets.clone(),
+            offsets,
             depth.clone(),
             occupied.clone(),
             counts.clone(),
@@ -229,7 +229,7 @@ impl Buffers {
             rg.clone(),
             b_tau.clone(),
         ];
-        let cast = [caster(), offsets, depth, rg, b_tau, occupied, counts, summaries];
+        let cast = [caster(), summaries, depth, rg, b_tau, occupied, counts];
         (bind(device, "frame", layout, &cast), bind(device, "grid", &builder.layout, &build))
     }
 }
@@ -386,5 +386,5 @@ const C_B_TAU: usize = 4;
 const SUMMARIES: usize = 5;
 /// Behind the others: several frames are cast without.
 const COUNTS: usize = 6;
-/// `SUMMARY_WORDS` of `shaders/empty_space.wgsl`.
-const SUMMARY_BYTES: u64 = 12;
+/// Of one list: four words (`shaders/empty_space_build.wgsl`).
+const SUMMARY_BYTES: u64 = 16;

@@ -240,7 +240,7 @@ const SHADER_ONLY: [&str; 25] = [
     "NONE",
     "HALF_SCALE",
     "LIST_CELLS",
-    "SUMMARY_WORDS",
+    "NOTHING",
 ];
 
 /// The same with the constants of a pipeline in their places: each that the text asks for, and no other.
