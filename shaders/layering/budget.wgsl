@@ -1,37 +1,24 @@
-// One cost at which all rays of a frame stop joining: crates/core/src/kernels/layering/visibility_merge.rs derives it.
+// The threshold that spends a frame's budget. Twin of crates/core/src/kernels/layering/budget.rs, which derives it.
 //
-// The part after it gathers a ray in pieces, says how many there are, and joins them:
-//   fn gather(ray: Ray, lattice: Lattice, tolerance: f32)
-//   fn num_gathered() -> u32
-//   fn join(most: u32, threshold: f32, is_sample: bool)
+// The part after this one is stream.wgsl. An invocation counts one ray at one threshold.
 
 struct Budget {
     num_lists: atomic<u32>,
-    num_pieces: atomic<u32>,
+    // Error that a segment may have.
     threshold: f32,
+    // Thresholds that are counted: the least, and the ratio of those that follow.
+    least: f32,
+    ratio: f32,
     // Segments that a list may have on average, and at most. In a buffer, so that other numbers need no other kernel.
     mean_k: u32,
     longest: u32,
-    // Joins of the sample by the bin of their cost.
-    joins: array<atomic<u32>, COST_BINS>,
+    // Segments of the counted rays at each threshold.
+    counts: array<atomic<u32>, NUM_THRESHOLDS>,
 }
 
 @group(1) @binding(4) var<storage, read_write> budget: Budget;
 
-// The cost up to which steps are merged at once, where rays stop joining at `threshold`.
-fn tolerance_from(threshold: f32) -> f32 {
-    if budget.mean_k < TOLERANT_K {
-        return 0.0;
-    }
-    return threshold * TOLERANCE_SHARE;
-}
-
-// A join of a ray of the sample.
-fn count_join(cost: f32) {
-    atomicAdd(&budget.joins[bitcast<u32>(cost) >> BIN_SHIFT], 1u);
-}
-
-// Every so many pixels along each axis one is of the sample: as many that at least SAMPLE_RAYS are, but no fewer than 4.
+// Every so many pixels along each axis one ray is counted.
 fn sample_stride(width: u32, height: u32) -> u32 {
     var stride = 4u;
     while ((stride + 1u) * (stride + 1u) * SAMPLE_RAYS <= width * height) {
@@ -40,15 +27,14 @@ fn sample_stride(width: u32, height: u32) -> u32 {
     return stride;
 }
 
-// One ray of the sample: what the joins cost.
-@compute @workgroup_size(8, 8)
-fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
+@compute @workgroup_size(8, 4)
+fn count(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(camera.width);
     let height = u32(camera.height);
     let stride = sample_stride(width, height);
     let x = id.x * stride + min(stride / 2u, width / 2u);
-    let y = (band.first_row + id.y) * stride + min(stride / 2u, height / 2u);
-    if (x >= width || y >= height || id.y >= band.num_rows) {
+    let y = id.y * stride + min(stride / 2u, height / 2u);
+    if (x >= width || y >= height) {
         return;
     }
     let from_camera = basis_ray(camera, f32(x) + 0.5, f32(y) + 0.5);
@@ -56,60 +42,53 @@ fn sample_budget(@builtin(global_invocation_id) id: vec3u) {
     if (lattice.n == 0u) {
         return;
     }
-    gather(from_camera.ray, lattice, 0.0);
-    if (num_gathered() == 0u) {
-        return;
+    begin_list(0u, from_camera.s_per_depth, true);
+    list_at(budget.least * pow(budget.ratio, f32(id.z)), from_camera.ray, lattice);
+    if (out.len > 0u) {
+        atomicAdd(&budget.counts[id.z], out.len);
+        if (id.z == 0u) {
+            atomicAdd(&budget.num_lists, 1u);
+        }
     }
-    atomicAdd(&budget.num_lists, 1u);
-    atomicAdd(&budget.num_pieces, num_gathered());
-    join(1u, INFINITE_COST, true);
 }
 
-// Joins of each part of the bins.
-var<workgroup> joins_of_part: array<u32, NUM_PARTS>;
-
-// The least lower end of a bin such that joins below it leave at most mean_k segments a list. Every invocation adds up a part
-// of the bins, so that the one that looks for the bin waits for memory in one part only.
-@compute @workgroup_size(NUM_PARTS)
-fn choose_threshold(@builtin(local_invocation_index) part: u32) {
-    var sum = 0u;
-    for (var i = 0u; i < BINS_OF_PART; i++) {
-        sum += atomicLoad(&budget.joins[part * BINS_OF_PART + i]);
+// After the first count: between which thresholds to count again. After the second: the threshold.
+@compute @workgroup_size(1)
+fn choose() {
+    let wanted = f32(max(atomicLoad(&budget.num_lists) * budget.mean_k, 1u));
+    // The last threshold with more, and what it and the next have.
+    var last = 0u;
+    var more = f32(atomicLoad(&budget.counts[0]));
+    var less = more;
+    for (var i = 0u; i < NUM_THRESHOLDS; i++) {
+        let num = f32(atomicLoad(&budget.counts[i]));
+        if (num > wanted) {
+            last = i;
+            more = num;
+            less = num;
+        } else if (i == last + 1u) {
+            less = max(num, 1.0);
+        }
     }
-    joins_of_part[part] = sum;
-    workgroupBarrier();
-    if (part > 0u) {
+    if (budget.ratio == FIRST_RATIO) {
+        budget.least *= pow(FIRST_RATIO, f32(min(last, NUM_THRESHOLDS - 2u)));
+        budget.ratio = SECOND_RATIO;
+        atomicStore(&budget.num_lists, 0u);
+        for (var i = 0u; i < NUM_THRESHOLDS; i++) {
+            atomicStore(&budget.counts[i], 0u);
+        }
         return;
     }
-    let allowed = atomicLoad(&budget.num_lists) * budget.mean_k;
-    var left = atomicLoad(&budget.num_pieces);
-    var bin = 0u;
-    while (bin < COST_BINS && left > allowed + joins_of_part[bin / BINS_OF_PART]) {
-        left -= joins_of_part[bin / BINS_OF_PART];
-        bin += BINS_OF_PART;
-    }
-    while (left > allowed && bin < COST_BINS) {
-        left -= atomicLoad(&budget.joins[bin]);
-        bin += 1u;
-    }
-    budget.threshold = bitcast<f32>(bin << BIN_SHIFT);
+    let part = saturate(log(more / wanted) / max(log(more / less), LOGARITHM_LEAST));
+    budget.threshold = budget.least * pow(SECOND_RATIO, f32(last) + part);
 }
 
-// Costs below this are equal.
-const COST_LEAST: f32 = 1e-20;
-// Surfaces can lie at one place. Optical depths over this length are finite.
-const LENGTH_LEAST: f32 = 1e-30;
-// More than any cost: WGSL has no infinity.
-const INFINITE_COST: f32 = 3.4e38;
+// Thresholds that are counted at once.
+const NUM_THRESHOLDS: u32 = 8;
+// Ratio of the thresholds of the first and of the second count.
+const FIRST_RATIO: f32 = 16.0;
+const SECOND_RATIO: f32 = 1.4859943;
 // Rays that say enough of a frame.
 const SAMPLE_RAYS: u32 = 2048;
-// Bits of a float left out in the number of its bin: 1/32 of an octave each.
-const BIN_SHIFT: u32 = 18;
-// Bins of all finite costs.
-const COST_BINS: u32 = 8192;
-// Bins are added up in so many parts of so many.
-const NUM_PARTS: u32 = 256;
-const BINS_OF_PART: u32 = 32;
-// See tolerance_from.
-const TOLERANCE_SHARE: f32 = 0.15;
-const TOLERANT_K: u32 = 12u;
+// Counts that are equal are told apart by no less than this.
+const LOGARITHM_LEAST: f32 = 1e-6;

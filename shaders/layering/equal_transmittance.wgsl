@@ -69,7 +69,7 @@ fn extend(piece: Step) {
 
 fn cuts_step(step: Step) -> u32 {
     var rest = step;
-    while (cuts.tau_total + rest.tau > cuts.tau_cut && list.len + 1u < K) {
+    while (cuts.tau_total + rest.tau > cuts.tau_cut && out.len + 1u < K) {
         let part = clamp((cuts.tau_cut - cuts.tau_total) / rest.tau, 0.0, 1.0);
         let parts = split(rest, part);
         extend(parts.near);
@@ -80,7 +80,7 @@ fn cuts_step(step: Step) -> u32 {
         cuts.open = no_segment();
         cuts.open.s0 = rest.s0;
         cuts.open.s1 = rest.s0;
-        cuts.tau_cut = depth_of_cut(list.len + 1u);
+        cuts.tau_cut = depth_of_cut(out.len + 1u);
     }
     extend(rest);
     cuts.tau_total += rest.tau;

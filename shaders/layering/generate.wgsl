@@ -1,12 +1,12 @@
 // Lists of segments from the steps of a march. Twin of crates/core/src/kernels/layering/mod.rs.
 //
-// Before this part stand generated lines: const OPEN: u32, segments open at once, and fn longest_list() -> u32, the greatest
-// length of a list.
+// Before this part stands a generated line: fn longest_list() -> u32, the greatest length of a list.
 // The part after this one is the rule:
 //   fn generate_list(ray: Ray, lattice: Lattice)
-// marches and leaves the list in `list`, and
+// marches and hands its segments to push, front to back, and
 //   fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment
-// makes of two segments one that a ray through both sees as them. The lists go to slots; layering/compact.wgsl packs them.
+// makes of two segments one that a ray through both sees as them. Segments go to slots as they come, and
+// layering/compact.wgsl packs them.
 
 @group(1) @binding(0) var<uniform> camera: Basis;
 @group(1) @binding(1) var<uniform> band: Band;
@@ -18,17 +18,88 @@
 // A segment while it is made: a step that may span many.
 alias OpenSegment = Step;
 
-// One more than there are in the end: visibility-merge opens a segment before it merges two.
-struct SegmentList {
+// The list of a ray, as far as it is out.
+struct Out {
     len: u32,
-    segments: array<OpenSegment, OPEN + 1>,
+    // Its place in the band.
+    i: u32,
+    s_per_depth: f32,
+    // Whether segments are counted and not kept.
+    is_counted: bool,
+    // In depth units: the front of the first, and the back of the last before and after thin ones are made thicker.
+    first_front: f32,
+    last_back: f32,
+    behind: f32,
 }
 
-var<private> list: SegmentList;
+var<private> out: Out;
 
+fn begin_list(i: u32, s_per_depth: f32, is_counted: bool) {
+    out = Out(0u, i, s_per_depth, is_counted, 0.0, 0.0, 0.0);
+}
+
+// Adds a segment behind the others.
 fn push(segment: OpenSegment) {
-    list.segments[list.len] = segment;
-    list.len += 1u;
+    if (!out.is_counted && out.len < longest_list()) {
+        let front = units(segment.s0 / out.s_per_depth);
+        out.last_back = units(segment.s1 / out.s_per_depth);
+        if (out.len == 0u) {
+            out.first_front = front;
+        }
+        put(out.len, segment, max(front, out.behind), max(out.last_back, max(front, out.behind) + f32(MIN_UNITS)));
+        out.behind = max(out.last_back, max(front, out.behind) + f32(MIN_UNITS));
+    }
+    out.len += 1u;
+}
+
+fn put(j: u32, segment: OpenSegment, front: f32, back: f32) {
+    let words = pack(Segment(u32(front), u32(back), segment.c, min(segment.tau, TAU_MAX)));
+    slots[slot(j, 0u)] = words.x;
+    slots[slot(j, 1u)] = words.y;
+    slots[slot(j, 2u)] = words.z;
+}
+
+// A segment that is out; its ends are depth units.
+fn taken(j: u32) -> OpenSegment {
+    let depths = slots[slot(j, 0u)];
+    let rg = unpack_halves(slots[slot(j, 1u)]);
+    let b_tau = unpack_halves(slots[slot(j, 2u)]);
+    let c = vec3f(rg, b_tau.x);
+    return OpenSegment(c, b_tau.y, f32(depths & 0xffffu), f32(depths >> 16u), opacity(b_tau.y));
+}
+
+fn slot(j: u32, word: u32) -> u32 {
+    return (3u * j + word) * band.num_pixels + out.i;
+}
+
+// Casts end where the volume does, so a list must not become longer than its matter is: it is pushed back from its end. One
+// that has no room for all of its segments becomes one. Twin of crates/core/src/kernels/layering/close.rs.
+fn close_list() {
+    let least = f32(MIN_UNITS);
+    var end = max(out.last_back, out.first_front + least);
+    if (out.len == 0u || out.behind <= end) {
+        return;
+    }
+    if (out.last_back < out.first_front + f32(out.len) * least) {
+        var all = taken(0u);
+        for (var j = 1u; j < out.len; j++) {
+            all = united(all, taken(j));
+        }
+        put(0u, all, out.first_front, end);
+        out.len = 1u;
+        return;
+    }
+    for (var j = out.len; j > 0u; j--) {
+        let depths = slots[slot(j - 1u, 0u)];
+        let back = min(f32(depths >> 16u), end);
+        end = min(f32(depths & 0xffffu), back - least);
+        slots[slot(j - 1u, 0u)] = u32(end) | u32(back) << 16u;
+    }
+}
+
+// The depth unit nearest to a view depth, with room for a segment behind it.
+fn units(depth: f32) -> f32 {
+    return floor(clamp(depth_to_units(camera, depth) + 0.5, 0.0, DEPTH_UNITS - f32(MIN_UNITS)));
 }
 
 fn no_segment() -> OpenSegment {
@@ -70,7 +141,7 @@ fn piece(step: Step, s0: f32, s1: f32, tau: f32) -> Step {
     return Step(step.c * (alpha / max(step.alpha, ALPHA_LEAST)), tau, s0, s1, alpha);
 }
 
-@compute @workgroup_size(8, 8)
+@compute @workgroup_size(8, 4)
 fn generate(@builtin(global_invocation_id) id: vec3u) {
     let width = u32(camera.width);
     if (id.x >= width || id.y >= band.num_rows) {
@@ -78,60 +149,12 @@ fn generate(@builtin(global_invocation_id) id: vec3u) {
     }
     let from_camera = basis_ray(camera, f32(id.x) + 0.5, f32(band.first_row + id.y) + 0.5);
     let lattice = scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth);
-    list.len = 0u;
+    begin_list(id.y * width + id.x, from_camera.s_per_depth, false);
     if (lattice.n > 0u) {
         generate_list(from_camera.ray, lattice);
+        close_list();
     }
-    let i = id.y * width + id.x;
-    let len = close_list(from_camera.s_per_depth);
-    counts[i] = len;
-    for (var j = 0u; j < len; j++) {
-        let open = list.segments[j];
-        let words = pack(Segment(u32(open.s0), u32(open.s1), open.c, min(open.tau, TAU_MAX)));
-        slots[3u * j * band.num_pixels + i] = words.x;
-        slots[(3u * j + 1u) * band.num_pixels + i] = words.y;
-        slots[(3u * j + 2u) * band.num_pixels + i] = words.z;
-    }
-}
-
-// Makes the distances of the segments depth units, and returns how many there are. Twin of
-// crates/core/src/kernels/layering/close.rs.
-fn close_list(s_per_depth: f32) -> u32 {
-    var len = min(list.len, longest_list());
-    if (len == 0u) {
-        return 0u;
-    }
-    let first_front = units(list.segments[0].s0 / s_per_depth);
-    let last_back = units(list.segments[len - 1u].s1 / s_per_depth);
-    if (last_back < first_front + f32(len * MIN_UNITS)) {
-        for (var j = 1u; j < len; j++) {
-            let s1 = list.segments[j].s1;
-            list.segments[0] = united(list.segments[0], list.segments[j]);
-            list.segments[0].s1 = s1;
-        }
-        len = 1u;
-    }
-    let least = f32(MIN_UNITS);
-    var before = 0.0;
-    for (var j = 0u; j < len; j++) {
-        let front = max(units(list.segments[j].s0 / s_per_depth), before);
-        before = max(units(list.segments[j].s1 / s_per_depth), front + least);
-        list.segments[j].s0 = front;
-        list.segments[j].s1 = before;
-    }
-    var end = max(last_back, first_front + least);
-    for (var j = len; j > 0u; j--) {
-        let back = min(list.segments[j - 1u].s1, end);
-        end = min(list.segments[j - 1u].s0, back - least);
-        list.segments[j - 1u].s0 = end;
-        list.segments[j - 1u].s1 = back;
-    }
-    return len;
-}
-
-// The depth unit nearest to a view depth, with room for a segment behind it.
-fn units(depth: f32) -> f32 {
-    return floor(clamp(depth_to_units(camera, depth) + 0.5, 0.0, DEPTH_UNITS - f32(MIN_UNITS)));
+    counts[out.i] = min(out.len, longest_list());
 }
 
 // Least thickness of a segment in depth units.

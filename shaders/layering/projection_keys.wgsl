@@ -1,32 +1,42 @@
 // Segments of the greatest or the least value (projection.wgsl).
 
-fn push_pieces(lattice: Lattice) {
-    var greatest = -1.0;
-    for (var i = 0u; i < sink.len; i++) {
-        greatest = max(greatest, sink.pieces[i].peak);
+// The greatest peak of the segments that are out, and which of them has it: the first of equals.
+var<private> greatest: f32;
+var<private> holder: u32;
+
+fn begin_segments() {
+    greatest = -1.0;
+    holder = 0u;
+}
+
+fn push_piece(piece: Piece) {
+    let key = key_of_piece(piece);
+    if (piece.peak > greatest) {
+        greatest = piece.peak;
+        holder = out.len;
+    } else if (key <= table.key_limit) {
+        // It neither shows nor hides anything.
+        return;
     }
-    let below = half_below(slot_from_key(max(greatest, 2.0 * KEY_LEAST)));
-    var has_greatest = false;
-    for (var i = 0u; i < sink.len; i++) {
-        let piece = sink.pieces[i];
-        // The first of equals: one must win.
-        let is_greatest = piece.peak == greatest && !has_greatest;
-        has_greatest = has_greatest || is_greatest;
-        let is_plain = NUM_CUTS > 0u;
-        var key = piece.peak;
-        if (!is_greatest && !is_plain) {
-            key = key_of_piece(piece);
+    push(OpenSegment(shown_of_key(key), slot_from_key(key), piece.s0, piece.s1, 0.0));
+}
+
+// Gives the greatest key of the ray to the segment that holds it, and to all others lower ones.
+fn end_pieces() {
+    if (out.is_counted || out.len == 0u) {
+        return;
+    }
+    // Apart from those below it by a code of the codec at least.
+    let key = max(greatest, 2.0 * KEY_LEAST);
+    let below = half_below(slot_from_key(key));
+    for (var j = 0u; j < out.len; j++) {
+        var segment = taken(j);
+        segment.tau = min(segment.tau, below);
+        if (j == holder) {
+            segment.c = shown_of_key(key);
+            segment.tau = slot_from_key(key);
         }
-        if (piece.peak < 0.0 || key <= table.key_limit) {
-            continue;
-        }
-        var ends = vec2f(piece.s0, piece.s1);
-        if IS_POINT {
-            ends = piece.peak_ends;
-        }
-        // Apart from those below it by a code of the codec at least.
-        let slot = slot_from_key(select(key, max(key, 2.0 * KEY_LEAST), is_greatest));
-        push(OpenSegment(shown_of_key(key), select(min(slot, below), slot, is_greatest), ends.x, ends.y, 0.0));
+        put(j, segment, segment.s0, segment.s1);
     }
 }
 

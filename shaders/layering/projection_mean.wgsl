@@ -1,18 +1,16 @@
 // Segments of the mean (projection.wgsl).
 
-fn push_pieces(lattice: Lattice) {
-    let length = lattice.h * f32(lattice.n);
-    for (var i = 0u; i < sink.len; i++) {
-        let piece = sink.pieces[i];
-        if (piece.first <= 0.0) {
-            continue;
-        }
-        var ends = vec2f(piece.s0, piece.s1);
-        if IS_POINT {
-            ends = vec2f(lattice.s0 + piece.second / piece.first);
-        }
-        push(OpenSegment(piece.shown / length, 0.0, ends.x, ends.y, 0.0));
+fn begin_segments() {
+}
+
+fn push_piece(piece: Piece) {
+    let length = lattice_of_ray.h * f32(lattice_of_ray.n);
+    if (piece.first > 0.0) {
+        push(OpenSegment(piece.shown / length, 0.0, piece.s0, piece.s1, 0.0));
     }
+}
+
+fn end_pieces() {
 }
 
 fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment {

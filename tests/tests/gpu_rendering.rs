@@ -109,12 +109,11 @@ fn the_look_can_change_without_another_upload() {
     Difference::of(&found, &march::render(&other, &camera)).assert_tolerable("another volume");
 }
 
-/// Lists cannot be equal word by word: a rounding decides to which depth unit an end goes, and which of two merges that
-/// cost the same (there are many: equal cubes, equal shells, everything hidden) comes first. Composited along their own
-/// rays they must agree within the tolerance of all pictures. From aside, merges decided otherwise show: they are as
-/// good, but elsewhere, so visibility-merge is allowed 0.5 % of the pixels beyond 2/255 (costs
-/// that differ in the last bit moved 0.27 % of them), and its error against the true picture must be the same to 2 % of
-/// itself.
+/// Lists cannot be equal word by word: a rounding decides to which depth unit an end goes, and where one of two pieces ends
+/// whose errors are equal (there are many: equal cubes, equal shells, everything hidden). Composited along their own rays
+/// they must agree within the tolerance of all pictures. From aside, pieces that end elsewhere show: they are as good, so
+/// visibility-merge is allowed 0.5 % of the pixels beyond 2/255, and its error against the true picture must be the same to
+/// 2 % of itself. Segments are not counted: rounding decides whether an error is above the threshold.
 #[test]
 fn layered_frames_are_those_of_the_twin() {
     let Some(gpu) = gpu() else { return };
@@ -143,8 +142,7 @@ fn layered_frames_are_those_of_the_twin() {
                 Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(&what);
                 let (view_found, view_twin) = (view(&found), view(&twin));
                 let turned = Difference::of(&view_found, &view_twin);
-                let chooses =
-                    matches!(layering, Layering::VisibilityMerge | Layering::VisibilityMergeFixed) && k > 1;
+                let chooses = layering == Layering::VisibilityMerge && k > 1;
                 assert!(
                     turned.is_tolerable() || chooses && turned.is_another_choice(),
                     "{what}, turned: {turned:?}"
@@ -152,13 +150,6 @@ fn layered_frames_are_those_of_the_twin() {
                 let error = |view| Difference::of(view, &truth).mean;
                 let (a, b) = (error(&view_found), error(&view_twin));
                 assert!((a - b).abs() <= 0.02 * b, "{what}: error {a} of the view, the twin's is {b}");
-                // A grazing ray may touch an invisible amount of matter on one side only; where pieces merge below a
-                // tolerance, rounding may let one more or less through.
-                let (a, b) = (found.num_segments() as f64, twin.num_segments() as f64);
-                assert!(
-                    (a - b).abs() <= if chooses { 0.04 } else { 0.01 } * b,
-                    "{what}: {a} segments, the twin has {b}"
-                );
                 let tau = |f: &LayeredFrame| {
                     (0..f.num_segments()).map(|i| f64::from(f.segment(i).tau)).sum::<f64>()
                 };
@@ -208,7 +199,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let error = renderer.generate(header(huge, 16), Layering::VisibilityMerge).unwrap_err();
     assert!(matches!(error, GpuError::TooLarge { .. }), "{error}");
     // The longest lists of the sources at full size: a quarter of a gigabyte a plane, which not every device can bind.
-    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::VisibilityMergeFixed) {
+    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::EqualLength) {
         Ok(frame) => frame.validate().unwrap(),
         Err(e) => {
             assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000, .. }), "{e}");

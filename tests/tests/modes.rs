@@ -6,7 +6,7 @@ use std::sync::Arc;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec::{Coding, decode};
 use isinglass_core::kernels::combine;
-use isinglass_core::kernels::layering::{self, Layering, Representative};
+use isinglass_core::kernels::layering::{self, Layering};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -57,7 +57,8 @@ fn renderings_and_frames_are_those_of_the_twin() {
             let composite = scene.with_look(&transfer(name.contains("cloud")), composite);
             Difference::of(&twin, &march::render(&composite, &own)).assert_noticed(&name);
 
-            for layering in [Layering::VisibilityMerge, Layering::EqualLength] {
+            let rules = [Layering::VisibilityMerge, Layering::EqualLength];
+            for &layering in &rules[..if mode.is_projection() { 1 } else { 2 }] {
                 let what = format!("{name}, {layering}");
                 let found = renderer.generate(header(own, 8), layering).unwrap();
                 found.validate().unwrap_or_else(|e| panic!("{what}: {e}"));
@@ -70,8 +71,9 @@ fn renderings_and_frames_are_those_of_the_twin() {
                 };
                 let turned = Difference::of(&view(&found), &view(&expected));
                 assert!(turned.is_tolerable() || turned.is_another_choice(), "{what}, turned: {turned:?}");
-                let (a, b) = (found.num_segments() as f64, expected.num_segments() as f64);
-                assert!((a - b).abs() <= 0.04 * b, "{what}: {a} segments, the twin has {b}");
+                // As many pixels hold lists, but for rays that graze.
+                let (a, b) = (found.num_filled() as f64, expected.num_filled() as f64);
+                assert!((a - b).abs() <= 0.01 * b, "{what}: {a} lists, the twin has {b}");
             }
         }
     }
@@ -197,19 +199,15 @@ fn frames_of_projections_in_blocks_are_refused_and_coded_exactly_instead() {
     assert_eq!(decode(&chunks).unwrap().header, FrameHeader { k: 24, ..frame.header });
 }
 
-/// Rules that projections have no meaning for make the frames of the default rule.
+/// Projections have one rule.
 #[test]
 fn other_rules_stand_for_the_default_in_a_projection() {
     let (_, scene) = scenes_in(Mode::Mip).swap_remove(0);
     let scene = Arc::new(scene);
-    let of = |layering| layering::generate(&scene, header(camera(&scene, 25.0, (40, 32)), 8), layering);
-    let own = of(Layering::VisibilityMerge);
-    for layering in [Layering::Homogeneity, Layering::Slabs, Layering::EqualTransmittance] {
-        assert_eq!(of(layering), own, "{layering}");
+    let of = |layering, k| layering::generate(&scene, header(camera(&scene, 25.0, (40, 32)), k), layering);
+    let own = of(Layering::VisibilityMerge, 8);
+    for layering in Layering::ALL {
+        assert_eq!(of(layering, 8), own, "{layering}");
     }
-    for layering in
-        [Layering::EqualLength, Layering::SingleDepth(Representative::Peak), Layering::VisibilityMergeFixed]
-    {
-        assert_ne!(of(layering), own, "{layering}");
-    }
+    assert_ne!(of(Layering::VisibilityMerge, 4), own, "another K");
 }

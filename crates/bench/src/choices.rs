@@ -196,7 +196,7 @@ mod tests {
             let all = methods_by_rule(&rules, &[MethodChoice::default()], mode);
             all.into_iter().map(|(rule, _)| rule.name()).collect::<Vec<_>>()
         };
-        assert_eq!(names(Mode::Average), ["visibility-merge", "equal-length"]);
+        assert_eq!(names(Mode::Average), ["visibility-merge"]);
         assert_eq!(names(Mode::Composite).len(), 4);
     }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::combine;
+use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::layering::{self, Layering};
 use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
@@ -128,7 +129,7 @@ impl Backend {
     pub fn renderer(&self, scene: Scene) -> Result<Renderer, GpuError> {
         Ok(match self {
             Self::Gpu(gpu) => Renderer::Gpu(Box::new(GpuRenderer::new(gpu, scene)?)),
-            Self::Cpu => Renderer::Cpu(Box::new(scene)),
+            Self::Cpu => Renderer::on_cpu(scene),
         })
     }
 
@@ -173,15 +174,26 @@ pub enum Renderer {
     /// On a GPU.
     Gpu(Box<GpuRenderer>),
     /// On the CPU.
-    Cpu(Box<Scene>),
+    Cpu(Box<CpuRenderer>),
+}
+
+/// A scene on the CPU, and what its frames have spent.
+pub struct CpuRenderer {
+    scene: Scene,
+    budget: Budget,
 }
 
 impl Renderer {
+    /// A renderer of one scene on the CPU, which cannot fail.
+    pub fn on_cpu(scene: Scene) -> Self {
+        Self::Cpu(Box::new(CpuRenderer { scene, budget: Budget::default() }))
+    }
+
     /// What is drawn.
     pub fn scene(&self) -> &Scene {
         match self {
             Self::Gpu(renderer) => renderer.scene(),
-            Self::Cpu(scene) => scene,
+            Self::Cpu(renderer) => &renderer.scene,
         }
     }
 
@@ -189,8 +201,8 @@ impl Renderer {
     pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.set_scene(scene),
-            Self::Cpu(old) => {
-                **old = scene;
+            Self::Cpu(renderer) => {
+                **renderer = CpuRenderer { scene, budget: Budget::default() };
                 Ok(())
             }
         }
@@ -206,7 +218,7 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.render(camera),
             Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(scene) => Ok(march::render(scene, camera)),
+            Self::Cpu(renderer) => Ok(march::render(&renderer.scene, camera)),
         }
     }
 
@@ -217,7 +229,7 @@ impl Renderer {
             Self::Cpu(_) if !camera.is_valid() || rows.end > camera.intrinsics.height => {
                 Err(GpuError::Camera)
             }
-            Self::Cpu(scene) => Ok(march::render_rows(scene, camera, rows)),
+            Self::Cpu(renderer) => Ok(march::render_rows(&renderer.scene, camera, rows)),
         }
     }
 
@@ -226,7 +238,7 @@ impl Renderer {
         check_views(views)?;
         match self {
             Self::Gpu(renderer) => mean_on_gpu(views, |view| renderer.render_view(view)),
-            Self::Cpu(scene) => Ok(lens::render_mean(scene, views)),
+            Self::Cpu(renderer) => Ok(lens::render_mean(&renderer.scene, views)),
         }
     }
 
@@ -235,21 +247,21 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.render_through(camera),
             Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(scene) => Ok(march::render_through(scene, camera)),
+            Self::Cpu(renderer) => Ok(march::render_through(&renderer.scene, camera)),
         }
     }
 
-    /// A layered frame by a rule, with at most `header.k` segments a list.
+    /// A layered frame by a rule, with `header.k` segments a list: see [`layering::generate`].
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.generate(header, layering),
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(scene) => Ok(layering::generate(scene, header, layering)),
+            Self::Cpu(renderer) => Ok(layering::generate(&renderer.scene, header, layering)),
         }
     }
 
-    /// The same; `None` when the frame is no longer wanted, which is asked for each row on the CPU and between some
-    /// passes on a GPU.
+    /// The same for one frame after another, whose budget follows from what the last one spent. `None` when the frame is no
+    /// longer wanted, which is asked for each row on the CPU and between some passes on a slow GPU.
     pub fn generate_while(
         &mut self,
         header: FrameHeader,
@@ -259,7 +271,10 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.generate_while(header, layering, wanted),
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(scene) => Ok(layering::generate_while(scene, header, layering, wanted)),
+            Self::Cpu(renderer) => {
+                let CpuRenderer { scene, budget } = &mut **renderer;
+                Ok(layering::generate_while(scene, header, layering, budget, wanted))
+            }
         }
     }
 }

@@ -176,5 +176,5 @@ pub(crate) struct Display {
 pub(crate) const BLOCK: u32 = 256;
 /// Side of the square workgroups of the kernels that work on pixels, but for the next.
 pub(crate) const WORKGROUP_SIDE: u32 = 8;
-/// Height of the workgroups that cast novel views.
-pub(crate) const CAST_GROUP_HEIGHT: u32 = 4;
+/// Height of the workgroups that cast novel views or make lists: with the side above, as many as run in step.
+pub(crate) const GROUP_HEIGHT: u32 = 4;

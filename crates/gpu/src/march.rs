@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -25,6 +26,7 @@ pub struct GpuRenderer {
     on_gpu: SceneOnGpu,
     picture: PictureTarget,
     frame: Option<FrameTarget>,
+    budget: Budget,
 }
 
 impl GpuRenderer {
@@ -32,7 +34,7 @@ impl GpuRenderer {
     pub fn new(gpu: &Gpu, scene: Scene) -> Result<Self, GpuError> {
         let on_gpu = SceneOnGpu::new(gpu, &scene)?;
         let picture = gpu.attempt("making buffers", || Ok(PictureTarget::new(gpu)))?;
-        Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None })
+        Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None, budget: Budget::default() })
     }
 
     /// What is drawn.
@@ -44,6 +46,7 @@ impl GpuRenderer {
     pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
         self.on_gpu.set(&self.gpu, &scene)?;
         self.scene = scene;
+        self.budget.forget();
         Ok(())
     }
 
@@ -90,25 +93,29 @@ impl GpuRenderer {
 
     /// See [`isinglass_core::kernels::layering::generate`].
     pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+        self.budget.forget();
         Ok(self.generate_while(header, layering, ALWAYS)?.unwrap_or_else(|| LayeredFrame::empty(header)))
     }
 
-    /// The same; `None` when the frame is no longer wanted, which is asked between its passes.
+    /// The same for one frame after another; `None` when the frame is no longer wanted, which is asked between passes where
+    /// the device is slow. See [`isinglass_core::kernels::layering::generate_while`].
     pub fn generate_while(
         &mut self,
         header: FrameHeader,
         layering: Layering,
         wanted: Wanted<'_>,
     ) -> Result<Option<LayeredFrame>, GpuError> {
-        let Self { gpu, on_gpu, frame, .. } = self;
+        let Self { gpu, on_gpu, frame, scene, budget, .. } = self;
         gpu.attempt("generating a layered frame", || {
             let mode = on_gpu.mode;
             let layering = layering.in_mode(mode);
-            let target = match frame.take().filter(|target| target.fits(&header, layering)) {
+            let steps = on_gpu.max_steps;
+            let target = match frame.take().filter(|target| target.fits(&header, layering, steps)) {
                 Some(target) => frame.insert(target),
-                None => frame.insert(FrameTarget::new(gpu, &header, layering)?),
+                None => frame.insert(FrameTarget::new(gpu, &header, layering, steps)?),
             };
-            target.generate(gpu, on_gpu, FrameHeader { mode, ..header }, wanted)
+            let reach = scene.volume.bounds().radius();
+            target.generate(gpu, on_gpu, FrameHeader { mode, ..header }, (budget, reach), wanted)
         })
     }
 }

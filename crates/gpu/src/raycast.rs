@@ -14,7 +14,7 @@ use isinglass_core::space::Aabb;
 use crate::combine::FramesOnGpu;
 use crate::device::{Gpu, bind, buffer, check_binding};
 use crate::error::{GpuError, scoped};
-use crate::gpu_types::{CAST_GROUP_HEIGHT, Raycaster};
+use crate::gpu_types::{GROUP_HEIGHT, Raycaster};
 use crate::picture_target::PictureTarget;
 use crate::shaders::Kernel;
 
@@ -299,7 +299,7 @@ impl GpuReprojector {
             Ok(Self {
                 gpu: gpu.clone(),
                 frames: on_gpu,
-                picture: PictureTarget::of_groups(gpu, CAST_GROUP_HEIGHT),
+                picture: PictureTarget::of_groups(gpu, GROUP_HEIGHT),
             })
         })?;
         reprojector.set_frames(frames, bounds)?;

@@ -10,7 +10,7 @@ use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{
-    BLOCK, Band, Basis, CAST_GROUP_HEIGHT, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE,
+    BLOCK, Band, Basis, GROUP_HEIGHT, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE,
 };
 use crate::shaders::{Extent, Frames, Kernel, Purpose, TexelKind};
 
@@ -184,7 +184,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 27] = [
+const TWINS: [&str; 28] = [
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
@@ -205,7 +205,8 @@ const TWINS: [&str; 27] = [
     include_str!("../../core/src/kernels/layering/close.rs"),
     include_str!("../../core/src/kernels/layering/projection.rs"),
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
-    include_str!("../../core/src/kernels/layering/visibility_merge/gather.rs"),
+    include_str!("../../core/src/kernels/layering/stream.rs"),
+    include_str!("../../core/src/kernels/layering/budget.rs"),
     include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
     include_str!("../../core/src/kernels/layering/cuts.rs"),
     include_str!("../../core/src/kernels/layering/equal_length.rs"),
@@ -215,11 +216,7 @@ const TWINS: [&str; 27] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 25] = [
-    "NUM_PARTS",
-    "BINS_OF_PART",
-    "NUM_CUTS",
-    "IS_POINT",
+const SHADER_ONLY: [&str; 20] = [
     "IS_MEAN",
     "IS_LEAST",
     "X_LEAST",
@@ -228,8 +225,7 @@ const SHADER_ONLY: [&str; 25] = [
     "UNBOUNDED",
     "K",
     "STOP_AT",
-    "OPEN",
-    "INFINITE_COST",
+    "INFINITE_ERROR",
     "REPRESENTATIVE",
     "BLOCK",
     "HALF_NORMAL_MIN",
@@ -382,8 +378,8 @@ fn workgroups_are_those_that_the_host_dispatches() {
             let expected = match (kernel, entry.stage) {
                 (_, naga::ShaderStage::Vertex | naga::ShaderStage::Fragment) => continue,
                 (Kernel::Compact, _) => [BLOCK, 1, 1],
-                _ if entry.name == "choose_threshold" => [256, 1, 1],
-                (Kernel::RaycastCompute(_), _) => [WORKGROUP_SIDE, CAST_GROUP_HEIGHT, 1],
+                _ if entry.name == "choose" => [1, 1, 1],
+                (Kernel::RaycastCompute(_) | Kernel::Generate(..), _) => [WORKGROUP_SIDE, GROUP_HEIGHT, 1],
                 _ => [WORKGROUP_SIDE, WORKGROUP_SIDE, 1],
             };
             assert_eq!(entry.workgroup_size, expected, "{}", entry.name);

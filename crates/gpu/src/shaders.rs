@@ -81,8 +81,8 @@ impl Purpose {
 pub(crate) enum Kernel {
     /// Entry point `render`.
     Render(TexelKind, Mode, Extent),
-    /// Entry point `generate`: mode, rule and K, see [`Kernel::generate`]. With [`Layering::VisibilityMerge`] also
-    /// `sample_budget` and `choose_threshold`.
+    /// Entry point `generate`: mode, rule and K, see [`Kernel::generate`]. With [`Layering::VisibilityMerge`], the one rule of
+    /// projections, also `count` and `choose`.
     Generate(TexelKind, Mode, Layering, u8),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
@@ -97,12 +97,11 @@ pub(crate) enum Kernel {
 }
 
 impl Kernel {
-    /// That of a rule, with lists of `k` segments. Where K is read from a buffer it is the same for every K: drivers take
-    /// seconds to compile one.
+    /// That of a rule in a mode, with lists of `k` segments. Where K is read from a buffer it is the same for every K: drivers
+    /// take seconds to compile one.
     pub(crate) fn generate(kind: TexelKind, mode: Mode, layering: Layering, k: u8) -> Self {
-        let is_text =
-            !has_budget(mode, layering) || (mode.is_projection() && layering == Layering::EqualLength);
-        Self::Generate(kind, mode, layering, if is_text { k } else { MAX_K as u8 })
+        let k = if layering == Layering::VisibilityMerge { MAX_K as u8 } else { k };
+        Self::Generate(kind, mode, layering, k)
     }
 
     /// What a pipeline sets in the text: all of its `override` constants.
@@ -133,54 +132,37 @@ impl Kernel {
                 return [&march[..], &[extent, seen, RENDER]].concat().concat();
             }
             Self::Generate(kind, mode, layering, k) => {
-                let header;
-                let k = usize::from(k).clamp(1, MAX_K);
-                // Segments open at once.
-                let mut open = k;
                 let [generated, takes] = mode_parts(mode);
                 let crossings = if mode == Mode::Iso { SURFACES } else { "" };
-                let [shared, budget, rule, last] = match layering {
-                    _ if mode.is_projection() => {
-                        open = MAX_K;
-                        let [is_point, is_mean] =
-                            [matches!(layering, Layering::SingleDepth(_)), mode == Mode::Average];
-                        let num_cuts = match layering {
-                            Layering::EqualLength => k,
-                            _ => is_point.into(),
-                        };
-                        header = format!(
-                            "const NUM_CUTS: u32 = {num_cuts}u;\n\
-                             const IS_POINT: bool = {is_point};\nconst IS_MEAN: bool = {is_mean};\n"
-                        );
-                        let last = if is_mean { PROJECTION_MEAN } else { PROJECTION_KEYS };
-                        [&header, BUDGET, PROJECTION, last]
+                let k = usize::from(k).clamp(1, MAX_K);
+                let header = match layering {
+                    Layering::VisibilityMerge => {
+                        let is_mean = mode == Mode::Average;
+                        format!(
+                            "const IS_MEAN: bool = {is_mean};\nfn longest_list() -> u32 {{ return budget.longest; }}\n"
+                        )
                     }
-                    Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
-                        open = MAX_K;
-                        ["", BUDGET, VISIBILITY_MERGE, UNITED_OVER]
-                    }
-                    Layering::EqualTransmittance => ["", "", EQUAL_TRANSMITTANCE, UNITED_OVER],
-                    Layering::EqualLength => [CUTS, "", EQUAL_LENGTH, UNITED_OVER],
-                    Layering::Homogeneity => ["", "", HOMOGENEITY, UNITED_OVER],
                     Layering::SingleDepth(r) => {
-                        header = format!("const REPRESENTATIVE: u32 = {}u;\n", r as u32);
-                        [&header, "", SINGLE_DEPTH, UNITED_OVER]
+                        format!("{}const REPRESENTATIVE: u32 = {}u;\n", fixed_k(k), r as u32)
                     }
-                    Layering::Slabs => [CUTS, "", SLABS, UNITED_OVER],
+                    _ => fixed_k(k),
                 };
-                let longest = match has_budget(mode, layering) {
-                    true => "budget.longest".to_owned(),
-                    false => format!("{}u", layering.longest_list(k as u8)),
+                let rule: &[&str] = match layering {
+                    Layering::VisibilityMerge if mode == Mode::Average => {
+                        &[BUDGET, STREAM, PROJECTION, PROJECTION_MEAN]
+                    }
+                    Layering::VisibilityMerge if mode.is_projection() => {
+                        &[BUDGET, STREAM, PROJECTION, PROJECTION_KEYS]
+                    }
+                    Layering::VisibilityMerge => &[BUDGET, STREAM, VISIBILITY_MERGE, UNITED_OVER],
+                    Layering::EqualTransmittance => &[EQUAL_TRANSMITTANCE, UNITED_OVER],
+                    Layering::EqualLength => &[CUTS, EQUAL_LENGTH, UNITED_OVER],
+                    Layering::Homogeneity => &[HOMOGENEITY, UNITED_OVER],
+                    Layering::SingleDepth(_) => &[SINGLE_DEPTH, UNITED_OVER],
+                    Layering::Slabs => &[CUTS, SLABS, UNITED_OVER],
                 };
-                let k = match has_budget(mode, layering) {
-                    true => String::new(),
-                    false => format!("const K: u32 = {longest};\n"),
-                };
-                let k = format!(
-                    "{k}const OPEN: u32 = {open}u;\nfn longest_list() -> u32 {{ return {longest}; }}\n"
-                );
                 let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
-                return [&march[..], &[&k, GENERATE, shared, budget, rule, last]].concat().concat();
+                return [&march[..], &[&header, GENERATE], rule].concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
@@ -205,9 +187,9 @@ impl Kernel {
     }
 }
 
-/// Whether a rule has the part of the budget, which holds K.
-fn has_budget(mode: Mode, layering: Layering) -> bool {
-    mode.is_projection() || matches!(layering, Layering::VisibilityMerge | Layering::VisibilityMergeFixed)
+/// The greatest length of a list, as the text of a kernel.
+fn fixed_k(k: usize) -> String {
+    format!("const K: u32 = {k}u;\nfn longest_list() -> u32 {{ return K; }}\n")
 }
 
 /// What a march makes of two samples in a mode: generated lines, and the part.
@@ -274,6 +256,7 @@ const SEEN_GREATEST: &str = include_str!("../../../shaders/render/greatest.wgsl"
 const SEEN_MEAN: &str = include_str!("../../../shaders/render/mean.wgsl");
 const WAY: &str = include_str!("../../../shaders/shared/way.wgsl");
 const BUDGET: &str = include_str!("../../../shaders/layering/budget.wgsl");
+const STREAM: &str = include_str!("../../../shaders/layering/stream.wgsl");
 const PROJECTION: &str = include_str!("../../../shaders/layering/projection.wgsl");
 const PROJECTION_KEYS: &str = include_str!("../../../shaders/layering/projection_keys.wgsl");
 const PROJECTION_MEAN: &str = include_str!("../../../shaders/layering/projection_mean.wgsl");

@@ -249,7 +249,7 @@ impl Studio {
         let result = attempt.unwrap_or(Err(GenerateError::Panicked));
         if result.as_ref().is_err_and(GenerateError::is_lost) {
             tracing::error!("rendering on the CPU from now on: the renderer is lost");
-            self.renderer = Renderer::Cpu(Box::new(self.renderer.scene().clone()));
+            self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
         }
         result
     }

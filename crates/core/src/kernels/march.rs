@@ -316,6 +316,11 @@ impl<'a, T: Texels> Marcher<'a, T> {
         }
     }
 
+    /// See [`modes::key_limit`].
+    pub(crate) fn key_limit(&self) -> f32 {
+        self.key_limit
+    }
+
     /// Marches the lattice of one ray in a mode that composites with *over*; stops when the sink says so. Surfaces have
     /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {

@@ -88,7 +88,7 @@ impl LookArgs {
 /// Which segments a layered frame holds.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct LayeringArgs {
-    /// Rule: visibility-merge, visibility-merge:fixed, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
+    /// Rule: visibility-merge, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
     /// being mean, entry, exit, midpoint, peak, gradient or threshold
     #[arg(long, value_name = "RULE", default_value_t = Layering::default())]
     pub(crate) layering: Layering,

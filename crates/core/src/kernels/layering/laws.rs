@@ -90,30 +90,29 @@ fn trace(
     let pose = Pose::orbit(bounds.center(), turn.0, turn.1, bounds.radius() * intrinsics.fit_distance());
     let camera = Camera::new(pose, intrinsics, &bounds);
     let basis = camera.basis();
-    let threshold = with_texels!(scene, texels => {
-        visibility_merge::threshold(scene, &Marcher::new(scene, texels), &camera, K)
-    });
-    let threshold = if layering == Layering::VisibilityMerge { threshold } else { 0.0 };
     let mut rays = vec![];
-    for i in 0..width * height {
-        let (ray, s_per_depth) = basis.ray((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-        let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth) else { continue };
-        let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-        let [mut all, mut seen] = [Record::new(true), Record::new(false)];
-        let list = with_texels!(scene, texels => {
-            let marcher = Marcher::new(scene, texels);
-            marcher.march(&ray, lattice, &mut all);
-            marcher.march(&ray, lattice, &mut seen);
-            let (mut gather, mut list) = (visibility_merge::Gather::default(), SegmentList::default());
-            generate_list(scene, &marcher, &of, K, layering, &mut gather, &mut list);
-            list
+    with_texels!(scene, texels => {
+        let marcher = Marcher::new(scene, texels);
+        let longest = budget::longest_list(K);
+        let threshold = budget::count(scene, &marcher, &camera, K, |of, thresholds| {
+            Some(budget::counts_of_matter(of, longest, thresholds))
         });
-        if !all.steps.is_empty() {
-            let list = list.segments[..list.len].to_vec();
-            let steps = all.steps.iter().map(|s| s.0).collect();
-            rays.push(Traced { steps, seen: seen.steps, list, h: lattice.h, s_per_depth });
+        for i in 0..width * height {
+            let pixel = (i % width, i / width);
+            let Some(of) = Listing::new(scene, &marcher, &basis, camera.near, pixel) else { continue };
+            let [mut all, mut seen] = [Record::new(true), Record::new(false)];
+            marcher.march(&of.ray, of.lattice, &mut all);
+            marcher.march(&of.ray, of.lattice, &mut seen);
+            let mut list = SegmentList::default();
+            of.list(layering, K, threshold, &mut list);
+            if !all.steps.is_empty() {
+                let list = list.segments[..list.len].to_vec();
+                let steps = all.steps.iter().map(|s| s.0).collect();
+                let (h, s_per_depth) = (of.lattice.h, of.s_per_depth);
+                rays.push(Traced { steps, seen: seen.steps, list, h, s_per_depth });
+            }
         }
-    }
+    });
     let corner = |i: u32| {
         let pick =
             |bit: u32, axis: usize| if i >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] };
@@ -185,24 +184,22 @@ fn merges_within_the_frame(probe: &Probe) -> bool {
     lengths().any(|len| len > K) && mean <= K as f32 + 3.0
 }
 
-/// With one sheet too many, the two that are nearest to each other become one; no list is longer than K.
+/// With one sheet too many, the two that are nearest to each other become one.
 fn merges_the_nearest(probe: &Probe) -> bool {
     let sheets = &probe.sheets;
     let gap = |i: &usize| sheets[i + 1] - sheets[*i];
     let nearest = (0..sheets.len().saturating_sub(1)).min_by(|a, b| gap(a).total_cmp(&gap(b)));
-    probe.rays.iter().all(|ray| match nearest {
-        None => ray.list.len() <= K,
-        Some(nearest) => {
-            let mut first = 0;
-            ray.list.len() == K
-                && ray.list.iter().all(|s| {
-                    // A sheet is two voxels thick, being interpolated, and a voxel is one world unit.
-                    let after = first + if first == nearest { 2 } else { 1 };
-                    let expected = (sheets[first] - 1.0, sheets[after - 1] + 1.0);
-                    first = after;
-                    (s.s0 - expected.0).abs() < 1.0 && (s.s1 - expected.1).abs() < 1.0
-                })
-        }
+    let Some(nearest) = nearest else { return false };
+    probe.rays.iter().all(|ray| {
+        let mut first = 0;
+        ray.list.len() == K
+            && ray.list.iter().all(|s| {
+                // A sheet is two voxels thick, being interpolated, and a voxel is one world unit.
+                let after = first + if first == nearest { 2 } else { 1 };
+                let expected = (sheets[first] - 1.0, sheets[after - 1] + 1.0);
+                first = after;
+                (s.s0 - expected.0).abs() < 1.0 && (s.s1 - expected.1).abs() < 1.0
+            })
     })
 }
 
@@ -356,7 +353,6 @@ fn is_at_the(representative: Representative, seen: &[(Step, f64)], s: f64, eps: 
 fn obeys(law: Layering, probe: &Probe) -> bool {
     match law {
         Layering::VisibilityMerge => merges_within_the_frame(probe),
-        Layering::VisibilityMergeFixed => merges_the_nearest(probe),
         Layering::EqualTransmittance => shares_equally(probe),
         Layering::EqualLength => has_equal_lengths(probe),
         Layering::Homogeneity => parts_by_a_threshold(probe),
@@ -441,7 +437,7 @@ fn a_frame_that_is_given_up_is_left_at_the_next_row() {
     let generate = |times: usize| {
         asked.store(0, Ordering::Relaxed);
         let wanted = || asked.fetch_add(1, Ordering::Relaxed) < times;
-        generate_while(&scene, header, Layering::VisibilityMerge, &wanted)
+        generate_while(&scene, header, Layering::VisibilityMerge, &mut Budget::default(), &wanted)
     };
     assert_eq!(generate(usize::MAX), Some(super::generate(&scene, header, Layering::VisibilityMerge)));
     assert_eq!(asked.load(Ordering::Relaxed), 48);

@@ -1,10 +1,10 @@
 //! Rules that turn the steps of a march into the segments of a layered frame: one file each.
 //!
 //! Every rule sees the same steps of the same lattice; only what becomes of them differs. Projections have a rule of their
-//! own ([`projection`]), whichever is chosen; but `equal-length` and `single-depth` make simpler lists of them, too, to be
-//! compared with.
+//! own ([`projection`]), whichever is chosen.
 
 pub mod all_samples;
+pub mod budget;
 mod close;
 pub mod cuts;
 pub mod equal_length;
@@ -15,13 +15,15 @@ mod laws;
 pub mod projection;
 pub mod single_depth;
 pub mod slabs;
-pub mod visibility_merge;
+mod stream;
+mod visibility_merge;
 
 pub use single_depth::Representative;
 
 use rayon::prelude::*;
 
-use super::march::{Marcher, Scene, Step, Texels, with_texels};
+use self::budget::Budget;
+use super::march::{Lattice, Marcher, Scene, Step, Texels, with_texels};
 use super::raycast::opacity;
 use crate::camera::{Basis, Intrinsics};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
@@ -33,7 +35,8 @@ use crate::wanted::{ALWAYS, Wanted};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Layering {
-    /// One march, merged where it costs least; K segments a list on average, more where they matter (ours).
+    /// One march, merged up to an error that the whole frame shares; K segments a list on average, more where they matter
+    /// (ours).
     #[default]
     VisibilityMerge,
     /// Cuts at equal shares of the accumulated opacity; two marches (Lochmann 2016).
@@ -46,15 +49,12 @@ pub enum Layering {
     SingleDepth(Representative),
     /// Slabs of equal view depth, the same for every ray (Mueller 1999).
     Slabs,
-    /// [`Layering::VisibilityMerge`] with at most K segments in every list.
-    VisibilityMergeFixed,
 }
 
 impl Layering {
     /// Every rule.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 12] = [
         Self::VisibilityMerge,
-        Self::VisibilityMergeFixed,
         Self::EqualTransmittance,
         Self::EqualLength,
         Self::Homogeneity,
@@ -72,7 +72,6 @@ impl Layering {
     pub fn name(self) -> &'static str {
         match self {
             Self::VisibilityMerge => "visibility-merge",
-            Self::VisibilityMergeFixed => "visibility-merge:fixed",
             Self::EqualTransmittance => "equal-transmittance",
             Self::EqualLength => "equal-length",
             Self::Homogeneity => "homogeneity",
@@ -92,17 +91,13 @@ impl Layering {
     /// The longest list that occurs in a frame for `k`.
     pub fn longest_list(self, k: u8) -> u8 {
         let k = usize::from(k).clamp(1, MAX_K);
-        let longest = if self == Self::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
+        let longest = if self == Self::VisibilityMerge { budget::longest_list(k) } else { k };
         longest as u8
     }
 
-    /// The rule that stands for this one in a mode: projections have but some.
+    /// The rule that stands for this one in a mode: projections have one.
     pub fn in_mode(self, mode: Mode) -> Self {
-        match self {
-            Self::EqualLength | Self::SingleDepth(_) | Self::VisibilityMergeFixed => self,
-            _ if mode.is_projection() => Self::VisibilityMerge,
-            _ => self,
-        }
+        if mode.is_projection() { Self::VisibilityMerge } else { self }
     }
 }
 
@@ -165,17 +160,22 @@ fn split(step: &Step, part: f32) -> (Step, Step) {
 /// Generates a layered frame by the rule `layering` with `header.k` segments a list: on average for
 /// [`Layering::VisibilityMerge`], else at most. The header of the frame has the longest list that can occur.
 pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> LayeredFrame {
-    generate_while(scene, header, layering, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header))
+    let frame = generate_while(scene, header, layering, &mut Budget::default(), ALWAYS);
+    frame.unwrap_or_else(|| LayeredFrame::empty(header))
 }
 
-/// The same; `None` when the frame is no longer wanted, which is asked for each row.
+/// The same for one frame after another of one scene, whose budget follows from what the last one spent; `None` when the
+/// frame is no longer wanted, which is asked for each row.
 pub fn generate_while(
     scene: &Scene,
     header: FrameHeader,
     layering: Layering,
+    budget: &mut Budget,
     wanted: Wanted<'_>,
 ) -> Option<LayeredFrame> {
-    with_texels!(scene, texels => generate_with(scene, &Marcher::new(scene, texels), header, layering, wanted))
+    with_texels!(scene, texels => {
+        generate_with(scene, &Marcher::new(scene, texels), header, layering, budget, wanted)
+    })
 }
 
 fn generate_with<T: Texels>(
@@ -183,44 +183,43 @@ fn generate_with<T: Texels>(
     marcher: &Marcher<'_, T>,
     header: FrameHeader,
     layering: Layering,
+    budget: &mut Budget,
     wanted: Wanted<'_>,
 ) -> Option<LayeredFrame> {
     let camera = header.camera;
     let basis = camera.basis();
-    let k = usize::from(header.k).clamp(1, MAX_K);
+    let k = header.k.clamp(1, MAX_K as u8);
     let mode = scene.settings.mode;
     let layering = layering.in_mode(mode);
-    let header = FrameHeader { k: layering.longest_list(header.k), mode, ..header };
+    let asked = FrameHeader { k, mode, ..header };
+    let header = FrameHeader { k: layering.longest_list(k), ..asked };
     let longest = usize::from(header.k);
+    let k = usize::from(k);
     let threshold = match layering {
-        Layering::VisibilityMerge if mode.is_projection() => {
-            projection::threshold(scene, marcher, &camera, k)
-        }
-        Layering::VisibilityMerge => visibility_merge::threshold(scene, marcher, &camera, k),
+        Layering::VisibilityMerge => budget.threshold(&asked, scene.volume.bounds().radius()).unwrap_or_else(|| {
+            budget::count(scene, marcher, &camera, k, |of, thresholds| {
+                Some(match mode.is_projection() {
+                    true => projection::counts(of, longest, thresholds),
+                    false => budget::counts_of_matter(of, longest, thresholds),
+                })
+            })
+        }),
         _ => 0.0,
     };
-    gather_rows(header, wanted, |y, row| {
-        let mut gather = visibility_merge::Gather::default();
-        let mut projected = projection::Gather::new(scene);
+    let frame = gather_rows(header, wanted, |y, row| {
         let mut list = SegmentList::default();
         for x in 0..camera.intrinsics.width {
-            let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-            let of = RayOfFrame { basis: &basis, near: camera.near, threshold, ray, s_per_depth };
-            if mode.is_projection() {
-                list = match scene.lattice(&of.ray, of.near * s_per_depth) {
-                    Some(lattice) => {
-                        let lengths = (k, longest, threshold);
-                        projection::list(marcher, &of.ray, lattice, layering, lengths, &mut projected)
-                    }
-                    None => SegmentList::default(),
-                };
-            } else {
-                generate_list(scene, marcher, &of, k, layering, &mut gather, &mut list);
+            if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
+                of.list(layering, k, threshold, &mut list);
+                close::list(&camera, mode.compositing(), &mut list, of.s_per_depth, |list| row.extend(list));
             }
-            close::list(&camera, mode.compositing(), &mut list, s_per_depth, |segments| row.extend(segments));
             row.offsets.push(row.depth.len() as u32);
         }
-    })
+    })?;
+    if layering == Layering::VisibilityMerge {
+        budget.note(&asked, threshold, &frame);
+    }
+    Some(frame)
 }
 
 /// The frame of the rows that `fill` makes, in parallel: it pushes the segments and the end of each list of row `y`.
@@ -281,71 +280,80 @@ fn gather_rows(
     Some(frame)
 }
 
-/// What a rule knows of the frame, and the ray.
-struct RayOfFrame<'a> {
+/// A ray that meets the volume, and what a rule knows of its frame.
+pub(crate) struct Listing<'a, T> {
+    scene: &'a Scene,
+    marcher: &'a Marcher<'a, T>,
     basis: &'a Basis,
     /// View depth of the near plane.
     near: f32,
-    /// See [`visibility_merge`].
-    threshold: f32,
     ray: Ray,
+    lattice: Lattice,
     /// World distance per unit of view depth.
     s_per_depth: f32,
 }
 
-/// Makes of `list` that of one ray; `gather` is for the rule that needs it.
-fn generate_list<T: Texels>(
-    scene: &Scene,
-    marcher: &Marcher<'_, T>,
-    of: &RayOfFrame<'_>,
-    k: usize,
-    layering: Layering,
-    gather: &mut visibility_merge::Gather,
-    list: &mut SegmentList,
-) {
-    let &RayOfFrame { basis, near, threshold, ref ray, s_per_depth } = of;
-    list.len = 0;
-    let Some(lattice) = scene.lattice(ray, near * s_per_depth) else { return };
-    *list = match layering {
-        Layering::VisibilityMerge | Layering::VisibilityMergeFixed => {
-            let most =
-                if layering == Layering::VisibilityMerge { visibility_merge::longest_list(k) } else { k };
-            let tolerance = visibility_merge::tolerance(threshold, k);
-            gather.begin(lattice.unit, tolerance);
-            marcher.march(ray, lattice, gather);
-            gather.reduce(most, threshold, list);
-            return;
-        }
-        Layering::EqualTransmittance => {
-            let mut profile = equal_transmittance::Profile::default();
-            marcher.march(ray, lattice, &mut profile);
-            let mut cuts = equal_transmittance::Cuts::new(k, profile);
-            marcher.march(ray, lattice, &mut cuts);
-            cuts.finish()
-        }
-        Layering::EqualLength => {
-            let mut extent = equal_length::Extent::default();
-            marcher.march(ray, lattice, &mut extent);
-            let Some(mut cuts) = extent.cuts(k) else { return };
-            marcher.march(ray, lattice, &mut cuts);
-            cuts.finish()
-        }
-        Layering::Homogeneity => homogeneity::list(k, lattice.h, |pass| marcher.march(ray, lattice, pass)),
-        Layering::SingleDepth(representative) => {
-            let mut sink = single_depth::SingleDepth::new(f32::INFINITY);
-            marcher.march(ray, lattice, &mut sink);
-            if representative == Representative::Threshold {
-                sink = sink.again();
-                marcher.march(ray, lattice, &mut sink);
+impl<'a, T: Texels> Listing<'a, T> {
+    /// The ray of a pixel; none if it meets nothing.
+    fn new(
+        scene: &'a Scene,
+        marcher: &'a Marcher<'a, T>,
+        basis: &'a Basis,
+        near: f32,
+        (x, y): (u32, u32),
+    ) -> Option<Self> {
+        let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
+        let lattice = scene.lattice(&ray, near * s_per_depth)?;
+        Some(Self { scene, marcher, basis, near, ray, lattice, s_per_depth })
+    }
+
+    /// Makes of `list` that of the ray.
+    fn list(&self, layering: Layering, k: usize, threshold: f32, list: &mut SegmentList) {
+        let &Self { scene, marcher, basis, near, ref ray, lattice, s_per_depth } = self;
+        list.len = 0;
+        *list = match layering {
+            Layering::VisibilityMerge => {
+                let longest = budget::longest_list(k);
+                if scene.settings.mode.is_projection() {
+                    return projection::list(self, longest, threshold, list);
+                }
+                let mut lister = visibility_merge::Lister::new(threshold, longest, &lattice, list);
+                marcher.march(ray, lattice, &mut lister);
+                return lister.finish();
             }
-            sink.finish(representative)
-        }
-        Layering::Slabs => {
-            let mut cuts = slabs::cuts(k, basis, near, &scene.region().bounds, s_per_depth);
-            marcher.march(ray, lattice, &mut cuts);
-            cuts.finish()
-        }
-    };
+            Layering::EqualTransmittance => {
+                let mut profile = equal_transmittance::Profile::default();
+                marcher.march(ray, lattice, &mut profile);
+                let mut cuts = equal_transmittance::Cuts::new(k, profile);
+                marcher.march(ray, lattice, &mut cuts);
+                cuts.finish()
+            }
+            Layering::EqualLength => {
+                let mut extent = equal_length::Extent::default();
+                marcher.march(ray, lattice, &mut extent);
+                let Some(mut cuts) = extent.cuts(k) else { return };
+                marcher.march(ray, lattice, &mut cuts);
+                cuts.finish()
+            }
+            Layering::Homogeneity => {
+                homogeneity::list(k, lattice.h, |pass| marcher.march(ray, lattice, pass))
+            }
+            Layering::SingleDepth(representative) => {
+                let mut sink = single_depth::SingleDepth::new(f32::INFINITY);
+                marcher.march(ray, lattice, &mut sink);
+                if representative == Representative::Threshold {
+                    sink = sink.again();
+                    marcher.march(ray, lattice, &mut sink);
+                }
+                sink.finish(representative)
+            }
+            Layering::Slabs => {
+                let mut cuts = slabs::cuts(k, basis, near, &scene.region().bounds, s_per_depth);
+                marcher.march(ray, lattice, &mut cuts);
+                cuts.finish()
+            }
+        };
+    }
 }
 
 /// A part of a step without any opacity is divided by this; no visible one is so small.

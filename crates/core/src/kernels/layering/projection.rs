@@ -2,75 +2,54 @@
 //! `shaders/layering/projection.wgsl`.
 //!
 //! Nothing hides anything here, so matter anywhere on a ray counts alike, and only what a segment gets wrong of its own
-//! piece of the way does. Steps are gathered to at most [`MAX_K`] pieces and these joined, cheapest first, as
-//! [`super::visibility_merge`] does it, with the same budget; but the error of a piece follows from a few sums over it
-//! (`Piece::error`), so that joins need not look at its steps again.
+//! piece of the way does. From steps to segments goes [`super::stream`], with the budget of [`super::budget`]; the error of a
+//! piece follows from a few sums over it.
 //!
 //! *Greatest key.* A segment shows one key v wherever a turned ray crosses it. With y(s) the keys on its way, its error
 //! is the integral of (v − y)² over its length, weighted by the square of its peak: what is low is seldom the greatest on
 //! any ray. v is the mean of y and of the peak, by `PEAK_SHARE`: a turned ray crosses many segments and shows the greatest
-//! of their keys, so means are too low, by a tenth of the error, and peaks too high after large turns. The segment that holds the greatest key of its ray
-//! has that key, and all others a lower one, so the view from the same pose is exact.
+//! of their keys, so means are too low, by a tenth of the error, and peaks too high after large turns. The segment that
+//! holds the greatest key of its ray has that key, and all others a lower one, so the view from the same pose is exact.
 //!
 //! *Mean.* A segment spreads what it shows evenly over its length. Seen from aside, what lay elsewhere is displaced: the
 //! error is what the segment shows times the distance between the two distributions, taken as that of their means and
 //! that of their deviations.
 
-use super::visibility_merge;
-use super::{Layering, OpenSegment, SegmentList};
-use crate::camera::Camera;
-use crate::kernels::march::modes::{Values, key_limit, shown_of_key};
-use crate::kernels::march::{Lattice, Marcher, Pace, Scene, Sink, Step, Texels};
-use crate::layer::{KEY_LEAST, MAX_K, half_below, slot_from_key};
+use super::budget::NUM_THRESHOLDS;
+use super::stream::{Piece, Stream};
+use super::{Listing, OpenSegment, SegmentList};
+use crate::kernels::march::modes::{Values, shown_of_key};
+use crate::kernels::march::{Lattice, Pace, Scene, Sink, Step, Texels};
+use crate::kernels::raycast::greater;
+use crate::layer::{KEY_LEAST, half_below, slot_from_key};
 use crate::mode::{Compositing, Mode};
 
-/// The cost at which rays stop joining, see [`super::visibility_merge`].
-pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
-    visibility_merge::threshold_by(
-        scene,
-        camera,
-        k,
-        || Gather::new(scene),
-        |gather, ray, lattice, sample| {
-            gather.begin(lattice, 0.0);
-            marcher.project(ray, lattice, gather);
-            sample.add(gather.len, |note| gather.join(1, f32::INFINITY, note));
-        },
-    )
+/// Makes of `list` that of a ray: at most `longest` segments that err by no more than `threshold`.
+pub(super) fn list<T: Texels>(of: &Listing<'_, T>, longest: usize, threshold: f32, list: &mut SegmentList) {
+    let mut sink = Projected::new(of, [threshold], longest, list);
+    of.marcher.project(&of.ray, of.lattice, &mut sink);
+    sink.finish();
 }
 
-/// The list of a ray by a rule: at equal lengths, or all at the place of the greatest key, for comparison; else by
-/// merging, to at most `most` segments and no more than joins below `threshold` leave.
-pub fn list<T: Texels>(
-    marcher: &Marcher<'_, T>,
-    ray: &crate::space::Ray,
-    lattice: Lattice,
-    layering: Layering,
-    (k, most, threshold): (usize, usize, f32),
-    gather: &mut Gather,
-) -> SegmentList {
-    let cuts = match layering {
-        Layering::EqualLength => k,
-        Layering::SingleDepth(_) => 1,
-        _ => 0,
-    };
-    gather.begin(lattice, visibility_merge::tolerance(threshold, k));
-    gather.num_cuts = cuts;
-    marcher.project(ray, lattice, gather);
-    if cuts == 0 {
-        gather.join(most, threshold, |_, _| ());
-    }
-    gather.finish(layering)
+/// Segments of a ray at several thresholds.
+pub(super) fn counts<T: Texels>(
+    of: &Listing<'_, T>,
+    longest: usize,
+    thresholds: &[f32; NUM_THRESHOLDS],
+) -> [u32; NUM_THRESHOLDS] {
+    let mut unused = SegmentList::default();
+    let mut sink = Projected::new(of, *thresholds, longest, &mut unused);
+    of.marcher.project(&of.ray, of.lattice, &mut sink);
+    sink.count()
 }
 
-/// A piece of a ray, by sums over its steps.
+/// A part of a ray, by sums over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-struct Piece {
+struct Part {
     s0: f32,
     s1: f32,
-    /// Greatest key, and the ends of the step that has it.
+    /// Greatest key.
     peak: f32,
-    peak_ends: [f32; 2],
     /// Integrals of the key and its square; of a mean, of the brightness and of that times the distance.
     first: f32,
     second: f32,
@@ -80,13 +59,21 @@ struct Piece {
     shown: glam::Vec3,
 }
 
-impl Piece {
-    fn of(step: &Step, compositing: Compositing, origin: f32) -> Self {
+/// What is the same for all parts of a ray.
+struct Projection {
+    compositing: Compositing,
+    lattice: Lattice,
+    /// See [`key_limit`](crate::kernels::march::modes::key_limit).
+    key_limit: f32,
+}
+
+impl Part {
+    fn of(step: &Step, ray: &Projection) -> Self {
         let length = step.s1 - step.s0;
-        let ends = Self { s0: step.s0, s1: step.s1, peak_ends: [step.s0, step.s1], ..Self::default() };
-        if compositing == Compositing::Mean {
+        let ends = Self { s0: step.s0, s1: step.s1, ..Self::default() };
+        if ray.compositing == Compositing::Mean {
             let brightness = step.c.max_element();
-            let middle = 0.5 * (step.s0 + step.s1) - origin;
+            let middle = 0.5 * (step.s0 + step.s1) - ray.lattice.s0;
             let around = middle * middle + length * length * (1.0 / 12.0);
             let (first, second, third) = (brightness, brightness * middle, brightness * around);
             return Self { first, second, third, shown: step.c, ..ends };
@@ -95,13 +82,22 @@ impl Piece {
         Self { peak, first: mean * length, second: square * length, ..ends }
     }
 
-    fn with(&self, behind: &Self) -> Self {
-        let is_higher = behind.peak > self.peak;
+    /// The key that it shows if it does not hold the greatest of its ray.
+    fn key(&self) -> f32 {
+        let mean = self.first / (self.s1 - self.s0);
+        mean + (self.peak - mean) * PEAK_SHARE
+    }
+}
+
+impl Piece for Part {
+    type Ray = Projection;
+
+    #[inline(always)]
+    fn joined(&self, behind: &Self, _: &Projection) -> Self {
         Self {
             s0: self.s0,
             s1: behind.s1,
-            peak: if is_higher { behind.peak } else { self.peak },
-            peak_ends: if is_higher { behind.peak_ends } else { self.peak_ends },
+            peak: greater(self.peak, behind.peak),
             first: self.first + behind.first,
             second: self.second + behind.second,
             third: self.third + behind.third,
@@ -109,216 +105,127 @@ impl Piece {
         }
     }
 
-    /// The key that it shows if it does not hold the greatest of its ray.
-    fn key(&self) -> f32 {
-        let mean = self.first / (self.s1 - self.s0);
-        mean + (self.peak - mean) * PEAK_SHARE
-    }
-
-    /// See the module; `h` is the length of a step.
-    fn error(&self, compositing: Compositing, h: f32, origin: f32) -> f32 {
-        let length = self.s1 - self.s0;
-        if compositing == Compositing::Mean {
+    #[inline(always)]
+    fn error(&self, ray: &Projection) -> f32 {
+        let (length, h) = (self.s1 - self.s0, ray.lattice.unit);
+        let error = if ray.compositing == Compositing::Mean {
             let per_brightness = 1.0 / self.first.max(BRIGHTNESS_LEAST);
             let mean = self.second * per_brightness;
             let deviation = (self.third * per_brightness - mean * mean).max(0.0).sqrt();
-            let middle = 0.5 * (self.s0 + self.s1) - origin;
+            let middle = 0.5 * (self.s0 + self.s1) - ray.lattice.s0;
             let apart = (mean - middle).abs() + (deviation - length * EVEN_DEVIATION).abs();
-            return self.first * apart / (h * h);
-        }
-        let v = self.key();
-        let square = v * v * length - 2.0 * v * self.first + self.second;
-        self.peak * self.peak * square.max(0.0) / h
-    }
-}
-
-/// The pieces of one ray.
-#[derive(Clone, Debug)]
-pub struct Gather<'a> {
-    scene: &'a Scene,
-    compositing: Compositing,
-    lattice: Lattice,
-    tolerance: f32,
-    /// Cuts at equal lengths instead of merging, if not 0.
-    num_cuts: usize,
-    len: usize,
-    pieces: [Piece; MAX_K + 1],
-}
-
-impl<'a> Gather<'a> {
-    /// For the rays of a scene whose mode is a projection.
-    pub fn new(scene: &'a Scene) -> Self {
-        Self {
-            scene,
-            compositing: scene.settings.mode.compositing(),
-            lattice: Lattice { s0: 0.0, h: 1.0, n: 1, unit: 1.0 },
-            tolerance: 0.0,
-            num_cuts: 0,
-            len: 0,
-            pieces: [Piece::default(); MAX_K + 1],
-        }
-    }
-
-    /// Makes ready for the next ray; pieces that cost no more than `tolerance` are merged at once.
-    pub fn begin(&mut self, lattice: Lattice, tolerance: f32) {
-        (self.lattice, self.tolerance) = (lattice, tolerance);
-        (self.num_cuts, self.len) = (0, 0);
-    }
-
-    fn error(&self, piece: &Piece) -> f32 {
-        piece.error(self.compositing, self.lattice.unit, self.lattice.s0)
-    }
-
-    /// What joining piece `i` with `behind` adds to the sum of errors.
-    fn growth(&self, i: usize, behind: &Piece) -> f32 {
-        let front = &self.pieces[i];
-        let growth = self.error(&front.with(behind)) - self.error(front) - self.error(behind);
+            self.first * apart / (h * h)
+        } else {
+            let v = self.key();
+            let square = v * v * length - 2.0 * v * self.first + self.second;
+            self.peak * self.peak * square.max(0.0) / h
+        };
         // Of volumes so large that errors are infinite, nothing is known but that pieces must be joined.
-        if growth.is_nan() { 0.0 } else { growth }
+        if error.is_nan() { 0.0 } else { error }
     }
 
-    fn add(&mut self, piece: Piece) {
-        if self.num_cuts > 0 {
-            self.add_to_cut(piece);
-            return;
-        }
-        if self.len > 0 && self.growth(self.len - 1, &piece) <= self.tolerance {
-            self.pieces[self.len - 1] = self.pieces[self.len - 1].with(&piece);
-            return;
-        }
-        self.pieces[self.len] = piece;
-        self.len += 1;
-        if self.len > MAX_K {
-            self.thin_out();
-        }
-    }
-
-    fn add_to_cut(&mut self, piece: Piece) {
-        let middle = 0.5 * (piece.s0 + piece.s1) - self.lattice.s0;
-        let share = middle / (self.lattice.h * self.lattice.n as f32);
-        let cut = ((share * self.num_cuts as f32) as usize).min(self.num_cuts - 1);
-        // Those before are there, if only empty; what follows is where it belongs.
-        while self.len <= cut {
-            self.pieces[self.len] = Piece { peak: -1.0, ..Piece::default() };
-            self.len += 1;
-        }
-        let open = &mut self.pieces[cut];
-        *open = if open.peak < 0.0 { piece } else { open.with(&piece) };
-    }
-
-    /// Of MAX_K + 1 pieces merges neighbours, and raises the tolerance to where most of the cheap pairs merge. A pair that
-    /// costs more than the one behind it waits for another time, as does one with a piece that was merged just now.
-    fn thin_out(&mut self) {
-        let mut cost = [f32::INFINITY; MAX_K + 1];
-        let (mut sum_of_inverses, mut least) = (0.0, f32::INFINITY);
-        for (i, cost) in cost.iter_mut().enumerate().take(MAX_K) {
-            *cost = self.growth(i, &self.pieces[i + 1]);
-            sum_of_inverses += 1.0 / cost.max(COST_LEAST);
-            least = least.min(*cost);
-        }
-        // The harmonic mean is no less than the least but for rounding.
-        self.tolerance = (MAX_K as f32 / sum_of_inverses).max(2.0 * self.tolerance).max(least);
-        let (mut kept, mut i) = (0, 0);
-        while i <= MAX_K {
-            let mut piece = self.pieces[i];
-            if i < MAX_K && cost[i] <= self.tolerance && cost[i] <= cost[i + 1] {
-                i += 1;
-                piece = piece.with(&self.pieces[i]);
-            }
-            self.pieces[kept] = piece;
-            kept += 1;
-            i += 1;
-        }
-        self.len = kept;
-    }
-
-    /// Joins pieces, cheapest first, until there are at most `most` and the next join costs more than `threshold`. `note`
-    /// is told the number of pieces and the greatest cost so far before each join.
-    fn join(&mut self, most: usize, threshold: f32, mut note: impl FnMut(usize, f32)) {
-        let mut growth = [f32::INFINITY; MAX_K + 1];
-        for (i, growth) in growth.iter_mut().enumerate().take(self.len.saturating_sub(1)) {
-            *growth = self.growth(i, &self.pieces[i + 1]);
-        }
-        let mut greatest: f32 = 0.0;
-        while self.len > 1 {
-            let mut least = 0;
-            for i in 1..self.len - 1 {
-                if growth[i] < growth[least] {
-                    least = i;
-                }
-            }
-            greatest = greatest.max(growth[least]);
-            if self.len <= most && greatest > threshold {
-                break;
-            }
-            note(self.len, greatest);
-            self.pieces[least] = self.pieces[least].with(&self.pieces[least + 1]);
-            self.len -= 1;
-            self.pieces.copy_within(least + 2..self.len + 1, least + 1);
-            growth.copy_within(least + 1..self.len, least);
-            growth[self.len - 1] = f32::INFINITY;
-            if least + 1 < self.len {
-                growth[least] = self.growth(least, &self.pieces[least + 1]);
-            }
-            if least > 0 {
-                growth[least - 1] = self.growth(least - 1, &self.pieces[least]);
-            }
-        }
-    }
-
-    /// The segments: their fields as [`crate::layer`] has them.
-    fn finish(&self, layering: Layering) -> SegmentList {
-        let pieces = &self.pieces[..self.len];
-        let length = self.lattice.h * self.lattice.n as f32;
-        let mut list = SegmentList::default();
-        if self.compositing == Compositing::Mean {
-            for piece in pieces.iter().filter(|p| p.first > 0.0) {
-                let (mut s0, mut s1) = (piece.s0, piece.s1);
-                if matches!(layering, Layering::SingleDepth(_)) {
-                    s0 = self.lattice.s0 + piece.second / piece.first;
-                    s1 = s0;
-                }
-                list.push(OpenSegment { s0, s1, c: piece.shown / length, tau: 0.0, alpha: 0.0 });
-            }
-            return list;
-        }
-        let Scene { table, settings, .. } = self.scene;
-        let is_least = settings.mode == Mode::MinIp;
-        let limit = key_limit(settings.mode, table);
-        let greatest = pieces.iter().map(|p| p.peak).fold(-1.0, f32::max);
-        let below = half_below(slot_from_key(greatest.max(2.0 * KEY_LEAST)));
-        let mut has_greatest = false;
-        for piece in pieces {
-            // The first of equals: one must win.
-            let is_greatest = piece.peak == greatest && !has_greatest;
-            has_greatest |= is_greatest;
-            let is_plain = matches!(layering, Layering::EqualLength | Layering::SingleDepth(_));
-            let key = if is_greatest || is_plain { piece.peak } else { piece.key() };
-            if piece.peak < 0.0 || key <= limit {
-                continue;
-            }
-            let [s0, s1] = match layering {
-                Layering::SingleDepth(_) => piece.peak_ends,
-                _ => [piece.s0, piece.s1],
-            };
-            // Apart from those below it by a code of the codec at least.
-            let slot = slot_from_key(if is_greatest { key.max(2.0 * KEY_LEAST) } else { key });
-            list.push(OpenSegment {
-                s0,
-                s1,
-                c: shown_of_key(table, is_least, key),
-                tau: if is_greatest { slot } else { slot.min(below) },
-                alpha: 0.0,
-            });
-        }
-        list
+    #[inline(always)]
+    fn s1(&self) -> f32 {
+        self.s1
     }
 }
 
-impl Sink for Gather<'_> {
+/// Makes a list, or counts at several thresholds.
+struct Projected<'a, const N: usize> {
+    scene: &'a Scene,
+    ray: Projection,
+    streams: [Stream<Part>; N],
+    written: Written<'a>,
+}
+
+/// Segments that are out, and the greatest of their peaks.
+struct Written<'a> {
+    list: &'a mut SegmentList,
+    greatest: f32,
+    /// Which of the segments has it: the first of equals.
+    of: usize,
+}
+
+impl<'a, const N: usize> Projected<'a, N> {
+    fn new<T: Texels>(
+        of: &Listing<'a, T>,
+        thresholds: [f32; N],
+        longest: usize,
+        list: &'a mut SegmentList,
+    ) -> Self {
+        let compositing = of.scene.settings.mode.compositing();
+        let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit() };
+        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, &of.lattice));
+        Self { scene: of.scene, ray, streams, written: Written { list, greatest: -1.0, of: 0 } }
+    }
+
+    fn count(mut self) -> [u32; N] {
+        self.streams.each_mut().map(|stream| {
+            stream.finish(&self.ray, |_| ());
+            stream.num_out() as u32
+        })
+    }
+
+    fn finish(mut self) {
+        let Self { scene, ray, streams, written } = &mut self;
+        for stream in streams {
+            stream.finish(ray, |part| written.push(scene, ray, part));
+        }
+        written.finish(scene, ray);
+    }
+}
+
+impl Written<'_> {
+    fn push(&mut self, scene: &Scene, ray: &Projection, part: &Part) {
+        let ends = OpenSegment { s0: part.s0, s1: part.s1, ..OpenSegment::default() };
+        if ray.compositing == Compositing::Mean {
+            let length = ray.lattice.h * ray.lattice.n as f32;
+            if part.first > 0.0 {
+                self.list.push(OpenSegment { c: part.shown / length, ..ends });
+            }
+            return;
+        }
+        let key = part.key();
+        if part.peak > self.greatest {
+            (self.greatest, self.of) = (part.peak, self.list.len);
+        } else if key <= ray.key_limit {
+            // It neither shows nor hides anything.
+            return;
+        }
+        let c = shown_of_key(&scene.table, scene.settings.mode == Mode::MinIp, key);
+        self.list.push(OpenSegment { c, tau: slot_from_key(key), ..ends });
+    }
+
+    /// Gives the greatest key of the ray to the segment that holds it, and to all others lower ones.
+    fn finish(&mut self, scene: &Scene, ray: &Projection) {
+        if ray.compositing == Compositing::Mean || self.list.len == 0 {
+            return;
+        }
+        // Apart from those below it by a code of the codec at least.
+        let greatest = self.greatest.max(2.0 * KEY_LEAST);
+        let slot = slot_from_key(greatest);
+        let below = half_below(slot);
+        for segment in &mut self.list.segments[..self.list.len] {
+            segment.tau = segment.tau.min(below);
+        }
+        let holder = &mut self.list.segments[self.of];
+        holder.c = shown_of_key(&scene.table, scene.settings.mode == Mode::MinIp, greatest);
+        holder.tau = slot;
+    }
+}
+
+impl<const N: usize> Sink for Projected<'_, N> {
     #[inline(always)]
     fn step(&mut self, step: Step) -> Pace {
-        self.add(Piece::of(&step, self.compositing, self.lattice.s0));
+        let Self { scene, ray, streams, written } = self;
+        let part = Part::of(&step, ray);
+        for stream in streams {
+            stream.step(ray, part, step.s0, |part| {
+                if N == 1 {
+                    written.push(scene, ray, part);
+                }
+            });
+        }
         Pace::Step
     }
 }
@@ -329,5 +236,3 @@ const PEAK_SHARE: f32 = 0.75;
 const EVEN_DEVIATION: f32 = 0.288_675_13;
 /// A piece without any is divided by this.
 const BRIGHTNESS_LEAST: f32 = 1e-30;
-/// Costs below this are equal.
-const COST_LEAST: f32 = 1e-20;

@@ -1,166 +1,293 @@
-//! One march with a bounded number of open segments, reduced to a budget that the whole frame shares (ours). Twin of
-//! `shaders/layering/visibility_merge.wgsl`.
+//! Lists by one march, whose segments err by no more than a threshold that the whole frame shares (ours). Twin of
+//! `shaders/layering/visibility_merge.wgsl`; the way from steps to segments is [`super::stream`]'s.
 //!
-//! 1. *Gather.* Each step is merged into the piece before it, or opens one; when there are more than [`MAX_K`], the
-//!    neighbouring pairs that cost least are merged. What is left are pieces, several times as many as there will be
-//!    segments.
-//! 2. *Reduce.* Neighbouring groups of pieces are joined, cheapest first. What a join costs is the growth of
-//!    `Pieces::group_error`, which compares a group with its own pieces and not with earlier approximations, so that costs
-//!    add up. Then each border between two groups moves, by a piece at the most and also into pieces, where that lessens
-//!    their error.
-//! 3. *Budget.* A ray stops joining at a cost that is the same for the whole frame: simple rays end with few segments,
-//!    hard ones with many. The threshold is the least at which the rays of a sample (one pixel of [`sample_stride`]²)
-//!    have at most K segments on average, among those that meet anything.
+//! *Error of a segment.* A new ray reads a segment as a homogeneous medium. On its way through the matter that the segment
+//! stands for, the old ray collects the opacity α(s) and the colour C(s), through the medium α̂(s) and Ĉ(s); both agree
+//! at the two ends. The error is how far what is collected is displaced, in steps of length h, weighted by what can be
+//! seen of it:
 //!
-//! With [`super::Layering::VisibilityMergeFixed`] every ray stops at K segments instead.
+//!   e = max(κ, 0.1) · (L/h)^¼ · max(|α·(μ − μ̂)| + α·|σ − σ̂|, 6·|C·(μ_C − μ̂)|) / h
+//!
+//! κ is the transmittance in front, L the length, μ and σ are the mean and the deviation of the distance at which opacity is
+//! collected, μ_C the mean of that at which colour is. They follow from integrals of dα, s·dα, s²·dα and s·dC, which add up
+//! from piece to piece, so the error of a union costs a few operations and errors that cancel do cancel. Those of the medium
+//! have closed forms ([`even_moments`]). Matter that cannot be seen keeps a tenth of its weight, as a turned camera sees it.
+//! The power of the length holds apart what is far apart.
 
-mod gather;
-mod pieces;
+use glam::Vec3;
 
-use rayon::prelude::*;
+use super::stream::{Piece, Stream};
+use super::{OpenSegment, SegmentList, append};
+use crate::kernels::march::{Lattice, Pace, Sink, Step};
+use crate::kernels::raycast::greater;
 
-pub use self::gather::Gather;
-use super::{OpenSegment, SegmentList};
-use crate::camera::Camera;
-use crate::kernels::march::{Lattice, Marcher, Scene, Texels};
-use crate::layer::MAX_K;
-use crate::space::Ray;
-
-/// The longest list of a frame with `k` segments a list on average.
-pub const fn longest_list(k: usize) -> usize {
-    let longest = 3 * k / 2 + 10;
-    if longest < MAX_K { longest } else { MAX_K }
+/// A part of a ray, by integrals over its steps.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Matter {
+    /// As one segment.
+    pub(super) all: OpenSegment,
+    /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
+    visibility: f32,
+    /// Integrals of the distance from the front, in steps, and of its square over what is collected.
+    first: f32,
+    second: f32,
+    /// Integral of the distance over the colour that is collected.
+    color_first: Vec3,
 }
 
-/// The cost up to which steps are merged at once on the way to `k` segments a list, where rays stop joining at
-/// `threshold`: simple rays have fewer pieces by that. Shorter lists need their borders anywhere in uniform matter, and gain
-/// little time.
-pub fn tolerance(threshold: f32, k: usize) -> f32 {
-    if k < TOLERANT_K { 0.0 } else { threshold * TOLERANCE_SHARE }
-}
+/// Steps in a unit of world distance.
+pub(super) struct StepsPerLength(pub(super) f32);
 
-/// Every so many pixels along each axis one is marched beforehand for the threshold: as many that at least
-/// 2048 are, but no fewer than 4.
-pub const fn sample_stride(width: u32, height: u32) -> u32 {
-    let num_rays = width as u64 * height as u64;
-    let mut stride: u32 = 4;
-    while (stride as u64 + 1).pow(2) * SAMPLE_RAYS <= num_rays {
-        stride += 1;
+impl Matter {
+    /// One step, with the transmittance in front of it.
+    #[inline(always)]
+    pub(super) fn of(step: &Step, transmittance: f32, ray: &StepsPerLength) -> Self {
+        let length = (step.s1 - step.s0) * ray.0;
+        let (first, second) = even_moments(step.tau, step.alpha);
+        Self {
+            all: *step,
+            visibility: greater(transmittance, VISIBILITY_FLOOR),
+            first: first * length,
+            second: second * length * length,
+            color_first: step.c * (first * length / greater(step.alpha, ALPHA_LEAST)),
+        }
     }
-    stride
 }
 
-/// The cost at which rays stop joining, see the module.
-pub fn threshold<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, camera: &Camera, k: usize) -> f32 {
-    threshold_by(scene, camera, k, Gather::default, |gather, ray, lattice, sample| {
-        gather.begin(lattice.unit, 0.0);
-        marcher.march(ray, lattice, gather);
-        let num_pieces = gather.finish();
-        sample.add(num_pieces, |note| gather.join_all(note));
-    })
+impl Piece for Matter {
+    type Ray = StepsPerLength;
+
+    #[inline(always)]
+    fn joined(&self, behind: &Self, ray: &StepsPerLength) -> Self {
+        let distance = (behind.all.s0 - self.all.s0) * ray.0;
+        let through = 1.0 - self.all.alpha;
+        let first = behind.first + distance * behind.all.alpha;
+        let second = behind.second + distance * (behind.first + first);
+        let color_first = behind.color_first + behind.all.c * distance;
+        let mut all = self.all;
+        append(&mut all, &behind.all);
+        Self {
+            all,
+            visibility: self.visibility,
+            first: self.first + through * first,
+            second: self.second + through * second,
+            color_first: self.color_first + color_first * through,
+        }
+    }
+
+    #[inline(always)]
+    fn error(&self, ray: &StepsPerLength) -> f32 {
+        let OpenSegment { s0, s1, c, tau, alpha } = self.all;
+        let length = greater((s1 - s0) * ray.0, LENGTH_LEAST);
+        let per_alpha = 1.0 / greater(alpha, ALPHA_LEAST);
+        let (even_first, even_second) = even_moments(tau, alpha);
+        let (even_first, even_second) = (even_first * length, even_second * length * length);
+        let moved = (self.first - even_first).abs();
+        let spread = alpha
+            * (deviation(self.first, self.second, per_alpha)
+                - deviation(even_first, even_second, per_alpha))
+            .abs();
+        let color = (self.color_first - c * (even_first * per_alpha)).abs();
+        let color = greater(greater(color.x, color.y), color.z);
+        greater(moved + spread, COLOR_WEIGHT * color) * length.sqrt().sqrt() * self.visibility
+    }
+
+    #[inline(always)]
+    fn s1(&self) -> f32 {
+        self.all.s1
+    }
 }
 
-/// The same for any way of gathering: `gather` makes what rays are gathered in, `each` gathers one and joins its pieces.
-pub(super) fn threshold_by<G>(
-    scene: &Scene,
-    camera: &Camera,
-    k: usize,
-    gather: impl Fn() -> G + Sync,
-    each: impl Fn(&mut G, &Ray, Lattice, &mut Sample) + Sync,
-) -> f32 {
-    let basis = camera.basis();
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let stride = sample_stride(width, height);
-    let first = |side: u32| (stride / 2).min(side / 2);
-    let rows: Vec<u32> = (first(height)..height).step_by(stride as usize).collect();
-    let sample = rows
-        .into_par_iter()
-        .map(|y| {
-            let (mut sample, mut gather) = (Sample::default(), gather());
-            for x in (first(width)..width).step_by(stride as usize) {
-                let (ray, s_per_depth) = basis.ray(x as f32 + 0.5, y as f32 + 0.5);
-                if let Some(lattice) = scene.lattice(&ray, camera.near * s_per_depth) {
-                    each(&mut gather, &ray, lattice, &mut sample);
-                }
-            }
-            sample
+/// ∫s dα and ∫s² dα on the way through a homogeneous medium of unit length: (1 − (1 + τ)e^−τ)/τ and
+/// (2 − (2 + 2τ + τ²)e^−τ)/τ², by their series where the differences would be rounding.
+#[inline(always)]
+fn even_moments(tau: f32, alpha: f32) -> (f32, f32) {
+    if tau < SERIES_BELOW {
+        let first = 1.0 / 2.0 - tau * (1.0 / 3.0 - tau * (1.0 / 8.0 - tau * (1.0 / 30.0)));
+        let second = 1.0 / 3.0 - tau * (1.0 / 4.0 - tau * (1.0 / 10.0 - tau * (1.0 / 36.0)));
+        return (tau * first, tau * second);
+    }
+    let through = 1.0 - alpha;
+    let per_tau = 1.0 / tau;
+    let first = (alpha - tau * through) * per_tau;
+    let second = (2.0 * first - tau * through) * per_tau;
+    (first, second)
+}
+
+/// Deviation of a distance whose integrals over a total of 1/`per_total` are known.
+#[inline(always)]
+fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
+    let mean = first * per_total;
+    greater(second * per_total - mean * mean, 0.0).sqrt()
+}
+
+/// Makes a list of the steps of one ray.
+pub(super) struct Lister<'a> {
+    ray: StepsPerLength,
+    stream: Stream<Matter>,
+    transmittance: f32,
+    list: &'a mut SegmentList,
+}
+
+impl<'a> Lister<'a> {
+    /// Writes to `list`, from its start, at most `longest` segments.
+    pub(super) fn new(
+        threshold: f32,
+        longest: usize,
+        lattice: &Lattice,
+        list: &'a mut SegmentList,
+    ) -> Self {
+        list.len = 0;
+        let ray = StepsPerLength(1.0 / lattice.unit);
+        Self { ray, stream: Stream::new(threshold, longest, lattice), transmittance: 1.0, list }
+    }
+
+    /// The ray is over.
+    pub(super) fn finish(mut self) {
+        let list = self.list;
+        self.stream.finish(&self.ray, |matter| list.push(matter.all));
+    }
+}
+
+impl Sink for Lister<'_> {
+    #[inline(always)]
+    fn step(&mut self, step: Step) -> Pace {
+        let matter = Matter::of(&step, self.transmittance, &self.ray);
+        let list = &mut *self.list;
+        self.stream.step(&self.ray, matter, step.s0, |matter| list.push(matter.all));
+        self.transmittance *= 1.0 - step.alpha;
+        Pace::behind(self.transmittance)
+    }
+}
+
+/// Counts what comes out of one ray at several thresholds at once.
+pub(super) struct Counter<const N: usize> {
+    ray: StepsPerLength,
+    streams: [Stream<Matter>; N],
+    transmittance: f32,
+}
+
+impl<const N: usize> Counter<N> {
+    pub(super) fn new(thresholds: &[f32; N], longest: usize, lattice: &Lattice) -> Self {
+        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, lattice));
+        Self { ray: StepsPerLength(1.0 / lattice.unit), streams, transmittance: 1.0 }
+    }
+
+    /// Segments at each threshold.
+    pub(super) fn finish(mut self) -> [u32; N] {
+        self.streams.each_mut().map(|stream| {
+            stream.finish(&self.ray, |_| ());
+            stream.num_out() as u32
         })
-        .reduce(Sample::default, Sample::sum);
-    sample.threshold(k)
-}
-
-/// What the joins of some rays cost.
-#[derive(Default)]
-pub(super) struct Sample {
-    num_lists: u32,
-    num_pieces: u32,
-    /// Joins by the bin of their cost; empty before the first.
-    joins: Vec<u32>,
-}
-
-impl Sample {
-    /// A ray of so many pieces; `join` tells what it is given of each join.
-    pub(super) fn add(&mut self, num_pieces: usize, join: impl FnOnce(&mut dyn FnMut(usize, f32))) {
-        if num_pieces == 0 {
-            return;
-        }
-        self.joins.resize(COST_BINS, 0);
-        self.num_lists += 1;
-        self.num_pieces += num_pieces as u32;
-        join(&mut |_, cost| self.joins[bin(cost)] += 1);
-    }
-
-    fn sum(mut self, other: Self) -> Self {
-        if self.joins.is_empty() {
-            return other;
-        }
-        self.num_lists += other.num_lists;
-        self.num_pieces += other.num_pieces;
-        for (a, b) in self.joins.iter_mut().zip(other.joins) {
-            *a += b;
-        }
-        self
-    }
-
-    /// The least lower end of a bin such that joins below it leave at most `k` segments a list.
-    fn threshold(&self, k: usize) -> f32 {
-        let budget = self.num_lists * k as u32;
-        let mut left = self.num_pieces;
-        let mut bin = 0;
-        while left > budget && bin < self.joins.len() {
-            left -= self.joins[bin];
-            bin += 1;
-        }
-        f32::from_bits((bin as u32) << BIN_SHIFT)
     }
 }
 
-/// Bins of equal ratio, 1/32 of an octave each.
-fn bin(cost: f32) -> usize {
-    (cost.to_bits() >> BIN_SHIFT) as usize
+impl<const N: usize> Sink for Counter<N> {
+    #[inline(always)]
+    fn step(&mut self, step: Step) -> Pace {
+        let matter = Matter::of(&step, self.transmittance, &self.ray);
+        for stream in &mut self.streams {
+            stream.step(&self.ray, matter, step.s0, |_| ());
+        }
+        self.transmittance *= 1.0 - step.alpha;
+        Pace::behind(self.transmittance)
+    }
 }
 
-/// See [`tolerance`]. With 0.2 the cloud was a tenth worse at K = 15 and 15°, with 0.15 a fiftieth.
-const TOLERANCE_SHARE: f32 = 0.15;
-/// Least K with a tolerance. With one in proportion to K⁴, `cubus` was up to a third worse at 30° for K = 4 and 8.
-const TOLERANT_K: usize = 12;
-/// Two groups with less than so much of the threshold as their errors keep their border: settled, it would not show.
-const SETTLED_SHARE: f32 = 0.3;
-/// Least visibility that matter hidden behind opaque matter is counted with: a turned camera will see it. At a floor of
-/// 0.05 novel views at 30° were up to a tenth worse, at 0.5 those of smooth media at 10°.
-const VISIBILITY_FLOOR: f32 = 0.2;
-/// Weight of moved opacity against mixed colour while gathering: between 1 and 2 the error is flat.
-const MOVED_WEIGHT: f32 = 2.0;
-/// Weight of collected colour, as sRGB, against collected opacity: between 4 and 8 flat.
+/// Least visibility that matter is counted with. With .2 smooth media were a tenth worse, with .05 so was what is hidden
+/// behind leaves, at 30°.
+const VISIBILITY_FLOOR: f32 = 0.1;
+/// Weight of displaced colour, as sRGB, against displaced opacity: between 3 and 8 flat.
 const COLOR_WEIGHT: f32 = 6.0;
-/// Colour below which the slope of sRGB is taken as constant.
-const COLOR_DARK: f32 = 0.02;
-/// A group without any opacity is divided by this.
+/// A piece without any opacity is divided by this.
 const ALPHA_LEAST: f32 = 1e-30;
-/// Rays that say enough of a frame: at 512×512 the mean length was within 2 % of 4, 8 and 15 on nine scenes, but on cubus 6 %
-/// below 15.
-const SAMPLE_RAYS: u64 = 2048;
-/// Bits of a float left out in the number of its bin.
-const BIN_SHIFT: u32 = 18;
-/// Bins of all finite costs.
-pub const COST_BINS: usize = 8192;
+/// Surfaces can lie at one place.
+const LENGTH_LEAST: f32 = 1e-30;
+/// The first term that the series leave out is below 10⁻⁵ here, the rounding of the differences too.
+const SERIES_BELOW: f32 = 0.1;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::raycast::opacity;
+
+    const RAY: StepsPerLength = StepsPerLength(1.0);
+
+    fn step(s0: f32, s1: f32, tau: f32, color: f32) -> Step {
+        let alpha = opacity(tau);
+        Step { s0, s1, c: Vec3::splat(color * alpha), tau, alpha }
+    }
+
+    fn joined(steps: &[Step]) -> Matter {
+        let mut transmittance = 1.0;
+        let mut all: Option<Matter> = None;
+        for step in steps {
+            let matter = Matter::of(step, transmittance, &RAY);
+            transmittance *= 1.0 - step.alpha;
+            all = Some(all.map_or(matter, |all| all.joined(&matter, &RAY)));
+        }
+        all.unwrap()
+    }
+
+    /// Against ∫s dα and ∫s² dα by small steps in double precision.
+    #[test]
+    fn moments_of_a_homogeneous_medium_have_their_closed_forms() {
+        for tau in [1e-6f32, 0.01, 0.09, 0.11, 1.0, 5.0, 30.0] {
+            let n = 20_000;
+            let (mut first, mut second) = (0.0, 0.0);
+            for i in 0..n {
+                let s = (f64::from(i) + 0.5) / f64::from(n);
+                let added = f64::from(tau) * (-f64::from(tau) * s).exp() / f64::from(n);
+                (first, second) = (first + s * added, second + s * s * added);
+            }
+            let (a, b) = even_moments(tau, opacity(tau));
+            // Rounding of the differences, against their size.
+            assert!((f64::from(a) - first).abs() < 2e-5 * first + 1e-9, "τ = {tau}: {a}, {first}");
+            assert!((f64::from(b) - second).abs() < 2e-4 * second + 1e-9, "τ = {tau}: {b}, {second}");
+        }
+    }
+
+    #[test]
+    fn parts_of_a_homogeneous_medium_are_one_without_error() {
+        for tau in [0.001, 0.3, 2.0, 9.0] {
+            let steps: Vec<_> = (0..40).map(|i| step(i as f32, i as f32 + 1.0, tau / 40.0, 0.7)).collect();
+            let error = joined(&steps).error(&RAY);
+            // A fortieth of a step over forty of them is rounding; a gap of a step is not.
+            assert!(error < 0.02 * opacity(tau), "τ = {tau}: {error}");
+            let mut apart = steps.clone();
+            apart[20..].iter_mut().for_each(|s| (s.s0, s.s1) = (s.s0 + 10.0, s.s1 + 10.0));
+            assert!(joined(&apart).error(&RAY) > 5.0 * error.max(0.02 * opacity(tau)), "τ = {tau}");
+        }
+    }
+
+    /// Matter on one side of a segment is displaced by a quarter of its length; a colour that changes half way, too.
+    #[test]
+    fn displaced_matter_and_displaced_colour_cost_what_they_are_off() {
+        let thin = 1e-3;
+        // Evenly over 10 steps, and then nothing but a trace over 10 more.
+        let error = joined(&[step(0.0, 10.0, thin, 1.0), step(10.0, 20.0, 1e-6, 1.0)]).error(&RAY);
+        let moved = thin * (10.0 - 5.0);
+        let spread = thin * (20.0 - 10.0) / 12f32.sqrt();
+        let expected = (moved + spread).max(COLOR_WEIGHT * moved) * 20f32.sqrt().sqrt();
+        assert!((error / expected - 1.0).abs() < 0.01, "{error}, expected {expected}");
+        // Matter without colour weighs by its opacity alone.
+        let error = joined(&[step(0.0, 10.0, thin, 0.0), step(10.0, 20.0, 1e-6, 0.0)]).error(&RAY);
+        let expected = (moved + spread) * 20f32.sqrt().sqrt();
+        assert!((error / expected - 1.0).abs() < 0.01, "{error}, expected {expected}");
+        // Of an even medium, half is bright: ∫s dC is off by a quarter of the colour's share.
+        let error = joined(&[step(0.0, 10.0, thin, 1.0), step(10.0, 20.0, thin, 0.0)]).error(&RAY);
+        let expected = COLOR_WEIGHT * thin * 5.0 * 20f32.sqrt().sqrt();
+        assert!((error / expected - 1.0).abs() < 0.01, "{error}, expected {expected}");
+    }
+
+    #[test]
+    fn hidden_matter_weighs_less_but_not_nothing() {
+        let halves = |front: f32| {
+            let parts = [step(0.0, 1.0, 0.1, 1.0), step(5.0, 6.0, 0.1, 1.0)];
+            let of = |s: &Step| Matter::of(s, front, &RAY);
+            of(&parts[0]).joined(&of(&parts[1]), &RAY).error(&RAY)
+        };
+        assert!((halves(0.5) / halves(1.0) - 0.5).abs() < 1e-5);
+        assert!((halves(1e-6) / halves(1.0) - VISIBILITY_FLOOR).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,245 @@
+//! The threshold that spends a frame's budget: K segments a list on average, among lists that have any. Twin of
+//! `shaders/layering/budget.wgsl`.
+//!
+//! *First frame.* Some rays, one of [`sample_stride`]² pixels, are listed at several thresholds at once, and only counted:
+//! first at thresholds over the whole range, then between the two that the budget lies between. From the counts follows the
+//! threshold, on a straight line between logarithms.
+//!
+//! *Frames that follow.* What a frame spent at its threshold says which threshold the next one needs ([`Budget`]). Where
+//! the camera jumps or the look changes, rays are counted again.
+
+use rayon::prelude::*;
+
+use super::Listing;
+use super::visibility_merge::Counter;
+use crate::camera::{Camera, Pose};
+use crate::kernels::march::{Marcher, Scene, Texels};
+use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
+use crate::mode::Mode;
+
+/// The longest list of a frame with `k` segments a list on average.
+pub const fn longest_list(k: usize) -> usize {
+    let longest = 3 * k / 2 + 10;
+    if longest < MAX_K { longest } else { MAX_K }
+}
+
+/// Every so many pixels along each axis one ray is counted: as many that at least [`SAMPLE_RAYS`] are, but no fewer than 4.
+pub const fn sample_stride(width: u32, height: u32) -> u32 {
+    let num_rays = width as u64 * height as u64;
+    let mut stride: u32 = 4;
+    while (stride as u64 + 1).pow(2) * SAMPLE_RAYS <= num_rays {
+        stride += 1;
+    }
+    stride
+}
+
+/// The pixels that are counted along an axis.
+pub(super) fn sampled(side: u32, stride: u32) -> impl Iterator<Item = u32> {
+    ((stride / 2).min(side / 2)..side).step_by(stride as usize)
+}
+
+/// Segments of the counted rays at each of [`thresholds`], and how many of the rays have any.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Counts {
+    /// Rays with any matter.
+    pub num_lists: u32,
+    /// Segments at each threshold.
+    pub num_segments: [u32; NUM_THRESHOLDS],
+}
+
+impl Counts {
+    fn sum(mut self, other: Self) -> Self {
+        self.num_lists += other.num_lists;
+        for (a, b) in self.num_segments.iter_mut().zip(other.num_segments) {
+            *a += b;
+        }
+        self
+    }
+}
+
+/// Thresholds at equal ratios from `least` on.
+pub fn thresholds(least: f32, ratio: f32) -> [f32; NUM_THRESHOLDS] {
+    let mut threshold = least;
+    std::array::from_fn(|_| {
+        let this = threshold;
+        threshold *= ratio;
+        this
+    })
+}
+
+/// The threshold at which `counts`, made at [`thresholds`], have `k` segments a list; the end of the range where none has.
+pub fn threshold_from_counts(counts: &Counts, least: f32, ratio: f32, k: usize) -> f32 {
+    let wanted = (counts.num_lists as f32 * k as f32).max(1.0);
+    let within = last_above(counts, k);
+    let Some(i) = within.filter(|i| i + 1 < NUM_THRESHOLDS) else {
+        return if within.is_none() { least } else { least * ratio.powi(NUM_THRESHOLDS as i32 - 1) };
+    };
+    let (more, less) = (counts.num_segments[i] as f32, counts.num_segments[i + 1].max(1) as f32);
+    let part = (more / wanted).ln() / (more / less).ln().max(LOGARITHM_LEAST);
+    least * ratio.powf(i as f32 + part.clamp(0.0, 1.0))
+}
+
+/// The last threshold with more than `k` segments a list; none if there is none.
+fn last_above(counts: &Counts, k: usize) -> Option<usize> {
+    counts.num_segments.iter().rposition(|&num| num as usize > counts.num_lists as usize * k)
+}
+
+/// Where counting goes on between two thresholds of the first count.
+pub fn second_least(counts: &Counts, k: usize) -> f32 {
+    let i = last_above(counts, k).unwrap_or(0).min(NUM_THRESHOLDS - 2);
+    FIRST_LEAST * FIRST_RATIO.powi(i as i32)
+}
+
+/// The threshold of a frame whose rays are counted.
+pub(super) fn count<T: Texels>(
+    scene: &Scene,
+    marcher: &Marcher<'_, T>,
+    camera: &Camera,
+    k: usize,
+    counts_of_ray: impl Fn(&Listing<'_, T>, &[f32; NUM_THRESHOLDS]) -> Option<[u32; NUM_THRESHOLDS]> + Sync,
+) -> f32 {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let stride = sample_stride(width, height);
+    let basis = camera.basis();
+    let rows: Vec<u32> = sampled(height, stride).collect();
+    let count_at = |least, ratio| {
+        let thresholds = thresholds(least, ratio);
+        let row = |&y: &u32| {
+            let mut counts = Counts::default();
+            for x in sampled(width, stride) {
+                let of = Listing::new(scene, marcher, &basis, camera.near, (x, y));
+                if let Some(num_segments) = of.and_then(|of| counts_of_ray(&of, &thresholds)) {
+                    let num_lists = u32::from(num_segments[0] > 0);
+                    counts = counts.sum(Counts { num_lists, num_segments });
+                }
+            }
+            counts
+        };
+        rows.par_iter().map(row).reduce(Counts::default, Counts::sum)
+    };
+    let least = second_least(&count_at(FIRST_LEAST, FIRST_RATIO), k);
+    threshold_from_counts(&count_at(least, SECOND_RATIO), least, SECOND_RATIO, k)
+}
+
+/// The counts of one ray of matter.
+pub(super) fn counts_of_matter<T: Texels>(
+    of: &Listing<'_, T>,
+    longest: usize,
+    thresholds: &[f32; NUM_THRESHOLDS],
+) -> [u32; NUM_THRESHOLDS] {
+    let mut counter = Counter::new(thresholds, longest, &of.lattice);
+    of.marcher.march(&of.ray, of.lattice, &mut counter);
+    counter.finish()
+}
+
+/// What a renderer remembers from frame to frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Budget {
+    last: Option<Spent>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Spent {
+    k: u8,
+    mode: Mode,
+    pose: Pose,
+    /// For the next frame.
+    threshold: f32,
+}
+
+impl Budget {
+    /// The next frame is of another scene: its rays are counted.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+
+    /// The threshold for a frame; none if its rays are to be counted. `header.k` is K, and `reach` the radius of the volume.
+    pub fn threshold(&self, header: &FrameHeader, reach: f32) -> Option<f32> {
+        let pose = &header.camera.pose;
+        let is_near = |last: &Spent| {
+            let turned = last.pose.forward().dot(pose.forward());
+            let moved = last.pose.eye.distance(pose.eye);
+            (last.k, last.mode) == (header.k, header.mode)
+                && turned > NEAR_COSINE
+                && moved < NEAR_SHARE * reach
+        };
+        self.last.filter(is_near).map(|last| last.threshold)
+    }
+
+    /// A frame was made at `threshold`. `header.k` is K.
+    pub fn note(&mut self, header: &FrameHeader, threshold: f32, frame: &LayeredFrame) {
+        let (k, num) = (f32::from(header.k.max(1)), frame.num_filled());
+        if num < NOTED_LISTS {
+            self.last = None;
+            return;
+        }
+        let spent = frame.num_segments() as f32 / num as f32;
+        let threshold = threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
+        let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);
+        self.last = Some(Spent { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
+    }
+}
+
+/// Thresholds that are counted at once.
+pub const NUM_THRESHOLDS: usize = 8;
+/// Thresholds of the first count: the greatest is far above the error of any segment that a ray could be.
+pub const FIRST_LEAST: f32 = 1.0 / 4096.0;
+/// Ratio of those that follow each other.
+pub const FIRST_RATIO: f32 = 16.0;
+/// Of the second count: the seven steps between eight make up for one of the first.
+pub const SECOND_RATIO: f32 = 1.485_994_3;
+/// The greatest threshold of all.
+pub const THRESHOLD_GREATEST: f32 = FIRST_LEAST * 268_435_456.0;
+/// Rays that say enough of a frame.
+pub const SAMPLE_RAYS: u64 = 2048;
+/// Counts that are equal are told apart by no less than this.
+const LOGARITHM_LEAST: f32 = 1e-6;
+/// The number of segments falls as some power between −.25 and −.5 of the threshold; the steepest never overshoots.
+const FOLLOWING_POWER: f32 = 2.0;
+/// The threshold changes by no more than this from one frame to the next.
+const FOLLOWING_MOST: f32 = 4.0;
+/// A frame of fewer lists says nothing of the next.
+const NOTED_LISTS: usize = 64;
+/// Cosine of the greatest turn, and share of the volume's radius that the eye may move, between frames that follow: 15°.
+const NEAR_COSINE: f32 = 0.966;
+const NEAR_SHARE: f32 = 0.5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_threshold_is_where_the_counts_say() {
+        // N = lists · 20 · T^−½: 4 at T = 25.
+        let counts_at = |least: f32, ratio: f32| {
+            let num = |t: f32| (100_000.0 * 20.0 / t.sqrt()) as u32;
+            Counts { num_lists: 100_000, num_segments: thresholds(least, ratio).map(num) }
+        };
+        let least = second_least(&counts_at(FIRST_LEAST, FIRST_RATIO), 4);
+        assert!(least <= 25.0 && 25.0 <= least * FIRST_RATIO * 1.001, "{least}");
+        let found = threshold_from_counts(&counts_at(least, SECOND_RATIO), least, SECOND_RATIO, 4);
+        assert!((found / 25.0 - 1.0).abs() < 1e-2, "{found}");
+        // Another K has another.
+        let found = threshold_from_counts(&counts_at(least, SECOND_RATIO), least, SECOND_RATIO, 5);
+        assert!((found / 16.0 - 1.0).abs() < 1e-2, "{found}");
+    }
+
+    #[test]
+    fn counts_out_of_range_give_the_ends_of_it() {
+        let of = |num| Counts { num_lists: 10, num_segments: [num; NUM_THRESHOLDS] };
+        assert_eq!(threshold_from_counts(&of(5), 0.5, 2.0, 4), 0.5);
+        assert_eq!(threshold_from_counts(&of(50), 0.5, 2.0, 4), 64.0);
+        assert_eq!(threshold_from_counts(&Counts::default(), 0.5, 2.0, 4), 0.5);
+        assert!((SECOND_RATIO.powi(NUM_THRESHOLDS as i32 - 1) / FIRST_RATIO - 1.0).abs() < 1e-5);
+        assert_eq!(THRESHOLD_GREATEST, FIRST_LEAST * FIRST_RATIO.powi(NUM_THRESHOLDS as i32 - 1));
+    }
+
+    #[test]
+    fn a_sample_is_of_enough_rays_and_of_no_more_than_a_sixteenth() {
+        for (width, height) in [(1u32, 1u32), (64, 48), (512, 512), (1920, 1080)] {
+            let stride = sample_stride(width, height);
+            let num = sampled(width, stride).count() * sampled(height, stride).count();
+            assert!(num as u64 >= SAMPLE_RAYS.min(u64::from(width * height) / 25) && stride >= 4);
+        }
+    }
+}
