@@ -5,8 +5,9 @@ use std::sync::Arc;
 use isinglass_core::codec::blocks::Reference;
 use isinglass_core::codec::{CodecError, Coding};
 use isinglass_core::ids::LookVersion;
+use isinglass_core::session::ledger::Stage;
 use isinglass_core::wire::{PoseRequest, ServerStats};
-use isinglass_net::SessionClosed;
+use isinglass_net::{AfterWork, Journal, SessionClosed, Work};
 use isinglass_net::server::{ControlSender, FrameSender};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -58,6 +59,8 @@ pub(crate) async fn finished(sending: &mut Option<Sending>) -> Result<Option<Sen
 pub(crate) async fn send(
     frames: FrameSender,
     control: ControlSender,
+    journal: Journal,
+    after_work: AfterWork,
     generated: Generated,
     ticket: Ticket,
 ) -> Result<Option<Sent>, SessionClosed> {
@@ -65,15 +68,21 @@ pub(crate) async fn send(
     let segments = generated.frame.num_segments() as u64;
     let started = Instant::now();
     let Ticket { coding, reference, wish, .. } = ticket.clone();
+    journal.stamp(header.frame, Stage::CodingBegun);
     let encoded = tokio::task::spawn_blocking(move || {
-        let encoded = coding.encode_while(&generated.frame, reference.as_deref(), &|| wish.holds());
+        let wanted = || wish.holds();
+        let work = || coding.encode_while(&generated.frame, reference.as_deref(), &wanted);
+        let encoded = after_work.run(Work::Encode, work);
         (encoded, generated)
     });
     let encoded = encoded.await;
     let encode_micros = started.elapsed().as_micros() as u64;
     let (encoded, reference, generated) = match encoded {
         Ok((Ok((encoded, reference)), generated)) => (encoded, reference, generated),
-        Ok((Err(CodecError::Abandoned), _)) => return Ok(None),
+        Ok((Err(CodecError::Abandoned), _)) => {
+            journal.give_up(header.frame);
+            return Ok(None);
+        }
         Ok((Err(e), _)) => {
             tracing::warn!("{e}");
             return control.notice(&format!("the server cannot encode a frame: {e}")).await.map(|()| None);
@@ -83,10 +92,13 @@ pub(crate) async fn send(
             return Err(SessionClosed);
         }
     };
+    journal.stamp(header.frame, Stage::Coded);
     if !ticket.wish.holds() {
+        journal.give_up(header.frame);
         return Ok(None);
     }
     let bytes = encoded.num_bytes();
+    journal.add_bytes(header.frame, bytes as u64);
     if ticket.is_finer {
         frames.send_finer(header.frame, header.pose, encoded.chunks).await?;
     } else {

@@ -11,12 +11,13 @@ use isinglass_core::codec::{Coding, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, max_lists};
 use isinglass_core::look::Look;
+use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::{Mode, Pilot, Plan};
 use isinglass_core::session::server::Request;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::wire::{LoadStatus, PoseRequest, ProbeRequest, VolumeChange};
 use isinglass_net::server::ControlSender;
-use isinglass_net::{Server, Session, SessionClosed};
+use isinglass_net::{AfterWork, Journal, Server, Session, SessionClosed};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
@@ -36,6 +37,7 @@ pub(crate) struct House {
     pub(crate) load: watch::Receiver<Option<Load>>,
     pub(crate) orders: mpsc::Sender<Order>,
     pub(crate) plan: Plan,
+    pub(crate) after_work: AfterWork,
 }
 
 /// Lets viewers in until told to close.
@@ -45,6 +47,7 @@ pub(crate) async fn serve(
     house: House,
     mut commands: mpsc::Receiver<Command>,
     attendance: watch::Sender<Attendance>,
+    newest: watch::Sender<Option<Journal>>,
 ) {
     let mut viewers = JoinSet::new();
     let mut known = HashSet::new();
@@ -57,6 +60,7 @@ pub(crate) async fn serve(
                 let Some(session) = session else { break };
                 let span = tracing::info_span!("session", id = session.id, viewer = session.name, remote = %session.remote);
                 let is_new = known.insert(session.viewer);
+                newest.send_replace(Some(session.journal.clone()));
                 let viewer = Viewer::new(session, house.clone(), is_new);
                 viewers.spawn(viewer.run().instrument(span));
             }
@@ -398,12 +402,15 @@ impl Viewer {
             k: self.look.k,
             mode: Default::default(),
         };
+        self.session.journal.open(self.frame, request.id);
+        self.session.journal.stamp(self.frame, Stage::Begun);
         let generated = match self.generate(request, header).await {
             Some(Ok(generated)) => generated,
             None => return false,
             Some(Err(GenerateError::GivenUp)) => {
                 tracing::trace!("frame {} given up: the camera moves on", self.frame);
                 self.has_given_up = true;
+                self.session.journal.give_up(self.frame);
                 self.answered = None;
                 return true;
             }
@@ -423,6 +430,7 @@ impl Viewer {
             }
         };
         (self.has_given_up, self.has_failed) = (false, false);
+        self.session.journal.stamp(self.frame, Stage::Generated);
         if generated.is_draft && !self.is_draft {
             // Other viewers' looks have taken the place of its shade.
             self.answered = None;
@@ -464,6 +472,7 @@ impl Viewer {
             let is_outdated = self.session.poses.borrow().is_some_and(|newest| newest.id != request.id);
             if is_outdated && waiting.elapsed() > Duration::from_micros(generated.generate_micros) {
                 tracing::trace!("frame {} waited too long", self.frame);
+                self.session.journal.give_up(self.frame);
                 self.answered = None;
                 self.session.poses.mark_changed();
                 return true;
@@ -573,7 +582,7 @@ impl Viewer {
     fn send(&mut self, generated: Generated, ticket: Ticket) {
         let span = tracing::debug_span!("frame", id = self.frame.0);
         let (frames, control) = (self.session.frames.clone(), self.session.control.clone());
-        let task = tokio::spawn(send(frames, control, generated, ticket.clone()).instrument(span));
+        let task = tokio::spawn(send(frames, control, self.session.journal.clone(), self.house.after_work.clone(), generated, ticket.clone()).instrument(span));
         self.sending = Some(Sending { task, ticket });
     }
 

@@ -11,6 +11,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::session::client::DecodeJob;
 
 use super::{ReceivedFrame, Shared};
+use crate::work::Work;
 
 /// Decodes until the client stops.
 pub(super) fn run(shared: &Shared) {
@@ -33,7 +34,9 @@ pub(super) fn run(shared: &Shared) {
         }
         // Even a defect costs a frame only, and not all those to come.
         let mut spare = given.take();
-        let attempt = catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)));
+        let attempt = shared.after_work.run(Work::Decode, || {
+            catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)))
+        });
         let decoded = match attempt {
             Ok(decoded) => decoded.map_err(|e| e.to_string()),
             Err(_) => Err("the decoder has failed".into()),
@@ -137,7 +140,7 @@ mod tests {
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::ids::FrameId;
     use isinglass_core::layer::FrameHeader;
-    use isinglass_core::session::client::FrameTimes;
+    use isinglass_core::session::ledger::Life;
     use isinglass_core::space::Aabb;
 
     use super::*;
@@ -154,7 +157,7 @@ mod tests {
                 frame,
                 is_complete: true,
                 is_exact: false,
-                times: FrameTimes::default(),
+                times: Life::default(),
             })
         };
         let mut given = Given::default();
