@@ -88,6 +88,8 @@ pub struct Session {
     newest_decoded: Option<Life>,
     ledger: Ledger,
     decoded_at: VecDeque<u64>,
+    /// Time to decode a list, ns, of late.
+    decode_nanos_per_list: f64,
     /// Whether frames have been completing before the base of the next was there.
     refinements_keep_up: bool,
 }
@@ -388,6 +390,18 @@ impl Session {
         }
     }
 
+    /// Decoding a job of `num_lists` lists took so long.
+    pub fn handle_decode_time(&mut self, micros: u64, num_lists: usize) {
+        let nanos = micros as f64 * 1e3 / num_lists.max(1) as f64;
+        let before = self.decode_nanos_per_list;
+        self.decode_nanos_per_list = if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
+    }
+
+    /// What decoding takes of late, ns a list, for the next pose datagram; 0: it is not known.
+    pub fn decode_nanos_per_list(&self) -> u16 {
+        self.decode_nanos_per_list as u16
+    }
+
     /// A frame was on the screen.
     pub fn handle_shown(&mut self, now_micros: u64, frame: FrameId) {
         self.ledger.stamp(now_micros, frame, Stage::Shown);
@@ -420,8 +434,8 @@ impl Session {
 }
 
 /// Frames in reassembly at the same time: as many as a server may send of which each is predicted from the one before,
-/// while a lost packet of the first is sent again.
-pub const MAX_ASSEMBLING: usize = MAX_REFERENCES;
+/// while a lost packet of the first is sent again: at 60 a second those of half a second.
+pub const MAX_ASSEMBLING: usize = 32;
 /// Bytes of their chunks.
 pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
 /// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
@@ -430,6 +444,8 @@ pub const MAX_FRAME_BYTES: usize = 192 << 20;
 /// second half of a frame at a round trip of 300 ms. Other lengths were not tried; none is held at all once
 /// refinements fall behind.
 const HOLD_MICROS: u64 = 250_000;
+/// Weight of the newest time to decode.
+const DECODE_GAIN: f64 = 0.25;
 /// Poses whose time is remembered: four seconds' worth, longer than any round trip.
 const MAX_POSES: usize = 512;
 /// Times that the frame rate is counted from; also the highest rate that is shown.

@@ -23,8 +23,8 @@ pub enum Station {
 pub struct Schedule {
     stations: [At; 3],
     begun_at_micros: Option<u64>,
-    /// The viewer needs so long to decode a frame.
-    decode_micros: u64,
+    /// The viewer needs so long to decode a list.
+    decode_nanos_per_list: u16,
 }
 
 /// One station.
@@ -70,9 +70,9 @@ impl Schedule {
         self.stations[station as usize].queued = None;
     }
 
-    /// The viewer needs so long to decode a frame; 0: it is not known.
-    pub fn handle_decoding(&mut self, micros: u64) {
-        self.decode_micros = micros;
+    /// The viewer needs so long to decode a list; 0: it is not known.
+    pub fn handle_decoding(&mut self, nanos_per_list: u16) {
+        self.decode_nanos_per_list = nanos_per_list;
     }
 
     /// When to begin a frame of `num_lists` lists, at `now` or later. None as long as another one is being generated, or waits for
@@ -93,7 +93,8 @@ impl Schedule {
         let early = generate.time.micros(num_lists) + generate.time.spread(num_lists);
         let for_coder = coder_free.saturating_sub(early);
         let for_sender = sender_free.saturating_sub(early + takes(code));
-        let for_viewer = self.begun_at_micros.map_or(0, |at| at + self.decode_micros);
+        let decoding = u64::from(self.decode_nanos_per_list) * num_lists as u64 / 1000;
+        let for_viewer = self.begun_at_micros.map_or(0, |at| at + decoding);
         Some(for_coder.max(for_sender).max(for_viewer).max(now_micros))
     }
 }

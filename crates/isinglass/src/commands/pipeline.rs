@@ -10,10 +10,10 @@ use isinglass_bench::pipeline::{self, PipelineOptions};
 use isinglass_bench::view::Orbit;
 use isinglass_core::camera::Intrinsics;
 
-use super::demo::{parse_rate, parse_speed};
+use super::demo::parse_speed;
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PartArgs, PlanArgs, RawArgs, not_an_input,
-    parse_duration, parse_fov, parse_output, parse_size,
+    parse_duration, parse_fov, parse_output, parse_rate, parse_size,
 };
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;

@@ -33,6 +33,7 @@ pub(super) fn run(shared: &Shared) {
             assembly = None;
         }
         // Even a defect costs a frame only, and not all those to come.
+        let begun_micros = shared.clock.now_micros();
         let mut spare = given.take();
         let attempt = shared.after_work.run(Work::Decode, || {
             catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)))
@@ -55,7 +56,12 @@ pub(super) fn run(shared: &Shared) {
             references.insert(reference);
         }
         let now = shared.clock.now_micros();
-        let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
+        let num_lists = frame.header.camera.intrinsics.num_pixels();
+        let times = {
+            let mut session = shared.session();
+            session.handle_decode_time(now.saturating_sub(begun_micros), num_lists);
+            session.handle_decoded(now, job.connection, job.frame, job.is_last)
+        };
         let Some(times) = times else { continue };
         let is_complete = job.is_last;
         let received = Arc::new(ReceivedFrame { frame, is_complete, is_exact, times });
