@@ -94,7 +94,7 @@ fn play(machine: Machine, mode: Mode, rtt: Duration) -> Outcome {
     let client = Client::connect(&link, client).unwrap();
     client.wait_connected(Duration::from_secs(60)).unwrap();
     let mut viewer = HeadlessViewer::new(client, SIZE, Foresight { guards: false, ..Foresight::default() });
-    let (mut ages, mut lives) = (vec![], vec![]);
+    let (mut ages, mut lives, mut shown, mut num_new) = (vec![], vec![], None, 0);
     let begin = Instant::now();
     for tick in 0..(WARM_UP + MEASURED) * HZ {
         std::thread::sleep((Duration::from_secs(1) * tick / HZ).saturating_sub(begin.elapsed()));
@@ -103,8 +103,11 @@ fn play(machine: Machine, mode: Mode, rtt: Duration) -> Outcome {
         let now = Duration::from_micros(clock.now_micros());
         viewer.tick(now, pose);
         for record in viewer.take_records() {
-            let asked = record.frame.and_then(|frame| frame.times.at(Stage::Asked));
+            let Some(frame) = record.frame else { continue };
+            let is_new = shown.replace(frame.frame.header.frame) != Some(frame.frame.header.frame);
+            let asked = frame.times.at(Stage::Asked);
             if tick >= WARM_UP * HZ {
+                num_new += u32::from(is_new);
                 ages.extend(asked.map(|asked| (record.at.as_micros() as u64 - asked) as f64 / 1e3));
             }
         }
@@ -113,11 +116,10 @@ fn play(machine: Machine, mode: Mode, rtt: Duration) -> Outcome {
             collect(&mut lives, viewer.source(), &journal, clock.now_micros());
         }
     }
-    let new = lives.iter().filter(|life: &&Life| life.at(Stage::Shown).is_some()).count();
     drop(viewer);
     threads.block_on(server.close());
     ages.sort_by(f64::total_cmp);
-    Outcome { new_frames_per_second: new as f64 / f64::from(MEASURED), ages, lives }
+    Outcome { new_frames_per_second: f64::from(num_new) / f64::from(MEASURED), ages, lives }
 }
 
 /// The lives of frames that were begun while it counts, as both sides know them, which read one clock.

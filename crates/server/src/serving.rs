@@ -97,6 +97,8 @@ struct Viewer {
     frame: FrameId,
     /// When the newest frame was begun.
     begun_at: Option<Instant>,
+    /// Whether no newer pose has come since.
+    rests: bool,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
     /// The frames in the works.
@@ -157,6 +159,7 @@ impl Viewer {
             since: Instant::now(),
             frame: FrameId(0),
             begun_at: None,
+            rests: false,
             answered: None,
             pipeline,
             sent: References::default(),

@@ -23,6 +23,8 @@ pub(super) struct Played {
     pub(super) lives: Vec<Life>,
     /// At each refresh, the time since the pose of the frame on the screen was set, µs.
     pub(super) ages_micros: Vec<u64>,
+    /// Refreshes at which another frame was on the screen than before.
+    pub(super) num_new: usize,
     /// How long it counted.
     pub(super) measured: Duration,
     /// Measured by the transport at the end.
@@ -72,6 +74,7 @@ pub(super) fn play(
     let journal = host.server.newest_journal().ok_or_else(|| failed("the server has no viewer".into()))?;
     let bounds = viewer.bounds().ok_or_else(|| failed("the volume is gone".into()))?;
     let (mut lives, mut ages_micros) = (BTreeMap::new(), Vec::new());
+    let (mut shown, mut num_new) = (None, 0);
     let num_ticks = ((WARM_UP + options.duration).as_secs_f32() * demo.refresh_hz).ceil() as u32;
     let begin = Instant::now();
     let (begin_micros, warm_micros) = (clock.now_micros(), WARM_UP.as_micros() as u64);
@@ -83,9 +86,13 @@ pub(super) fn play(
         let turn = begin.elapsed().as_secs_f32() * demo.degrees_per_second;
         viewer.tick(now(), demo.orbit.turned(turn).pose(&demo.intrinsics, &bounds));
         for record in viewer.take_records() {
-            let asked = record.frame.and_then(|frame| frame.times.at(Stage::Asked));
+            let Some(frame) = record.frame else { continue };
+            let is_new = shown.replace(frame.times.frame) != Some(frame.times.frame);
             let at = record.at.as_micros() as u64;
-            ages_micros.extend(asked.filter(|_| at >= counts.start).map(|asked| at.saturating_sub(asked)));
+            if counts.contains(&at) {
+                num_new += usize::from(is_new);
+                ages_micros.extend(frame.times.at(Stage::Asked).map(|asked| at.saturating_sub(asked)));
+            }
         }
         // Ledgers hold four seconds' worth.
         if number % (demo.refresh_hz as u32).max(1) == 0 {
@@ -99,7 +106,7 @@ pub(super) fn play(
     let round_trip = Duration::from_micros(viewer.source().stats().rtt_micros);
     drop(viewer);
     host.close();
-    Ok(Played { lives: lives.into_values().collect(), ages_micros, measured, round_trip, first_picture })
+    Ok(Played { lives: lives.into_values().collect(), ages_micros, num_new, measured, round_trip, first_picture })
 }
 
 /// Joins what both sides know of the frames that were begun while it counts. A frame that is sent again, finer, is generated once.

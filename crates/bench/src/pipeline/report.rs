@@ -133,7 +133,7 @@ pub(super) fn report(
         degrees_per_second: demo.degrees_per_second,
         seconds,
         first_picture_seconds: played.first_picture.as_secs_f64(),
-        new_frames_per_second: shown.len() as f64 / seconds,
+        new_frames_per_second: played.num_new as f64 / seconds,
         frames_begun: played.lives.len(),
         frames_shown: shown.len(),
         given_up: given_up(&played.lives),

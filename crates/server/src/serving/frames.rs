@@ -49,6 +49,7 @@ impl Viewer {
             mode: Default::default(),
         };
         self.note_interval();
+        self.rests = true;
         let wish = Wish::default();
         let (generator, scene, look) = (self.house.generator.clone(), self.present.scene, (*self.look).clone());
         let asked =
@@ -77,7 +78,8 @@ impl Viewer {
         self.pipeline.give_up(|t| is_extra(t) && (!is_wanted(&t.request) || t.version != version));
         // A frame for a camera that has rested is larger than those of a moving one, and none of them can be made before it is
         // done. Never twice in a row: a viewer that is slow to ask would get no frame at all.
-        if let Some(asked) = self.pipeline.generating().filter(|_| !self.has_given_up) {
+        let rested = std::mem::take(&mut self.rests) && !self.has_given_up;
+        if let Some(asked) = self.pipeline.generating().filter(|_| rested) {
             // Smaller frames are asked for while something changes, if only the look.
             let is_smaller = newest.intrinsics.num_pixels() < asked.request.intrinsics.num_pixels();
             let is_outdated = newest.pose != asked.request.pose || is_smaller;
