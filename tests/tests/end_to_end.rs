@@ -216,7 +216,8 @@ fn a_bad_link_delays_but_does_not_harm() {
         let frame = frame_for(&client, id);
         assert!(frame.frame.header.frame.0 > newest, "frames never go back");
         newest = frame.frame.header.frame.0;
-        let (set, arrived) = (frame.times.at(Stage::Asked).unwrap(), frame.times.at(Stage::FirstByteReceived).unwrap());
+        let (set, arrived) =
+            (frame.times.at(Stage::Asked).unwrap(), frame.times.at(Stage::FirstByteReceived).unwrap());
         assert!(arrived - set >= 120_000, "faster than the link: {:?}", frame.times);
     }
     runtime.block_on(server.close());

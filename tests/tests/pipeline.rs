@@ -63,8 +63,14 @@ impl Outcome {
 
     /// Frames that were begun and overtaken before they were sent.
     fn in_vain(&self) -> usize {
-        let newest = self.lives.iter().filter(|life| life.at(Stage::LastByteSent).is_some()).map(|life| life.frame).max();
-        let is_lost = |life: &&Life| life.at(Stage::LastByteSent).is_none() && newest.is_some_and(|n| life.frame < n);
+        let newest = self
+            .lives
+            .iter()
+            .filter(|life| life.at(Stage::LastByteSent).is_some())
+            .map(|life| life.frame)
+            .max();
+        let is_lost =
+            |life: &&Life| life.at(Stage::LastByteSent).is_none() && newest.is_some_and(|n| life.frame < n);
         self.lives.iter().filter(is_lost).count()
     }
 }
@@ -147,7 +153,8 @@ fn check(machine: Machine, rtt_ms: u64, mode: Mode) -> Result<(), String> {
     );
     eprintln!("{found}");
     let rtt = rtt_ms as f64;
-    let is_met = fps >= 55.0 && mean <= rtt + 45.0 && p95 <= rtt + 70.0 && in_vain * 100 <= played.lives.len();
+    let is_met =
+        fps >= 55.0 && mean <= rtt + 45.0 && p95 <= rtt + 70.0 && in_vain * 100 <= played.lives.len();
     if is_met { Ok(()) } else { Err(found) }
 }
 
@@ -159,7 +166,10 @@ fn a_fast_machines_frames_are_on_the_screen_as_old_as_the_link_and_little_older(
         for rtt_ms in [20, 100, 200] {
             // Other programs may have the machine for a moment.
             let tries: Vec<_> = (0..3).map_while(|_| check(fast, rtt_ms, mode).err()).collect();
-            assert!(tries.len() < 3, "expected 55 frames a second, RTT + 45 ms and RTT + 70 ms; found {tries:?}");
+            assert!(
+                tries.len() < 3,
+                "expected 55 frames a second, RTT + 45 ms and RTT + 70 ms; found {tries:?}"
+            );
         }
     }
     // The control: one whose coder takes 30 ms has less, and makes no more frames than it sends.

@@ -53,7 +53,11 @@ impl Subject {
     }
 
     /// Makes them ready.
-    pub(crate) fn open_scene(&self, source: &SceneSource, volume: Arc<Volume>) -> Result<OpenedScene, BenchError> {
+    pub(crate) fn open_scene(
+        &self,
+        source: &SceneSource,
+        volume: Arc<Volume>,
+    ) -> Result<OpenedScene, BenchError> {
         let (clip, mode, isos) = (self.clip, self.mode, self.isos);
         let settings = MarchSettings { clip, mode, isos, ..march_settings(self.shaded) };
         Ok(scene_of(volume, &source.volume.source, self.transfer.as_deref(), settings)?)

@@ -109,7 +109,8 @@ mod tests {
             k: 4,
             mode: Default::default(),
         };
-        let times = Life { connection: 1, ..Default::default() };
+        let mut times = Life::new(header.frame, header.pose);
+        times.connection = 1;
         Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })
     }
 

@@ -20,7 +20,9 @@ async fn run(model: Option<LinkModel>, frames: u32) -> (Duration, LinkCounters) 
         let id = client.set_pose(pose(n), INTRINSICS);
         let received = until_answered(&client, id).await;
         let times = received.times;
-        least = least.min(Duration::from_micros(times.at(Stage::FirstByteReceived).unwrap() - times.at(Stage::Asked).unwrap()));
+        least = least.min(Duration::from_micros(
+            times.at(Stage::FirstByteReceived).unwrap() - times.at(Stage::Asked).unwrap(),
+        ));
     }
     until("a round-trip time", || (client.stats().rtt_micros > 0).then_some(())).await;
     (least, client.link_counters())

@@ -133,7 +133,8 @@ impl Generator {
         after_work: AfterWork,
     ) -> Result<Self, ServeError> {
         let renderer = renderer_of(backend, scene)?;
-        let mut studio = Studio { renderer, look, scene: SceneNumber::default(), lights, after_work: after_work.clone() };
+        let mut studio =
+            Studio { renderer, look, scene: SceneNumber::default(), lights, after_work: after_work.clone() };
         // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
         let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
@@ -171,7 +172,8 @@ impl Generator {
         lights: Lights,
     ) -> bool {
         let (reply, answer) = oneshot::channel();
-        let studio = Box::new(Studio { renderer, look, scene: number, lights, after_work: self.after_work.clone() });
+        let studio =
+            Box::new(Studio { renderer, look, scene: number, lights, after_work: self.after_work.clone() });
         self.jobs.send(Job::Replace { studio, reply }).await.is_ok() && answer.await.is_ok()
     }
 

@@ -271,7 +271,8 @@ impl Pipeline {
     fn note_coded(&mut self, coded: Option<Result<Coded, CodecError>>) -> Event {
         let (Some(at), Some(coded)) = (self.coding.take(), coded) else { return Event::Coded(None) };
         // One that was given up at the last moment is not sent either: no other was predicted from it.
-        let coded = coded.and_then(|c| if c.ticket.wish.holds() { Ok(c) } else { Err(CodecError::Abandoned) });
+        let coded =
+            coded.and_then(|c| if c.ticket.wish.holds() { Ok(c) } else { Err(CodecError::Abandoned) });
         if coded.is_ok() {
             self.schedule.handle_done(self.now_micros(), Station::Code, at.of.is_usual());
         } else {

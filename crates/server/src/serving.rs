@@ -355,7 +355,6 @@ impl Viewer {
         }
         self.begin_version(false).await
     }
-
 }
 
 /// Answers the newest question as soon as it comes, until the connection is over.

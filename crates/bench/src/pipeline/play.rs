@@ -66,7 +66,10 @@ pub(super) fn play(
             return Err(failed(format!("viewer: {problem}")));
         }
         if started.elapsed() > FIRST_FRAME_TIMEOUT + demo.link.rtt * 10 {
-            return Err(failed(format!("no whole picture within {} s, expected one", FIRST_FRAME_TIMEOUT.as_secs())));
+            return Err(failed(format!(
+                "no whole picture within {} s, expected one",
+                FIRST_FRAME_TIMEOUT.as_secs()
+            )));
         }
         std::thread::sleep(interval);
     }
@@ -106,12 +109,20 @@ pub(super) fn play(
     let round_trip = Duration::from_micros(viewer.source().stats().rtt_micros);
     drop(viewer);
     host.close();
-    Ok(Played { lives: lives.into_values().collect(), ages_micros, num_new, measured, round_trip, first_picture })
+    Ok(Played {
+        lives: lives.into_values().collect(),
+        ages_micros,
+        num_new,
+        measured,
+        round_trip,
+        first_picture,
+    })
 }
 
 /// Joins what both sides know of the frames that were begun while it counts. A frame that is sent again, finer, is generated once.
 fn collect(lives: &mut BTreeMap<FrameId, Life>, client: &Client, journal: &Journal, counts: &Range<u64>) {
-    let of_client: BTreeMap<FrameId, Life> = client.ledger().into_iter().map(|life| (life.frame, life)).collect();
+    let of_client: BTreeMap<FrameId, Life> =
+        client.ledger().into_iter().map(|life| (life.frame, life)).collect();
     for life in journal.lives() {
         if life.at(Stage::Begun).is_some_and(|begun| counts.contains(&begun)) {
             let whole = of_client.get(&life.frame).map_or(life, |other| life.joined(other));

@@ -197,7 +197,10 @@ pub fn table(r: &PipelineReport) -> String {
     );
     let spread = |s: &Spread| format!("{:>8.1} {:>8.1} {:>8.1}", s.mean, s.p50, s.p95);
     text += &format!("{:<20} {:>26} {:>26}\n", "ms", "since the stage before", "since asked");
-    text += &format!("{:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n", "", "mean", "p50", "p95", "mean", "p50", "p95");
+    text += &format!(
+        "{:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}\n",
+        "", "mean", "p50", "p95", "mean", "p50", "p95"
+    );
     for row in &r.stages {
         text += &format!("{:<20} {} {}\n", row.stage, spread(&row.step_ms), spread(&row.since_asked_ms));
     }
@@ -209,7 +212,12 @@ pub fn table(r: &PipelineReport) -> String {
     for lost in &r.given_up {
         text += &format!("{} given up or passed over after: {}\n", lost.frames, lost.after);
     }
-    text += &format!("{:.0} bytes a frame (p95 {:.0}), {:.2} MB/s\n", r.bytes.mean, r.bytes.p95, r.bytes_per_second / 1e6);
+    text += &format!(
+        "{:.0} bytes a frame (p95 {:.0}), {:.2} MB/s\n",
+        r.bytes.mean,
+        r.bytes.p95,
+        r.bytes_per_second / 1e6
+    );
     if let Some(device) = &r.device {
         text += &format!(
             "on the device: layered frame {:.2} ms, rendering through {:.2} ms, novel view {:.2} ms\n",
@@ -237,7 +245,8 @@ mod tests {
     fn frames_are_lost_where_they_ended_and_those_on_their_way_are_not() {
         let life = |n: u32, upto: usize| {
             let stages = Stage::ALL[..upto].iter().enumerate();
-            stages.fold(Life::new(FrameId(n), PoseId(n)), |life, (i, stage)| life.with(*stage, 1000 * i as u64))
+            stages
+                .fold(Life::new(FrameId(n), PoseId(n)), |life, (i, stage)| life.with(*stage, 1000 * i as u64))
         };
         let all = Stage::ALL.len();
         let lives = [life(1, all), life(2, 3), life(3, 11), life(4, all), life(5, 5)];

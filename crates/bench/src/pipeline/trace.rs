@@ -23,7 +23,8 @@ const CLIENT: u32 = 2;
 pub(super) fn chrome(lives: &[Life]) -> Result<String, BenchError> {
     let mut events = vec![process(SERVER, "server"), process(CLIENT, "viewer")];
     for (name, pid, tid, _, _) in SPANS {
-        events.push(json!({"ph": "M", "name": "thread_name", "pid": pid, "tid": tid, "args": {"name": name}}));
+        events
+            .push(json!({"ph": "M", "name": "thread_name", "pid": pid, "tid": tid, "args": {"name": name}}));
     }
     for life in lives {
         let spans = SPANS.iter().filter_map(|&(name, pid, tid, from, to)| {
@@ -56,7 +57,10 @@ mod tests {
         let events = value["traceEvents"].as_array().unwrap();
         let spans: Vec<_> = events.iter().filter(|e| e["ph"] == "X").collect();
         assert_eq!(spans.len(), 1);
-        assert_eq!((&spans[0]["name"], &spans[0]["ts"], &spans[0]["dur"]), (&json!("generate"), &json!(100), &json!(30)));
+        assert_eq!(
+            (&spans[0]["name"], &spans[0]["ts"], &spans[0]["dur"]),
+            (&json!("generate"), &json!(100), &json!(30))
+        );
         assert_eq!(spans[0]["args"]["frame"], json!(3));
     }
 }

@@ -116,8 +116,7 @@ impl FakeSource {
             mode: Default::default(),
         };
         let micros = pose_set.as_micros() as u64;
-        let times =
-            Life::default().with(Stage::Asked, micros).with(Stage::WholeDecoded, micros);
+        let times = Life::default().with(Stage::Asked, micros).with(Stage::WholeDecoded, micros);
         let frame = LayeredFrame::empty(header);
         self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, is_exact: !self.in_blocks, times }));
     }

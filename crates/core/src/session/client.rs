@@ -6,9 +6,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use super::ledger::{Ledger, Life, Stage};
 use crate::codec::MAX_CHUNKS;
 use crate::codec::blocks::MAX_REFERENCES;
-use super::ledger::{Ledger, Life, Stage};
 use crate::ids::{ChunkIndex, FrameId, PoseId};
 
 /// Where a chunk belongs, as its own header says.
@@ -394,7 +394,8 @@ impl Session {
     pub fn handle_decode_time(&mut self, micros: u64, num_lists: usize) {
         let nanos = micros as f64 * 1e3 / num_lists.max(1) as f64;
         let before = self.decode_nanos_per_list;
-        self.decode_nanos_per_list = if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
+        self.decode_nanos_per_list =
+            if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
     }
 
     /// What decoding takes of late, ns a list, for the next pose datagram; 0: it is not known.

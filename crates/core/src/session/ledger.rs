@@ -223,7 +223,10 @@ mod tests {
         ledger.add_bytes(FrameId(1), 5);
         ledger.add_bytes(FrameId(1), 6);
         let life = *ledger.get(FrameId(1)).unwrap();
-        assert_eq!((life.at(Stage::Asked), life.at(Stage::Generated), life.at(Stage::Coded)), (Some(3), Some(10), None));
+        assert_eq!(
+            (life.at(Stage::Asked), life.at(Stage::Generated), life.at(Stage::Coded)),
+            (Some(3), Some(10), None)
+        );
         assert_eq!((life.pose, life.bytes, life.is_given_up, life.connection), (PoseId(7), 11, false, 1));
         assert_eq!(life.last_stage(), Some(Stage::Generated));
         assert_eq!(ledger.get(FrameId(2)), None);
@@ -257,9 +260,12 @@ mod tests {
     #[test]
     fn two_sides_make_one_life() {
         let server = Life::new(FrameId(3), PoseId(1)).with(Stage::Generated, 20).with(Stage::Coded, 30);
-        let client = Life { bytes: 9, ..Life::new(FrameId(3), PoseId(1)) }.with(Stage::Asked, 5).with(Stage::Coded, 99);
+        let client = Life { bytes: 9, ..Life::new(FrameId(3), PoseId(1)) }
+            .with(Stage::Asked, 5)
+            .with(Stage::Coded, 99);
         let whole = server.joined(&client);
-        let stamps = [Stage::Asked, Stage::Generated, Stage::Coded, Stage::Shown].map(|stage| whole.at(stage));
+        let stamps =
+            [Stage::Asked, Stage::Generated, Stage::Coded, Stage::Shown].map(|stage| whole.at(stage));
         assert_eq!((stamps, whole.bytes), ([Some(5), Some(20), Some(30), None], 9));
         // In the order of their numbers, so that the last one is the furthest.
         assert!(Stage::ALL.windows(2).all(|w| w[0] < w[1]));

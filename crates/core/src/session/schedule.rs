@@ -88,7 +88,8 @@ impl Schedule {
         let sender_free = send.free_at(now_micros, now_micros);
         // What is with the coder, or behind it, is sent before.
         let before = code.work.map(|(_, lists)| lists);
-        let sender_free = before.map_or(sender_free, |lists| coder_free.max(sender_free) + send.time.micros(lists));
+        let sender_free =
+            before.map_or(sender_free, |lists| coder_free.max(sender_free) + send.time.micros(lists));
         // A little earlier than expected: an idle station costs more than a short wait.
         let early = generate.time.micros(num_lists) + generate.time.spread(num_lists);
         let for_coder = coder_free.saturating_sub(early);
@@ -230,7 +231,9 @@ mod tests {
     #[test]
     fn a_network_that_stands_still_is_fed_once_and_not_again() {
         // Nothing is sent between 1 s and 2 s.
-        let run = run([5, 10, 5], 4, 4, |now, station| if station == 2 && (1_000_000..2_000_000).contains(&now) { u64::MAX / 2 } else { 0 });
+        let run = run([5, 10, 5], 4, 4, |now, station| {
+            if station == 2 && (1_000_000..2_000_000).contains(&now) { u64::MAX / 2 } else { 0 }
+        });
         let begun = run.frames.iter().filter(|f| (1_050_000..2_000_000).contains(&f[0])).count();
         assert!(begun <= 1, "{begun} frames are begun while none is sent");
         // And goes on at once.

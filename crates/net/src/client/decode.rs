@@ -159,12 +159,7 @@ mod tests {
             let camera = Camera::new(pose, Intrinsics::perspective(4, 3, 0.7), &bounds);
             let frame =
                 LayeredFrame::empty(FrameHeader { frame: FrameId(id), ..FrameHeader::alone(camera, 4) });
-            Arc::new(ReceivedFrame {
-                frame,
-                is_complete: true,
-                is_exact: false,
-                times: Life::default(),
-            })
+            Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: false, times: Life::default() })
         };
         let mut given = Given::default();
         assert!(given.take().is_none());

@@ -57,7 +57,13 @@ pub struct ClientOptions {
 impl Default for ClientOptions {
     fn default() -> Self {
         let name = concat!("isinglass ", env!("CARGO_PKG_VERSION")).into();
-        Self { name, conditioner: None, clock: Clock::start(), after_work: AfterWork::default(), wake: Arc::new(|| {}) }
+        Self {
+            name,
+            conditioner: None,
+            clock: Clock::start(),
+            after_work: AfterWork::default(),
+            wake: Arc::new(|| {}),
+        }
     }
 }
 

@@ -51,7 +51,8 @@ impl Viewer {
         self.note_interval();
         self.rests = true;
         let wish = Wish::default();
-        let (generator, scene, look) = (self.house.generator.clone(), self.present.scene, (*self.look).clone());
+        let (generator, scene, look) =
+            (self.house.generator.clone(), self.present.scene, (*self.look).clone());
         let asked =
             Asked { request: *request, header, asked_at: Instant::now(), is_again, wish: wish.clone() };
         self.pipeline.generate(asked, async move { generator.generate(scene, look, header, wish).await });
@@ -180,7 +181,12 @@ impl Viewer {
             }
             Some(Err(e)) => {
                 tracing::warn!("{e}");
-                return self.session.control.notice(&format!("the server cannot encode a frame: {e}")).await.is_ok();
+                return self
+                    .session
+                    .control
+                    .notice(&format!("the server cannot encode a frame: {e}"))
+                    .await
+                    .is_ok();
             }
         };
         if let Some(reference) = &coded.reference {

@@ -32,12 +32,18 @@ fn a_frame_is_decoded_at_its_base_and_at_its_end() {
     assert_eq!((job.is_first, job.is_last, job.chunks.len()), (true, false, 3));
     assert!(s.poll_decode(12).is_none());
     let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
-    assert_eq!([Stage::Asked, Stage::FirstByteReceived, Stage::Received].map(|s| times.at(s)), [Some(5), Some(10), Some(12)]);
+    assert_eq!(
+        [Stage::Asked, Stage::FirstByteReceived, Stage::Received].map(|s| times.at(s)),
+        [Some(5), Some(10), Some(12)]
+    );
     arrive(&mut s, 20, 1, 3).unwrap();
     let job = s.poll_decode(20).unwrap();
     assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));
     let times = s.handle_decoded(21, job.connection, job.frame, true).unwrap();
-    assert_eq!((times.at(Stage::Whole), times.at(Stage::WholeDecoded), times.bytes), (Some(20), Some(21), 12));
+    assert_eq!(
+        (times.at(Stage::Whole), times.at(Stage::WholeDecoded), times.bytes),
+        (Some(20), Some(21), 12)
+    );
     s.handle_shown(30, FrameId(1));
     s.handle_shown(40, FrameId(1));
     assert_eq!(s.ledger().get(FrameId(1)).unwrap().at(Stage::Shown), Some(30));
