@@ -182,7 +182,7 @@ impl Volume {
         if let Voxels::F32(v) = &voxels {
             let is_bad = |x: &f32| x.is_nan() || x.abs() > Self::MAX_MAGNITUDE;
             let count = v.par_iter().filter(|x| is_bad(x)).count() as u64;
-            if let Some(i) = v.par_iter().position_first(|x| is_bad(x)) {
+            if let Some(i) = v.par_iter().position_first(is_bad) {
                 let (nx, ny) = (dims[0] as usize, dims[1] as usize);
                 let first = [(i % nx) as u32, (i / nx % ny) as u32, (i / nx / ny) as u32];
                 return Err(VolumeError::NotFinite { count, first });
