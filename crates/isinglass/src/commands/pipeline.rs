@@ -76,7 +76,7 @@ pub(super) struct PipelineArgs {
 
 pub(super) fn run(args: PipelineArgs) -> Result<()> {
     if let Some(trace) = &args.trace {
-        not_an_input(trace, [Some(args.volume.as_str()), args.look.transfer_file()].into_iter())?;
+        not_an_input(trace, [Some(args.volume.as_str()), args.look.transfer_file()])?;
     }
     let (mode, isos) = args.look.mode()?;
     let [width, height] = args.size;
