@@ -11,7 +11,7 @@ use isinglass_core::wire::Parts;
 use isinglass_formats::load_transfer;
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, Link};
-use isinglass_server::{Library, Loader, RunningServer, ServeOptions, start};
+use isinglass_server::{Library, Loader, RunningServer, ServeOptions, Timing, start};
 
 /// See the module. It renders on the CPU and sends exact frames to at most four viewers.
 pub struct Host {
@@ -32,6 +32,7 @@ impl Host {
             plan: Plan::EXACT,
             max_viewers: 4,
             library: Some(Library { parts, loader }),
+            timing: Timing::default(),
         };
         let server = runtime.block_on(async { start(options) }).expect("a port of loopback");
         Self { runtime, server }

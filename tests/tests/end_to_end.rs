@@ -15,12 +15,13 @@ use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
+use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::{Mode, Plan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
-use isinglass_server::{Attendance, RunningServer, ServeOptions, start};
+use isinglass_server::{Attendance, RunningServer, ServeOptions, Timing, start};
 
 const SIZE: Intrinsics = Intrinsics::perspective(96, 80, 0.6);
 
@@ -50,6 +51,7 @@ async fn serve_sized(builtin: Builtin, side: u32, plan: Plan) -> RunningServer {
         plan,
         max_viewers: 4,
         library: None,
+        timing: Timing::default(),
     })
     .unwrap()
 }
@@ -214,7 +216,8 @@ fn a_bad_link_delays_but_does_not_harm() {
         let frame = frame_for(&client, id);
         assert!(frame.frame.header.frame.0 > newest, "frames never go back");
         newest = frame.frame.header.frame.0;
-        let (set, arrived) = (frame.times.pose_set.unwrap(), frame.times.first_byte);
+        let (set, arrived) =
+            (frame.times.at(Stage::Asked).unwrap(), frame.times.at(Stage::FirstByteReceived).unwrap());
         assert!(arrived - set >= 120_000, "faster than the link: {:?}", frame.times);
     }
     runtime.block_on(server.close());
@@ -249,7 +252,7 @@ fn turned_over(runtime: &tokio::runtime::Runtime, plan: Plan, link: &LinkModel) 
             late.push(last.0 - shown.0);
         }
     }
-    let frames = client.ledger().iter().filter(|t| t.complete.is_some()).count();
+    let frames = client.ledger().iter().filter(|t| t.at(Stage::Whole).is_some()).count();
     let at_rest = frame_for(&client, last);
     assert_eq!(at_rest.frame.header.camera.pose, pose(60));
     // The server goes with its connections; the test waits for what it needs of them first.
@@ -283,7 +286,7 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     assert!(late * 2 < late_exact && frames > 2 * frames_exact, "{late} poses late, {frames} frames");
     let ledger = client.ledger();
     let (first, last) = (ledger.first().unwrap(), ledger.last().unwrap());
-    let seconds = (last.complete.unwrap() - first.complete.unwrap()) as f64 / 1e6;
+    let seconds = (last.at(Stage::Whole).unwrap() - first.at(Stage::Whole).unwrap()) as f64 / 1e6;
     let bytes: u64 = ledger.iter().skip(1).map(|t| t.bytes).sum();
     // A tenth for the burst that a pause leaves room for.
     assert!(bytes as f64 <= 0.25e6 * 1.1 * seconds + 8e3, "{bytes} bytes in {seconds} s");

@@ -17,7 +17,7 @@ use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{load_transfer, png};
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, ReceivedShot};
-use isinglass_server::{RunningServer, ServeOptions, start};
+use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 use tokio::runtime::Runtime;
 
 const SIZE: Intrinsics = Intrinsics::perspective(64, 48, 0.6);
@@ -39,6 +39,7 @@ fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
         plan: Plan::EXACT,
         library: None,
         max_viewers: 4,
+        timing: Timing::default(),
     };
     runtime.block_on(async { start(options).unwrap() })
 }

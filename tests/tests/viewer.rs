@@ -27,7 +27,7 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
-use isinglass_core::session::client::FrameTimes;
+use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{ClientStats, Token, VolumeDescription, Welcome};
 use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
@@ -284,7 +284,7 @@ impl StillSource {
             mode: Default::default(),
         };
         let frame: LayeredFrame = generate(&self.scene, header, Layering::default());
-        let times = FrameTimes::default();
+        let times = Life::default();
         Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
     }
 }

@@ -13,6 +13,7 @@ mod error;
 pub mod latency;
 pub mod output;
 pub mod paths;
+pub mod pipeline;
 pub mod progress;
 pub mod quality;
 pub mod rivals;

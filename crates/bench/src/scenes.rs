@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::Histogram;
+use isinglass_core::volume::{Histogram, Volume};
 use isinglass_formats::{
     FormatError, OpenOptions, VolumeSource, default_transfer, load_transfer, open, outline,
 };
@@ -62,11 +62,31 @@ pub fn open_scene(
     // First, because it fails fast.
     let transfer = transfer.map(load_transfer).transpose()?;
     let volume = Arc::new(open(source, options)?);
+    Ok(ready(volume, source, transfer, settings))
+}
+
+/// The same of a volume that was opened already, from `source`.
+pub(crate) fn scene_of(
+    volume: Arc<Volume>,
+    source: &str,
+    transfer: Option<&str>,
+    settings: MarchSettings,
+) -> Result<OpenedScene, FormatError> {
+    let transfer = transfer.map(load_transfer).transpose()?;
+    Ok(ready(volume, source, transfer, settings))
+}
+
+fn ready(
+    volume: Arc<Volume>,
+    source: &str,
+    transfer: Option<TransferFunction>,
+    settings: MarchSettings,
+) -> OpenedScene {
     let transfer = match transfer {
         Some(transfer) => transfer,
         None => default_transfer(source, &volume, &Histogram::of(&volume)),
     };
-    Ok(OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer })
+    OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer }
 }
 
 /// The scenes called `names`, each once; all if there are no names, but for scanned volumes that are not here. A name is

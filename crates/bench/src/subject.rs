@@ -1,17 +1,19 @@
 //! What tables of quality, speed and codecs look at and from where, and how a report says so.
 
+use std::sync::Arc;
+
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::volume::Volume;
-use isinglass_formats::Selection;
+use isinglass_formats::{Selection, open};
 use serde::Serialize;
 
 use crate::error::BenchError;
 use crate::progress::note;
 use crate::quality::march_settings;
-use crate::scenes::{OpenedScene, SceneSource, open_scene};
+use crate::scenes::{OpenedScene, SceneSource, scene_of};
 use crate::view::Orbit;
 
 /// What is looked at, and from where.
@@ -42,9 +44,23 @@ pub struct Subject {
 impl Subject {
     /// Opens one of the scenes.
     pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
+        self.open_scene(source, self.open_volume(source)?)
+    }
+
+    /// Reads or makes the voxels of one of the scenes.
+    pub(crate) fn open_volume(&self, source: &SceneSource) -> Result<Arc<Volume>, BenchError> {
+        Ok(Arc::new(open(&source.volume.source, &source.volume.options())?))
+    }
+
+    /// Makes them ready.
+    pub(crate) fn open_scene(
+        &self,
+        source: &SceneSource,
+        volume: Arc<Volume>,
+    ) -> Result<OpenedScene, BenchError> {
         let (clip, mode, isos) = (self.clip, self.mode, self.isos);
         let settings = MarchSettings { clip, mode, isos, ..march_settings(self.shaded) };
-        Ok(open_scene(&source.volume.source, self.transfer.as_deref(), settings, &source.volume.options())?)
+        Ok(scene_of(volume, &source.volume.source, self.transfer.as_deref(), settings)?)
     }
 
     /// The generating camera's place around a volume, upright as that is for `render` and the viewer.

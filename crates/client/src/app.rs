@@ -42,7 +42,7 @@ use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::{self, ViewAids, pixel_at};
 use crate::viewing::{Refresh, Standing, Viewing};
 use crate::waits::Waits;
-use crate::window::{Probe, ScriptStep, Shot, WindowOptions};
+use crate::window::{Probe, ScriptStep, Shot, USUAL_HZ, WindowOptions};
 
 /// Where the frames of a source come from.
 #[derive(Default)]
@@ -126,6 +126,7 @@ impl<S: FrameSource> ViewerApp<S> {
     ) -> Self {
         let opened_at = Duration::from_micros(clock.now_micros());
         let viewing = Viewing::new(source, options.frame_size, options.foresight);
+        let quality = QualityControl::new(options.refresh_hz.unwrap_or(USUAL_HZ));
         Self {
             stereo: options.stereo,
             shows_overlay: options.shows_overlay,
@@ -144,7 +145,7 @@ impl<S: FrameSource> ViewerApp<S> {
             last_standing: None,
             had_kept: false,
             refreshes: RefreshMeter::default(),
-            quality: QualityControl::new(TARGET_RATE),
+            quality,
             picture_status,
             novel_views,
             method_problem: None,
@@ -639,8 +640,6 @@ const OLDER_LOOK_DELAY: Duration = Duration::from_millis(250);
 const SCRIPT_REFRESH: Duration = Duration::from_millis(30);
 /// The largest texture, and so window, that egui's device allows.
 const MAX_PICTURE_SIDE: f32 = 8192.0;
-/// While the camera moves, the picture is cast as finely as this many refreshes a second allow.
-const TARGET_RATE: f32 = 30.0;
 
 #[cfg(test)]
 mod tests;

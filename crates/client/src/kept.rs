@@ -88,7 +88,7 @@ mod tests {
     use isinglass_core::camera::{Intrinsics, Pose};
     use isinglass_core::ids::{FrameId, LookVersion, PoseId};
     use isinglass_core::layer::FrameHeader;
-    use isinglass_core::session::client::FrameTimes;
+    use isinglass_core::session::ledger::Life;
 
     use super::*;
 
@@ -109,7 +109,8 @@ mod tests {
             k: 4,
             mode: Default::default(),
         };
-        let times = FrameTimes { connection: 1, ..Default::default() };
+        let mut times = Life::new(header.frame, header.pose);
+        times.connection = 1;
         Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })
     }
 

@@ -11,6 +11,7 @@ use isinglass_core::ids::{LookVersion, PoseId};
 use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
+use isinglass_core::session::ledger::Stage;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::Welcome;
 use isinglass_net::{ReceivedFrame, State};
@@ -352,7 +353,7 @@ impl<S: FrameSource> Viewing<S> {
     fn note_delay(&mut self, now: Duration, frame: Option<&ReceivedFrame>) {
         let Some(frame) = frame.filter(|f| f.frame.header.pose > self.measured) else { return };
         self.measured = frame.frame.header.pose;
-        if let Some(asked_at) = frame.times.pose_set {
+        if let Some(asked_at) = frame.times.at(Stage::Asked) {
             self.predictor.note_shown(now, Duration::from_micros(asked_at));
         }
     }
@@ -516,7 +517,7 @@ impl<S: FrameSource> Viewing<S> {
     /// Whether a frame is the camera's own, complete, of the look that is wished for, and no better one is to come.
     fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
         // A server may send a frame in blocks again exactly, or leave it at that.
-        let complete_since = frame.times.complete_decoded.map(Duration::from_micros);
+        let complete_since = frame.times.at(Stage::WholeDecoded).map(Duration::from_micros);
         let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
         let is_last = is_last && !self.source.is_draft();
         is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
@@ -532,7 +533,7 @@ impl<S: FrameSource> Viewing<S> {
         }
         let left = self.left.iter().rev().find(|(p, _)| p == of_frame && !is_parallel).map(|(_, at)| *at);
         // A pose that is forgotten is older than all that are not.
-        let since = left.or_else(|| Some(Duration::from_micros(frame.times.pose_set?)))?;
+        let since = left.or_else(|| Some(Duration::from_micros(frame.times.at(Stage::Asked)?)))?;
         now.checked_sub(since)
     }
 }

@@ -43,6 +43,9 @@ pub struct WindowOptions {
     pub stereo: Stereo,
     /// What is asked for beyond the picture of the moment.
     pub foresight: Foresight,
+    /// While the camera moves, the picture is cast as finely as so many refreshes a second allow; none: as many as the display
+    /// makes.
+    pub refresh_hz: Option<f32>,
     /// Whether numbers, axes and scale bar are shown at first.
     pub shows_overlay: bool,
     /// Turns the camera by itself, for pictures of a moving view; 0: not.
@@ -78,6 +81,7 @@ impl Default for WindowOptions {
             frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
             stereo: Stereo::default(),
             foresight: Foresight::default(),
+            refresh_hz: None,
             shows_overlay: true,
             auto_orbit_degrees_per_second: 0.0,
             novel_views: Vec::new(),
@@ -248,6 +252,7 @@ fn open_window(
     let heard = lost.clone();
     let create: eframe::AppCreator<'_> = Box::new(move |cc| {
         opened.store(true, Ordering::Relaxed);
+        options.refresh_hz = options.refresh_hz.or_else(|| display_hz(cc.winit_window()?));
         // The rest of a state waits for a volume.
         let theme = options.state.as_ref().and_then(|state| state.view.theme);
         cc.egui_ctx.set_theme(theme.map_or(egui::ThemePreference::Dark, theme_preference));
@@ -275,6 +280,13 @@ fn open_window(
         Ok(Err(e)) => Err(viewer_error(e)),
         Err(DisplayLost) => Err(ViewerError::Window("the display is gone".into())),
     }
+}
+
+/// Refreshes a second of the display that a window opens on, if it tells.
+fn display_hz(window: &winit::window::Window) -> Option<f32> {
+    let monitor = window.current_monitor().or_else(|| window.primary_monitor())?;
+    let hz = monitor.refresh_rate_millihertz()? as f32 / 1e3;
+    (hz >= 1.0).then_some(hz)
 }
 
 /// X11 wherever there is a choice: on Wayland, which goes through XWayland then, files cannot be dropped on a window of winit's,
@@ -323,6 +335,8 @@ fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
 /// Longest time the server should need for a frame while the camera moves: that of a long round trip. With half of it,
 /// a server without a GPU sends frames so coarse that the eye minds them more than their age.
 const MOVING_BUDGET: Duration = Duration::from_millis(300);
+/// Refreshes a second of a display that does not tell.
+pub(crate) const USUAL_HZ: f32 = 60.0;
 /// Vertical field of view if none is named, degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;
 

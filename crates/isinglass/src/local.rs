@@ -10,7 +10,7 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{LoadRequest, Outline};
 use isinglass_gpu::{Backend, BackendChoice};
-use isinglass_server::{RunningServer, ServeOptions};
+use isinglass_server::{RunningServer, ServeOptions, Timing};
 use tokio::runtime::Runtime;
 
 use crate::args::{LayeringArgs, LookArgs};
@@ -76,6 +76,7 @@ impl LocalServers for Locals {
             plan: Plan::default(),
             max_viewers: 1,
             library: Some(opened.library),
+            timing: Timing::default(),
         };
         let runtime = Runtime::new().map_err(|e| format!("no threads for the server: {e}"))?;
         let started = runtime.block_on(async {

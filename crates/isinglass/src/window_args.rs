@@ -4,7 +4,7 @@ use clap::{Args, ValueEnum};
 use isinglass_client::DEFAULT_EYE_ANGLE_DEGREES;
 use isinglass_formats::{SavedView, Srgb, StereoPicture, Theme};
 
-use crate::args::{Switch, parse_background};
+use crate::args::{Switch, parse_background, parse_rate};
 
 /// What the viewer's panel sets too.
 #[derive(Args, Clone, Debug)]
@@ -31,6 +31,9 @@ pub(crate) struct WindowArgs {
     /// Angle between the eyes, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_eye_angle, default_value_t = DEFAULT_EYE_ANGLE_DEGREES)]
     eye_angle: f32,
+    /// Refreshes a second that the picture is cast finely enough for while the camera moves [default: the display's]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    pub(crate) refresh: Option<f32>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -9,9 +9,11 @@ mod clock;
 pub mod conditioner;
 mod control_stream;
 pub mod identity;
+mod journal;
 pub mod link;
 pub mod server;
 mod transport;
+mod work;
 
 pub use client::{
     Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, ReceivedShot, State,
@@ -19,5 +21,7 @@ pub use client::{
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};
+pub use journal::Journal;
 pub use link::{Link, LinkError, place_of, state_of_link};
 pub use server::{BindError, Greeting, Server, ServerOptions, Session, SessionClosed};
+pub use work::{AfterWork, Work};

@@ -6,6 +6,7 @@ mod common;
 use std::time::Duration;
 
 use common::*;
+use isinglass_core::session::ledger::Stage;
 use isinglass_net::conditioner::LinkCounters;
 use isinglass_net::{Client, ClientError, ClientOptions, LinkModel};
 
@@ -19,7 +20,9 @@ async fn run(model: Option<LinkModel>, frames: u32) -> (Duration, LinkCounters) 
         let id = client.set_pose(pose(n), INTRINSICS);
         let received = until_answered(&client, id).await;
         let times = received.times;
-        least = least.min(Duration::from_micros(times.first_byte - times.pose_set.unwrap()));
+        least = least.min(Duration::from_micros(
+            times.at(Stage::FirstByteReceived).unwrap() - times.at(Stage::Asked).unwrap(),
+        ));
     }
     until("a round-trip time", || (client.stats().rtt_micros > 0).then_some(())).await;
     (least, client.link_counters())

@@ -12,6 +12,7 @@ use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Detail;
 use isinglass_gpu::{Backend, GpuError, Renderer};
+use isinglass_net::{AfterWork, Work};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;
@@ -23,6 +24,7 @@ use crate::parts::SceneNumber;
 #[derive(Clone)]
 pub(crate) struct Generator {
     jobs: mpsc::Sender<Job>,
+    after_work: AfterWork,
     pictures: Arc<Semaphore>,
 }
 
@@ -115,6 +117,7 @@ struct Studio {
     look: Look,
     scene: SceneNumber,
     lights: Lights,
+    after_work: AfterWork,
 }
 
 impl Generator {
@@ -127,9 +130,11 @@ impl Generator {
         scene: Scene,
         look: Look,
         lights: Lights,
+        after_work: AfterWork,
     ) -> Result<Self, ServeError> {
         let renderer = renderer_of(backend, scene)?;
-        let mut studio = Studio { renderer, look, scene: SceneNumber::default(), lights };
+        let mut studio =
+            Studio { renderer, look, scene: SceneNumber::default(), lights, after_work: after_work.clone() };
         // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
         let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
@@ -138,7 +143,7 @@ impl Generator {
             .name("generator".into())
             .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
-        Ok(Self { jobs, pictures: Arc::new(Semaphore::new(1)) })
+        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)) })
     }
 
     /// The frame for `header` of a scene under a valid look, as long as the wish holds. `None` if the thread has ended.
@@ -167,7 +172,8 @@ impl Generator {
         lights: Lights,
     ) -> bool {
         let (reply, answer) = oneshot::channel();
-        let studio = Box::new(Studio { renderer, look, scene: number, lights });
+        let studio =
+            Box::new(Studio { renderer, look, scene: number, lights, after_work: self.after_work.clone() });
         self.jobs.send(Job::Replace { studio, reply }).await.is_ok() && answer.await.is_ok()
     }
 
@@ -258,7 +264,9 @@ impl Studio {
         let started = Instant::now();
         self.prepare(order.scene, &order.look, None)?;
         let layering = order.look.layering;
-        let frame = self.renderer.generate_while(order.header, layering, &|| order.wish.holds())?;
+        let (renderer, wanted) = (&mut self.renderer, || order.wish.holds());
+        let work = || renderer.generate_while(order.header, layering, &wanted);
+        let frame = self.after_work.run(Work::Generate, work)?;
         let frame = frame.ok_or(GenerateError::GivenUp)?;
         let is_draft = !self.is_final();
         Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64, is_draft })

@@ -2,13 +2,13 @@
 //! pose and look. Another part of the volume's file may take its place, for all of them.
 //!
 //! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
-//! waiting, so all get the same share. A viewer's frame is always made for the newest pose that has arrived, and none
-//! is made for a pose that has been answered; at rest the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
+//! waiting, so all get the same share. A viewer's frame is always made for the newest pose that has arrived, begun so that
+//! the coder and the network are free when it is done, and none is made for a pose that has been answered; at rest the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod generator;
 mod lights;
 mod parts;
-mod sending;
+mod pipeline;
 mod serving;
 mod shots;
 
@@ -21,7 +21,7 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::Parts;
 use isinglass_gpu::{Backend, GpuError};
-use isinglass_net::{BindError, Identity, Link, Server};
+use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
@@ -46,6 +46,17 @@ pub struct ServeOptions {
     pub max_viewers: u32,
     /// What else there is in the volume's file, for viewers to choose; none: they cannot choose another part.
     pub library: Option<Library>,
+    /// Time, as the server sees it.
+    pub timing: Timing,
+}
+
+/// Where times come from.
+#[derive(Clone, Debug, Default)]
+pub struct Timing {
+    /// What all stamps are read from.
+    pub clock: Clock,
+    /// What follows the generating and coding of frames.
+    pub after_work: AfterWork,
 }
 
 /// The file that a volume comes from.
@@ -82,6 +93,7 @@ pub struct RunningServer {
     address: SocketAddr,
     commands: mpsc::Sender<Command>,
     attendance: watch::Receiver<Attendance>,
+    newest: watch::Receiver<Option<Journal>>,
     serving: JoinHandle<()>,
 }
 
@@ -105,15 +117,16 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, plan, max_viewers, library } = options;
+    let ServeOptions { volume, look, backend, listen, plan, max_viewers, library, timing } = options;
+    let Timing { clock, after_work } = timing;
     let scene = Scene::new(volume, &look.transfer, look.march_settings());
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
     let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
     let identity = Identity::generate()?;
-    let options = isinglass_net::ServerOptions { max_viewers };
+    let options = isinglass_net::ServerOptions { max_viewers, clock };
     let server = Server::bind(listen, &identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
-    let generator = Generator::start(&backend, scene, look, present.lights.clone())?;
+    let generator = Generator::start(&backend, scene, look, present.lights.clone(), after_work.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
@@ -129,10 +142,11 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         present: present_in,
         load: load_in,
     };
-    let house = serving::House { generator, present, load, orders, plan };
+    let house = serving::House { generator, present, load, orders, plan, after_work };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
-    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver, attendance_in));
-    Ok(RunningServer { address, commands, attendance, serving })
+    let (newest_in, newest) = watch::channel(None);
+    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver, attendance_in, newest_in));
+    Ok(RunningServer { address, commands, attendance, newest, serving })
 }
 
 /// Orders of parts that wait: the newest counts, and each is taken at once.
@@ -147,6 +161,11 @@ impl RunningServer {
     /// Who is here, and what changes of it.
     pub fn attendance(&self) -> watch::Receiver<Attendance> {
         self.attendance.clone()
+    }
+
+    /// The lives of the frames of the viewer that came last.
+    pub fn newest_journal(&self) -> Option<Journal> {
+        self.newest.borrow().clone()
     }
 
     /// A new link that lets in one viewer, who reaches this server as `host`, or at its own address.

@@ -13,7 +13,7 @@ use isinglass_core::wire::{Part, Parts};
 use isinglass_formats::{OpenOptions, Selection, open};
 use isinglass_gpu::Backend;
 use isinglass_net::{Client, ClientOptions, Clock};
-use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, start};
+use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, Timing, start};
 
 /// Voxels along each side of a time: two megabytes.
 const SIDE: usize = 128;
@@ -145,6 +145,7 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                     plan: Plan::default(),
                     max_viewers: 1,
                     library: Some(Library { parts: parts(0), loader: Arc::new(film) }),
+                    timing: Timing::default(),
                 };
                 let (started, link) = runtime.block_on(async {
                     let server = start(options).unwrap();

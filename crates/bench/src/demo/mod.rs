@@ -24,8 +24,8 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
-use isinglass_net::LinkModel;
-use isinglass_server::{ServeOptions, start};
+use isinglass_net::{Link, LinkModel};
+use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 
 use crate::error::BenchError;
 use crate::rivals::Method;
@@ -134,13 +134,8 @@ pub struct Outcome {
 /// which is made if it is not there; without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
     options.method.check_mode(options.mode)?;
-    let &DemoOptions { raw, selection, spacing, max_bytes, .. } = options;
-    let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
-    let (clip, mode, isos) = (options.clip, options.mode, options.isos);
-    let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(options.shaded, options.lighting) };
-    let opened = open_scene(&options.source, options.transfer.as_deref(), settings, &open)?;
-    let orbit = options.orbit.upright(opened.scene.volume.info.orientation.as_deref());
-    let options = &DemoOptions { orbit, ..options.clone() };
+    let (opened, options) = options.open()?;
+    let options = &options;
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
     // Before playing: nobody wants to wait for a report that cannot be written.
@@ -176,38 +171,78 @@ fn serve_and_play(
     opened: &OpenedScene,
     backend: &Backend,
 ) -> Result<play::Played, BenchError> {
-    let failed = |what: &str, e: &dyn std::fmt::Display| BenchError::Demo(format!("{what}: {e}"));
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .map_err(|e| failed("no threads for the server", &e))?;
-    let look = Look {
-        shaded: options.shaded,
-        clip: options.clip,
-        lighting: options.lighting,
-        layering: options.layering,
-        k: options.k,
-        mode: options.mode,
-        isos: options.isos,
-        ..Look::new(opened.transfer.clone())
-    };
-    let serve = ServeOptions {
-        volume: opened.scene.volume.clone(),
-        look,
-        backend: backend.clone(),
-        listen: ([127, 0, 0, 1], 0).into(),
-        plan: options.plan,
-        max_viewers: 1,
-        library: None,
-    };
-    let (server, link) = runtime.block_on(async {
-        let server = start(serve).map_err(|e| failed("server", &e))?;
-        let link = server.mint_link(None).await.map_err(|e| failed("server", &e))?;
-        Ok::<_, BenchError>((server, link))
-    })?;
-    let played = play::play(&link, options);
-    runtime.block_on(server.close());
+    let host = Host::start(options, opened, backend, Timing::default())?;
+    let played = play::play(&host.link, options);
+    host.close();
     played
+}
+
+/// A server of this process, and the link of its one viewer.
+pub(crate) struct Host {
+    runtime: tokio::runtime::Runtime,
+    pub(crate) server: RunningServer,
+    pub(crate) link: Link,
+}
+
+impl Host {
+    pub(crate) fn start(
+        options: &DemoOptions,
+        opened: &OpenedScene,
+        backend: &Backend,
+        timing: Timing,
+    ) -> Result<Self, BenchError> {
+        let failed = |what: &str, e: &dyn std::fmt::Display| BenchError::Demo(format!("{what}: {e}"));
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .enable_all()
+            .build()
+            .map_err(|e| failed("no threads for the server", &e))?;
+        let serve = ServeOptions {
+            volume: opened.scene.volume.clone(),
+            look: options.look(opened),
+            backend: backend.clone(),
+            listen: ([127, 0, 0, 1], 0).into(),
+            plan: options.plan,
+            max_viewers: 1,
+            library: None,
+            timing,
+        };
+        let (server, link) = runtime.block_on(async {
+            let server = start(serve).map_err(|e| failed("server", &e))?;
+            let link = server.mint_link(None).await.map_err(|e| failed("server", &e))?;
+            Ok::<_, BenchError>((server, link))
+        })?;
+        Ok(Self { runtime, server, link })
+    }
+
+    pub(crate) fn close(self) {
+        self.runtime.block_on(self.server.close());
+    }
+}
+
+impl DemoOptions {
+    /// The look that the server begins with.
+    pub(crate) fn look(&self, opened: &OpenedScene) -> Look {
+        Look {
+            shaded: self.shaded,
+            clip: self.clip,
+            lighting: self.lighting,
+            layering: self.layering,
+            k: self.k,
+            mode: self.mode,
+            isos: self.isos,
+            ..Look::new(opened.transfer.clone())
+        }
+    }
+
+    /// The volume made ready, and these options with the orbit as the volume wants it.
+    pub(crate) fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
+        let &Self { raw, selection, spacing, max_bytes, clip, mode, isos, .. } = self;
+        let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
+        let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, self.lighting) };
+        let opened = open_scene(&self.source, self.transfer.as_deref(), settings, &open)?;
+        let orbit = self.orbit.upright(opened.scene.volume.info.orientation.as_deref());
+        Ok((opened, Self { orbit, ..self.clone() }))
+    }
 }
 
 /// The volume if none is named: translucent and detailed, small enough for the CPU.

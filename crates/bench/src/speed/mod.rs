@@ -48,9 +48,32 @@ pub struct SpeedReport {
     pub conditions: SpeedConditions,
     /// One for each scene, backend, frame size, method, K, way of reading lists and turn.
     pub rows: Vec<SpeedRow>,
+    /// How long each volume took to be ready.
+    pub preparations: Vec<Preparation>,
     /// What is left of the picture at a frame rate, where rates were asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<TargetRow>,
+}
+
+/// How long a volume took to be ready on a backend, seconds.
+#[derive(Clone, Debug, Serialize)]
+pub struct Preparation {
+    /// Name of the scene.
+    pub scene: String,
+    /// Voxels along x, y and z.
+    pub dims: [u32; 3],
+    /// Where the kernels ran.
+    pub backend: String,
+    /// Reading or making the voxels.
+    pub volume_seconds: f64,
+    /// Their histogram.
+    pub histogram_seconds: f64,
+    /// Least and greatest voxels of bricks.
+    pub bricks_seconds: f64,
+    /// Transfer function, visible bricks and light.
+    pub look_seconds: f64,
+    /// Onto the device, and its kernels; on the CPU next to nothing.
+    pub upload_seconds: f64,
 }
 
 /// What holds for all rows.
@@ -145,7 +168,7 @@ pub struct SpeedRow {
 
 /// Measures.
 pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
-    let (mut rows, mut targets) = (Vec::new(), Vec::new());
+    let (mut rows, mut targets, mut preparations) = (Vec::new(), Vec::new(), Vec::new());
     let mut failures = Failures::default();
     let num_runs = options.backends.len() * options.subject.scenes.len();
     for &choice in &options.backends {
@@ -154,7 +177,8 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
             // A step for each round and one for the preparation, and one for the targets.
             let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
             progress.begin(&format!("{} on {}", source.name, backend.description()));
-            let mut tasks = tasks::Tasks::open(&backend, options, source)?;
+            let (mut tasks, preparation) = tasks::Tasks::open(&backend, options, source)?;
+            preparations.push(preparation);
             for round in 0..=options.repeats {
                 progress.advance(1, &format!("{} on {}, round {round}", source.name, choice));
                 tasks.run_round(round > 0)?;
@@ -174,7 +198,7 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
         repeats: options.repeats,
         statistic: "least of the rounds; all tasks of a scene and backend take turns",
     };
-    Ok(SpeedReport { conditions, rows, targets })
+    Ok(SpeedReport { conditions, rows, preparations, targets })
 }
 
 /// A table for people. Times on the device where it has a clock.
@@ -230,6 +254,22 @@ pub fn table(report: &SpeedReport) -> String {
             } else {
                 format!("{}; view: {}", r.backend, r.view_backend)
             }
+        );
+    }
+    text += "\nready after, s:\n";
+    for p in &report.preparations {
+        text += &format!(
+            "{:<18} {}x{}x{}: volume {:.2}, histogram {:.2}, bricks {:.2}, look and light {:.2}, upload {:.2}  {}\n",
+            p.scene,
+            p.dims[0],
+            p.dims[1],
+            p.dims[2],
+            p.volume_seconds,
+            p.histogram_seconds,
+            p.bricks_seconds,
+            p.look_seconds,
+            p.upload_seconds,
+            p.backend
         );
     }
     if !report.targets.is_empty() {

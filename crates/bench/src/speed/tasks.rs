@@ -12,9 +12,10 @@ use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_core::volume::{Bricks, Histogram};
 use isinglass_gpu::{Backend, Renderer};
 
-use super::{SpeedOptions, SpeedRow};
+use super::{Preparation, SpeedOptions, SpeedRow};
 use crate::choices::{Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
 use crate::quality::black_srgb8;
@@ -99,17 +100,39 @@ impl Time {
     }
 }
 
+/// The result, and seconds.
+fn in_seconds<T>(body: impl FnOnce() -> Result<T, BenchError>) -> Result<(T, f64), BenchError> {
+    let started = Instant::now();
+    let made = body()?;
+    Ok((made, started.elapsed().as_secs_f64()))
+}
+
 impl<'a> Tasks<'a> {
     pub(super) fn open(
         backend: &'a Backend,
         options: &'a SpeedOptions,
         source: &SceneSource,
-    ) -> Result<Self, BenchError> {
+    ) -> Result<(Self, Preparation), BenchError> {
         let subject = &options.subject;
-        let opened = subject.open(source)?;
+        let (volume, volume_seconds) = in_seconds(|| subject.open_volume(source))?;
+        let (_, histogram_seconds) = in_seconds(|| Ok(Histogram::of(&volume)))?;
+        let (_, bricks_seconds) = in_seconds(|| Ok(Bricks::of(&volume)))?;
+        // A scene makes a histogram for its transfer function and another of its own, and bricks.
+        let (opened, scene_seconds) = in_seconds(|| subject.open_scene(source, volume))?;
+        let look_seconds = (scene_seconds - 2.0 * histogram_seconds - bricks_seconds).max(0.0);
         let orbit = subject.orbit(&opened.scene.volume);
         let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());
-        let mut renderer = backend.renderer(opened.scene)?;
+        let (mut renderer, upload_seconds) = in_seconds(|| Ok(backend.renderer(opened.scene)?))?;
+        let preparation = Preparation {
+            scene: source.name.clone(),
+            dims,
+            backend: backend.description(),
+            volume_seconds,
+            histogram_seconds,
+            bricks_seconds,
+            look_seconds,
+            upload_seconds,
+        };
         let turned = |&angle: &f32| orbit.turned(angle).camera(subject.intrinsics, &bounds);
         let turned: Vec<Camera> = subject.angles_degrees.iter().map(turned).collect();
         let (mut frames, mut views) = (Vec::new(), Vec::new());
@@ -144,7 +167,7 @@ impl<'a> Tasks<'a> {
             least: BTreeMap::new(),
         };
         opened.tasks = opened.all();
-        Ok(opened)
+        Ok((opened, preparation))
     }
 
     fn all(&self) -> Vec<Task> {

@@ -13,7 +13,7 @@ use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
-use isinglass_core::session::client::FrameTimes;
+use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{LoadStatus, Parts, ProbeRequest, Probed, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedShot};
@@ -94,7 +94,7 @@ impl HereSource {
             mode: Default::default(),
         };
         let frame = generate(&self.scene, header, self.look.1.layering);
-        let times = FrameTimes::default();
+        let times = Life::default();
         self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times }));
     }
 }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
-use isinglass_core::session::client::FrameTimes;
+use isinglass_core::session::ledger::{Life, Stage};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::wire::{ClientStats, ServerStats, Token, VolumeDescription, Welcome};
 use isinglass_net::{ConnectError, LinkStats};
@@ -116,8 +116,7 @@ impl FakeSource {
             mode: Default::default(),
         };
         let micros = pose_set.as_micros() as u64;
-        let times =
-            FrameTimes { pose_set: Some(micros), complete_decoded: Some(micros), ..Default::default() };
+        let times = Life::default().with(Stage::Asked, micros).with(Stage::WholeDecoded, micros);
         let frame = LayeredFrame::empty(header);
         self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, is_exact: !self.in_blocks, times }));
     }

@@ -1,4 +1,4 @@
-//! The client's side of a connection: from chunks to the next thing worth decoding, and the ledger of a frame's life.
+//! The client's side of a connection: from chunks to the next thing worth decoding, with the ledger of all frames' lives.
 //!
 //! At most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] are in reassembly; a newer one pushes the oldest out. A frame whose base is
 //! complete ends the older ones. What is handed out for decoding never goes back to an older frame, but for those that others
@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use super::ledger::{Ledger, Life, Stage};
 use crate::codec::MAX_CHUNKS;
 use crate::codec::blocks::MAX_REFERENCES;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
@@ -66,33 +67,6 @@ pub struct DecodeJob {
     pub chunks: Vec<Vec<u8>>,
 }
 
-/// Stamps of a frame's life on the client's clock, µs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameTimes {
-    /// The connection it came on, from 1; frame numbers start again with each.
-    pub connection: u32,
-    /// The frame.
-    pub frame: FrameId,
-    /// The pose it answers.
-    pub pose: PoseId,
-    /// The pose was set.
-    pub pose_set: Option<u64>,
-    /// The first byte arrived.
-    pub first_byte: u64,
-    /// The base was complete.
-    pub base_complete: Option<u64>,
-    /// The base was decoded.
-    pub base_decoded: Option<u64>,
-    /// The last chunk arrived.
-    pub complete: Option<u64>,
-    /// All of it was decoded.
-    pub complete_decoded: Option<u64>,
-    /// The frame was on the screen for the first time.
-    pub first_shown: Option<u64>,
-    /// Bytes of the chunks that arrived.
-    pub bytes: u64,
-}
-
 /// State of one viewer; it outlives connections.
 ///
 /// Call `handle_connected` for each new connection, `handle_pose` when a pose is set, `handle_chunk` for each whole
@@ -100,7 +74,6 @@ pub struct FrameTimes {
 /// not run backwards.
 #[derive(Debug, Default)]
 pub struct Session {
-    connection: u32,
     poses: VecDeque<(PoseId, u64)>,
     assembling: BTreeMap<FrameId, Assembling>,
     newest_base: Option<FrameId>,
@@ -112,9 +85,11 @@ pub struct Session {
     is_predicting: bool,
     /// One whose refinements are not waited for any more.
     given_up: Option<FrameId>,
-    newest_decoded: Option<FrameTimes>,
-    ledger: VecDeque<FrameTimes>,
+    newest_decoded: Option<Life>,
+    ledger: Ledger,
     decoded_at: VecDeque<u64>,
+    /// Time to decode a list, ns, of late.
+    decode_nanos_per_list: f64,
     /// Whether frames have been completing before the base of the next was there.
     refinements_keep_up: bool,
 }
@@ -149,7 +124,7 @@ impl Assembling {
 impl Session {
     /// A new connection is up. Frame numbers start again; what was not decoded is gone.
     pub fn handle_connected(&mut self) {
-        self.connection += 1;
+        self.ledger.handle_connected();
         self.assembling.clear();
         self.references.clear();
         self.coming = None;
@@ -160,7 +135,7 @@ impl Session {
 
     /// Number of the connection, from 1.
     pub fn connection(&self) -> u32 {
-        self.connection
+        self.ledger.connection()
     }
 
     /// A pose was set.
@@ -205,14 +180,14 @@ impl Session {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
-            match self.times_mut(frame).map(|t| t.complete.is_some()) {
+            match self.ledger.get(frame).map(|life| life.at(Stage::Whole).is_some()) {
                 Some(true) => return Err(ChunkError::Twice(frame, index)),
                 // What had come of it was dropped for a newer frame, and does not come again: it can never be whole.
                 Some(false) => return Ok(()),
                 None => {}
             }
             if self.assembling.len() == MAX_ASSEMBLING {
-                self.assembling.pop_first();
+                self.drop_oldest();
             }
             self.assembling.insert(
                 frame,
@@ -236,21 +211,16 @@ impl Session {
         let length = bytes.len() as u64;
         a.waiting.push(bytes);
         let (has_base, has_all) = (a.has_base(), a.has_all());
-        if let Some(times) = self.times_mut(frame) {
-            times.bytes += length;
-            times.first_byte = times.first_byte.min(first_byte_micros);
-            if has_base {
-                times.base_complete.get_or_insert(now_micros);
-            }
-            if has_all {
-                times.complete.get_or_insert(now_micros);
-            }
+        self.ledger.add_bytes(frame, length);
+        if has_all {
+            self.ledger.stamp(now_micros, frame, Stage::Whole);
         }
         if has_base {
+            self.ledger.stamp(now_micros, frame, Stage::Received);
             self.choose();
         }
         while self.assembling.values().map(|a| a.num_bytes).sum::<usize>() > MAX_ASSEMBLING_BYTES {
-            self.assembling.pop_first();
+            self.drop_oldest();
         }
         Ok(())
     }
@@ -286,8 +256,17 @@ impl Session {
         if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
             self.refinements_keep_up = false;
         }
-        self.assembling = self.assembling.split_off(&frame);
+        let newer = self.assembling.split_off(&frame);
+        for (old, _) in std::mem::replace(&mut self.assembling, newer) {
+            self.ledger.give_up(old);
+        }
         self.newest_base = Some(frame);
+    }
+
+    fn drop_oldest(&mut self) {
+        if let Some((oldest, _)) = self.assembling.pop_first() {
+            self.ledger.give_up(oldest);
+        }
     }
 
     /// What to decode next: the newest frame when all of it is there, or its base before.
@@ -296,7 +275,7 @@ impl Session {
     /// picture before, which is complete, is better for the moment that they still need: a base is held back until
     /// it is followed by a newer one or a quarter of a second has passed.
     pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
-        self.poll_newest(now_micros).or_else(|| self.poll_late())
+        self.poll_newest(now_micros).or_else(|| self.poll_late(now_micros))
     }
 
     fn poll_newest(&mut self, now_micros: u64) -> Option<DecodeJob> {
@@ -309,17 +288,18 @@ impl Session {
         }
         let is_first = !std::mem::replace(&mut a.is_decoding, true);
         let chunks = std::mem::take(&mut a.waiting);
+        self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
         if is_last {
             if let Some(whole) = self.assembling.remove(&frame) {
                 self.coming = whole.place.prediction.map(|_| frame);
             }
             self.refinements_keep_up = true;
         }
-        Some(DecodeJob { connection: self.connection, frame, is_first, is_last, chunks })
+        Some(DecodeJob { connection: self.connection(), frame, is_first, is_last, chunks })
     }
 
     /// A frame that others may be predicted from, and that the newest one has overtaken.
-    fn poll_late(&mut self) -> Option<DecodeJob> {
+    fn poll_late(&mut self, now_micros: u64) -> Option<DecodeJob> {
         let newest = self.newest_base?;
         if self.is_predicting || self.coming.is_some() {
             return None;
@@ -339,8 +319,9 @@ impl Session {
             self.given_up = Some(newest);
         }
         self.coming = Some(frame);
+        self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
         Some(DecodeJob {
-            connection: self.connection,
+            connection: self.connection(),
             frame,
             is_first: true,
             is_last: true,
@@ -352,12 +333,12 @@ impl Session {
     pub fn hold_until(&self) -> Option<u64> {
         let frame = self.newest_base?;
         let is_waiting = self.assembling.get(&frame).is_some_and(|a| !a.is_decoding && !a.has_all());
-        let times = self.ledger.iter().rev().find(|t| t.frame == frame)?;
         let holds = is_waiting && self.refinements_keep_up && self.newest_decoded.is_some();
-        holds.then_some(times.base_complete? + HOLD_MICROS)
+        let received = self.ledger.get(frame)?.at(Stage::Received)?;
+        holds.then_some(received + HOLD_MICROS)
     }
 
-    /// A job is decoded. Its times, if the picture may be shown: it is of this connection and not older than the one
+    /// A job is decoded. Its life so far, if the picture may be shown: it is of this connection and not older than the one
     /// before.
     pub fn handle_decoded(
         &mut self,
@@ -365,8 +346,8 @@ impl Session {
         connection: u32,
         frame: FrameId,
         is_complete: bool,
-    ) -> Option<FrameTimes> {
-        if connection != self.connection {
+    ) -> Option<Life> {
+        if connection != self.connection() {
             return None;
         }
         if is_complete && self.coming.take_if(|coming| *coming == frame).is_some() {
@@ -379,26 +360,25 @@ impl Session {
         if self.newest_decoded.is_some_and(|t| t.connection == connection && t.frame > frame) {
             return None;
         }
-        let times = self.times_mut(frame)?;
+        let is_new = self.ledger.get(frame)?.at(Stage::Decoded).is_none();
+        self.ledger.stamp(now_micros, frame, Stage::Decoded);
         if is_complete {
-            times.complete_decoded.get_or_insert(now_micros);
+            self.ledger.stamp(now_micros, frame, Stage::WholeDecoded);
         }
-        let is_new = times.base_decoded.is_none();
-        times.base_decoded.get_or_insert(now_micros);
-        let times = *times;
         if is_new {
             if self.decoded_at.len() == MAX_RATE_SAMPLES {
                 self.decoded_at.pop_front();
             }
             self.decoded_at.push_back(now_micros);
         }
-        self.newest_decoded = Some(times);
-        Some(times)
+        self.newest_decoded = self.ledger.get(frame).copied();
+        self.newest_decoded
     }
 
     /// A job could not be decoded: the frame is given up, and counts for nothing.
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
-        if connection == self.connection {
+        if connection == self.connection() {
+            self.ledger.give_up(frame);
             self.assembling.remove(&frame);
             self.coming.take_if(|coming| *coming == frame);
             if self.newest_base == Some(frame) {
@@ -410,11 +390,22 @@ impl Session {
         }
     }
 
+    /// Decoding a job of `num_lists` lists took so long.
+    pub fn handle_decode_time(&mut self, micros: u64, num_lists: usize) {
+        let nanos = micros as f64 * 1e3 / num_lists.max(1) as f64;
+        let before = self.decode_nanos_per_list;
+        self.decode_nanos_per_list =
+            if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
+    }
+
+    /// What decoding takes of late, ns a list, for the next pose datagram; 0: it is not known.
+    pub fn decode_nanos_per_list(&self) -> u16 {
+        self.decode_nanos_per_list as u16
+    }
+
     /// A frame was on the screen.
     pub fn handle_shown(&mut self, now_micros: u64, frame: FrameId) {
-        if let Some(times) = self.times_mut(frame) {
-            times.first_shown.get_or_insert(now_micros);
-        }
+        self.ledger.stamp(now_micros, frame, Stage::Shown);
     }
 
     /// The newest frame whose base is complete, for the next pose datagram; where frames are predicted from each other,
@@ -428,35 +419,24 @@ impl Session {
         self.decoded_at.iter().filter(|&&t| t + 1_000_000 > now_micros).count() as u32
     }
 
-    /// The last frames' lives, oldest first.
-    pub fn ledger(&self) -> impl Iterator<Item = &FrameTimes> {
-        self.ledger.iter()
+    /// The last frames' lives.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
     }
 
     fn open_ledger(&mut self, first_byte: u64, place: ChunkPlace) {
-        if self.ledger.len() == MAX_LEDGER {
-            self.ledger.pop_front();
-        }
-        let pose_set = self.poses.iter().rev().find(|(p, _)| *p == place.pose).map(|(_, t)| *t);
-        self.ledger.push_back(FrameTimes {
-            connection: self.connection,
-            frame: place.frame,
-            pose: place.pose,
-            pose_set,
-            first_byte,
-            ..Default::default()
+        let life = Life::new(place.frame, place.pose).with(Stage::FirstByteReceived, first_byte);
+        let asked = self.poses.iter().rev().find(|(p, _)| *p == place.pose).map(|(_, t)| *t);
+        self.ledger.open(match asked {
+            Some(asked) => life.with(Stage::Asked, asked),
+            None => life,
         });
-    }
-
-    fn times_mut(&mut self, frame: FrameId) -> Option<&mut FrameTimes> {
-        let connection = self.connection;
-        self.ledger.iter_mut().rev().find(|t| t.connection == connection && t.frame == frame)
     }
 }
 
 /// Frames in reassembly at the same time: as many as a server may send of which each is predicted from the one before,
-/// while a lost packet of the first is sent again.
-pub const MAX_ASSEMBLING: usize = MAX_REFERENCES;
+/// while a lost packet of the first is sent again: at 60 a second those of half a second.
+pub const MAX_ASSEMBLING: usize = 32;
 /// Bytes of their chunks.
 pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
 /// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
@@ -465,10 +445,10 @@ pub const MAX_FRAME_BYTES: usize = 192 << 20;
 /// second half of a frame at a round trip of 300 ms. Other lengths were not tried; none is held at all once
 /// refinements fall behind.
 const HOLD_MICROS: u64 = 250_000;
+/// Weight of the newest time to decode.
+const DECODE_GAIN: f64 = 0.25;
 /// Poses whose time is remembered: four seconds' worth, longer than any round trip.
 const MAX_POSES: usize = 512;
-/// Frames in the ledger.
-const MAX_LEDGER: usize = 256;
 /// Times that the frame rate is counted from; also the highest rate that is shown.
 const MAX_RATE_SAMPLES: usize = 512;
 

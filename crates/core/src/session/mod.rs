@@ -5,11 +5,15 @@
 //! - [`admission`]: who is let in.
 //! - [`server`]: which poses count, which chunks are worth sending, and in which order.
 //! - [`rate`]: how each frame is coded.
-//! - [`client`]: which chunks make a frame, what is decoded next, and the ledger of every frame's life.
+//! - [`schedule`]: when the next frame is begun.
+//! - [`client`]: which chunks make a frame, and what is decoded next.
+//! - [`ledger`]: every frame's life, on either side.
 
 pub mod admission;
 mod bucket;
 pub mod client;
+pub mod ledger;
 pub mod rate;
 mod round_trip;
+pub mod schedule;
 pub mod server;

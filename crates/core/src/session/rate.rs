@@ -95,6 +95,8 @@ pub struct Pilot {
     /// When the link was looked at last, µs.
     looked_at_micros: u64,
     generate_micros: f64,
+    /// From frame to frame of a moving camera, µs.
+    interval_micros: Mean,
     /// How far frames of a moving camera are turned when they are seen, degrees; none: it is not known.
     turned_deg: Option<f32>,
     /// Whether the next one is seen so.
@@ -116,6 +118,7 @@ impl Pilot {
             least_rtt: LeastRtt::default(),
             looked_at_micros: 0,
             generate_micros: 0.0,
+            interval_micros: Mean::default(),
             turned_deg: None,
             is_turned: false,
             exact_micros: Mean::default(),
@@ -127,6 +130,11 @@ impl Pilot {
     /// A frame was generated in so many µs.
     pub fn handle_generated(&mut self, micros: u64) {
         self.generate_micros = micros as f64;
+    }
+
+    /// While the camera moves, frames are begun so many µs after each other.
+    pub fn handle_interval(&mut self, micros: u64) {
+        self.interval_micros.add(micros as f64);
     }
 
     /// The viewer shows frames turned by so many degrees; none: the next frame is not one of a moving camera, or that is not
@@ -178,7 +186,10 @@ impl Pilot {
         // Generating a frame and encoding the one before go on at the same time.
         let making = self.generate_micros.max(self.blocks_micros.get() * lists);
         let age = making + self.link.map_or(0.0, |link| link.least_rtt_micros as f64);
-        let budget = rate * (FRAME_MICROS.max(age * SHARE_OF_AGE) / 1e6);
+        // Where frames are made fast, a newer one is worth more than the bytes of one that takes its time.
+        let interval = self.interval_micros.get_or(FRAME_MICROS).clamp(LEAST_FRAME_MICROS, FRAME_MICROS);
+        let share = SHARE_OF_AGE * (making / FRAME_MICROS).min(1.0);
+        let budget = rate * (interval.max(age * share) / 1e6);
         self.control.set_target((budget * counted(num_lists)) as usize);
         let quality =
             self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
@@ -197,7 +208,7 @@ impl Pilot {
                 // Bytes are what a link feels: that blocks took longer to encode, as the first ones do, makes up for none.
                 let longer = (self.exact_micros.get() - self.blocks_micros.get()).max(0.0);
                 let later = longer * lists + (exact - bytes) * 1e6 / rate;
-                let may_be_later = EXACT_LATER_MICROS.max(making * EXACT_SHARE_OF_MAKING);
+                let may_be_later = (EXACT_SHARE_OF_INTERVAL * interval).max(making * EXACT_SHARE_OF_MAKING);
                 if later < may_be_later { Coding::default() } else { in_blocks }
             }
         }
@@ -284,12 +295,14 @@ pub const DEFAULT_QUALITY: u8 = blocks::MAX_QUALITY;
 pub const LEAST_QUALITY: u8 = 5;
 /// Quality between that of a moving camera and an exact frame.
 const FINE_QUALITY: u8 = 90;
-/// Time that a frame of a moving camera may take on the link: 30 a second, or a part of the age that it is shown with anyway,
-/// by its making and the way to and fro: that grows by as much, and the picture has the more bytes (docs/BENCHMARKS.md).
+/// Time that a frame of a moving camera may take on the link: until the next one follows, at most a thirtieth of a second. Or, where
+/// frames take longer in the making, a part of the age that they are shown with anyway, by that and the way to and fro: the age grows
+/// by as much, and the picture has the more bytes (docs/BENCHMARKS.md).
 const FRAME_MICROS: f64 = 1e6 / 30.0;
+const LEAST_FRAME_MICROS: f64 = 1e6 / 240.0;
 const SHARE_OF_AGE: f64 = 0.25;
-/// An exact frame is worth so much delay, µs: half a refresh at 30 Hz, or a part of the time in the making.
-const EXACT_LATER_MICROS: f64 = 16_000.0;
+/// An exact frame is worth so much delay: half the time to the next frame, or a part of the time in the making.
+const EXACT_SHARE_OF_INTERVAL: f64 = 0.48;
 const EXACT_SHARE_OF_MAKING: f64 = 0.15;
 /// A wait for the exact frame so long is worth a finer one on the way.
 const LONG_SECONDS: f64 = 0.25;

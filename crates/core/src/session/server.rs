@@ -200,6 +200,7 @@ mod tests {
             intrinsics,
             newest_complete,
             shown_turn_deg: None,
+            decode_nanos_per_list: 0,
         }
         .encode()
         .to_vec()

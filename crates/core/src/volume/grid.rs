@@ -1,6 +1,7 @@
 //! A scalar volume on a regular grid.
 
 use glam::Vec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::space::Aabb;
@@ -180,17 +181,17 @@ impl Volume {
         }
         if let Voxels::F32(v) = &voxels {
             let is_bad = |x: &f32| x.is_nan() || x.abs() > Self::MAX_MAGNITUDE;
-            let count = v.iter().filter(|x| is_bad(x)).count() as u64;
-            if let Some(i) = v.iter().position(is_bad) {
+            let count = v.par_iter().filter(|x| is_bad(x)).count() as u64;
+            if let Some(i) = v.par_iter().position_first(is_bad) {
                 let (nx, ny) = (dims[0] as usize, dims[1] as usize);
                 let first = [(i % nx) as u32, (i / nx % ny) as u32, (i / nx / ny) as u32];
                 return Err(VolumeError::NotFinite { count, first });
             }
         }
         let stored_range = match &voxels {
-            Voxels::U8(v) => min_max(v.iter().map(|&x| f32::from(x))),
-            Voxels::U16(v) => min_max(v.iter().map(|&x| f32::from(x))),
-            Voxels::F32(v) => min_max(v.iter().copied()),
+            Voxels::U8(v) => min_max(v, u8::min, u8::max),
+            Voxels::U16(v) => min_max(v, u16::min, u16::max),
+            Voxels::F32(v) => min_max(v, f32::min, f32::max),
         };
         let value = |stored: f32| stored * value_scale + value_offset;
         let is_fit = |value: f32| value.abs() <= Self::MAX_MAGNITUDE;
@@ -268,6 +269,18 @@ impl Volume {
 /// Bytes of the brightness of a voxel; where matter shades itself, once more.
 const BRIGHTNESS_BYTES: usize = 1;
 
-fn min_max(values: impl Iterator<Item = f32>) -> (f32, f32) {
-    values.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)))
+/// Least and greatest of the voxels, of which there is one.
+fn min_max<T: Copy + Send + Sync + Into<f32>>(
+    voxels: &[T],
+    min: impl Fn(T, T) -> T + Sync,
+    max: impl Fn(T, T) -> T + Sync,
+) -> (f32, f32) {
+    let both = |a: (T, T), b: (T, T)| (min(a.0, b.0), max(a.1, b.1));
+    let first = (voxels[0], voxels[0]);
+    let of_part = |part: &[T]| part.iter().fold((part[0], part[0]), |found, &v| both(found, (v, v)));
+    let (lo, hi) = voxels.par_chunks(PART).map(of_part).reduce(|| first, both);
+    (lo.into(), hi.into())
 }
+
+/// Voxels that a thread looks at in one go.
+const PART: usize = 1 << 18;

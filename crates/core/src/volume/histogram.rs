@@ -1,5 +1,7 @@
 //! Histogram of the physical values, and the percentiles read from it.
 
+use rayon::prelude::*;
+
 use super::grid::{Volume, Voxels};
 
 /// Counts of voxels over equal bins, in almost all cases between the least and the greatest value.
@@ -76,22 +78,44 @@ impl Histogram {
 }
 
 /// Voxels of each number.
-fn counted<T: Copy + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
-    let mut counts = vec![0; (hi - lo) as usize + 1];
-    voxels.iter().for_each(|&x| counts[x.into() as usize - lo as usize] += 1);
-    counts
+fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
+    let lo = lo as usize;
+    let bin = |x: T| (x.into() as usize).saturating_sub(lo);
+    in_parts(voxels, (hi - lo as f32) as usize + 1, bin)
+}
+
+/// Voxels of each of `num_bins` bins, of which the greatest takes what is beyond.
+fn in_parts<T: Copy + Sync>(voxels: &[T], num_bins: usize, bin: impl Fn(T) -> usize + Sync) -> Vec<u64> {
+    let last = num_bins - 1;
+    let add = |mut sum: Vec<u64>, part: &[T]| {
+        // Neighbours are often alike: in one table each would wait for the one before to be counted.
+        let mut tables = [(); 4].map(|()| vec![0u32; num_bins]);
+        let (fours, rest) = part.as_chunks::<4>();
+        for four in fours {
+            for (table, &x) in tables.iter_mut().zip(four) {
+                table[bin(x).min(last)] += 1;
+            }
+        }
+        rest.iter().for_each(|&x| tables[0][bin(x).min(last)] += 1);
+        for table in tables {
+            sum.iter_mut().zip(table).for_each(|(sum, n)| *sum += u64::from(n));
+        }
+        sum
+    };
+    let both = |mut a: Vec<u64>, b: Vec<u64>| {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        a
+    };
+    let none = || vec![0; num_bins];
+    voxels.par_chunks(PART).fold(none, add).reduce(none, both)
 }
 
 /// Voxels in [`NUM_BINS`] equal bins; those outside in the first and the last.
 fn in_bins(voxels: &[f32], (lo, hi): (f32, f32)) -> Vec<u64> {
-    let mut counts = vec![0; NUM_BINS];
     // In double precision: the range may be shorter than the inverse of the greatest float.
     let lo = f64::from(lo);
     let scale = NUM_BINS as f64 / (f64::from(hi) - lo).max(f64::MIN_POSITIVE);
-    for &x in voxels {
-        counts[(((f64::from(x) - lo) * scale) as usize).min(NUM_BINS - 1)] += 1;
-    }
-    counts
+    in_parts(voxels, NUM_BINS, |x| ((f64::from(x) - lo) * scale) as usize)
 }
 
 /// The range of all voxels but [`TAIL`] at each end, if that is [`FAR`] times as short as `range`, over which `counts` are.
@@ -160,6 +184,8 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
 
 /// Bins of floats.
 const NUM_BINS: usize = 65_536;
+/// Voxels that a thread counts in one go: many times the bins.
+const PART: usize = 1 << 21;
 /// Share of the voxels at either end that bins may pass over.
 const TAIL: f64 = 1e-4;
 /// How much finer bins must become by that.
@@ -180,6 +206,18 @@ mod tests {
         let histogram = Histogram::of(&volume.unwrap());
         assert_eq!(histogram.counts.iter().sum::<u64>(), 4);
         [0.0, 50.0, 100.0].map(|p| histogram.percentile(p))
+    }
+
+    #[test]
+    fn counts_of_many_threads_are_those_of_one() {
+        // More than one part, and one that is no multiple of four.
+        let number = |i: u64| (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as u16;
+        let voxels: Vec<u16> = (0..PART as u64 + 77).map(|i| 300 + number(i)).collect();
+        let mut expected = vec![0u64; 256];
+        voxels.iter().for_each(|&x| expected[usize::from(x) - 300] += 1);
+        assert_eq!(counted(&voxels, 300.0, 555.0), expected);
+        expected[0] += 1;
+        assert_ne!(counted(&voxels, 300.0, 555.0), expected);
     }
 
     #[test]

@@ -69,6 +69,10 @@ impl Builtin {
 }
 
 fn cloud(p: Vec3) -> f32 {
+    let ball = 1.0 - (p.length() / 0.95).powi(2);
+    if ball <= 0.0 {
+        return 0.0;
+    }
     let mut sum = 0.0;
     let mut amplitude = 0.5;
     let mut q = p * 2.5 + Vec3::splat(17.0);
@@ -77,7 +81,6 @@ fn cloud(p: Vec3) -> f32 {
         amplitude *= 0.5;
         q = q * 2.03 + Vec3::new(3.1, 1.7, 5.3);
     }
-    let ball = 1.0 - (p.length() / 0.95).powi(2);
     (1.6 * sum - 0.62 + 0.55 * ball).max(0.0) * smoothstep(0.0, 0.25, ball)
 }
 
@@ -98,6 +101,9 @@ fn shells(p: Vec3) -> f32 {
         let radius = 0.25 + 0.22 * i as f32;
         let thickness = 0.035;
         let shell = (1.0 - ((r - radius) / thickness).abs()).max(0.0);
+        if shell == 0.0 {
+            continue;
+        }
         let f = 5.0 + 2.0 * i as f32;
         let holes = (f * p.x).sin() * (f * p.y + 1.0).sin() * (f * p.z + 2.0).sin();
         value = value.max(shell * smoothstep(-0.15, 0.0, holes) * (0.4 + 0.2 * i as f32));

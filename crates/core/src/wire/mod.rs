@@ -26,8 +26,8 @@ pub use shot::ShotRequest;
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.
-pub const PROTOCOL_VERSION: u32 = 9;
+pub const PROTOCOL_VERSION: u32 = 10;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/9";
+pub const ALPN: &[u8] = b"isinglass/10";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

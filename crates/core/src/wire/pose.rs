@@ -6,7 +6,7 @@
 //! | 1 | u8 | 0 for no turn shown, or 1 + its whole degrees, see [`PoseRequest::shown_turn_deg`] |
 //! | 2 | u16 | width in pixels |
 //! | 4 | u16 | height in pixels |
-//! | 6 | u16 | 0 |
+//! | 6 | u16 | what decoding takes the client, ns a list; 0: not known |
 //! | 8 | u32 | pose id, not 0 |
 //! | 12 | u32 | newest frame whose base is complete at the client, 0 for none |
 //! | 16 | u64 | the client's clock when the pose was set, µs; the server only echoes it |
@@ -35,6 +35,8 @@ pub struct PoseRequest {
     /// While the client's camera moves, how far it is turned from that of the frame it shows, about the middle of the volume,
     /// whole degrees up to [`MAX_SHOWN_TURN_DEG`]. None at rest, and where it shows no frame or an exact one.
     pub shown_turn_deg: Option<u8>,
+    /// What decoding takes the client of late, ns a list; 0: it is not known.
+    pub decode_nanos_per_list: u16,
 }
 
 /// Why a datagram is not a pose.
@@ -46,7 +48,7 @@ pub enum PoseError {
     /// The first byte is another.
     #[error("datagram of kind {0}, expected {KIND}")]
     Kind(u8),
-    /// A reserved byte or the id is not what it must be.
+    /// The id is not what it must be.
     #[error("a pose datagram with a wrong {0}")]
     Field(&'static str),
     /// A number is not finite or out of range.
@@ -62,6 +64,7 @@ impl PoseRequest {
         put(0, &[KIND, self.shown_turn_deg.map_or(0, |t| t.min(MAX_SHOWN_TURN_DEG) + 1)]);
         put(2, &(self.intrinsics.width.min(MAX_SIDE) as u16).to_le_bytes());
         put(4, &(self.intrinsics.height.min(MAX_SIDE) as u16).to_le_bytes());
+        put(6, &self.decode_nanos_per_list.to_le_bytes());
         put(8, &self.id.0.to_le_bytes());
         put(12, &self.newest_complete.unwrap_or(FrameId(0)).0.to_le_bytes());
         put(16, &self.stamp_micros.to_le_bytes());
@@ -85,9 +88,6 @@ impl PoseRequest {
         if bytes[0] != KIND {
             return Err(PoseError::Kind(bytes[0]));
         }
-        if u16_at(6) != 0 {
-            return Err(PoseError::Field("reserved byte"));
-        }
         let request = Self {
             id: PoseId(u32_at(8)),
             stamp_micros: u64::from(u32_at(16)) | u64::from(u32_at(20)) << 32,
@@ -102,6 +102,7 @@ impl PoseRequest {
             },
             newest_complete: Some(FrameId(u32_at(12))).filter(|f| f.0 != 0),
             shown_turn_deg: bytes[1].checked_sub(1),
+            decode_nanos_per_list: u16_at(6),
         };
         request.validate()?;
         Ok(request)
@@ -149,6 +150,7 @@ mod tests {
             intrinsics: Intrinsics::perspective(640, 480, 0.6),
             newest_complete: Some(FrameId(12)),
             shown_turn_deg: Some(7),
+            decode_nanos_per_list: 27,
         }
     }
 

@@ -78,6 +78,7 @@ mod tests {
             intrinsics,
             newest_complete: None,
             shown_turn_deg: None,
+            decode_nanos_per_list: 0,
         };
         ShotRequest { id: ShotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
     }

@@ -16,7 +16,7 @@ pub(crate) use method::{BackendArgs, MethodArgs};
 pub(crate) use motion::{ForesightArgs, PathArgs};
 pub(crate) use parse::{
     not_an_input, parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output,
-    parse_picture, parse_size, usage_error,
+    parse_picture, parse_rate, parse_size, usage_error,
 };
 pub(crate) use view::{ViewArgs, orthographic};
 pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, open_to_serve, open_volume};

@@ -101,6 +101,12 @@ pub(crate) fn parse_k(text: &str) -> Result<u8, String> {
 /// Longer times are typing errors.
 const MAX_SECONDS: f64 = 60.0;
 
+/// Pictures a second.
+pub(crate) fn parse_rate(text: &str) -> Result<f32, String> {
+    let rate = text.parse::<f32>().ok().filter(|r| (1.0..=240.0).contains(r));
+    rate.ok_or_else(|| "expected 1 to 240 pictures a second".into())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -28,6 +28,7 @@ use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
 use super::demo::parse_speed;
+use super::pipeline::{self, PipelineArgs};
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
     Switch, not_an_input, parse_duration, parse_fov, parse_k, parse_output, parse_size,
@@ -50,6 +51,8 @@ enum Table {
     Latency(LatencyArgs),
     /// What codecs make of layered frames: bytes, times, and what is left of the picture
     Codec(CodecArgs),
+    /// Where the time of a frame goes from the wish to the screen: server and viewer over a slowed-down link
+    Pipeline(Box<PipelineArgs>),
 }
 
 /// What all tables have in common.
@@ -302,6 +305,7 @@ pub(crate) fn run(args: BenchArgs) -> Result<()> {
         Table::Speed(args) => run_speed(args),
         Table::Latency(args) => run_latency(args),
         Table::Codec(args) => run_codec(args),
+        Table::Pipeline(args) => pipeline::run(*args),
     }
 }
 

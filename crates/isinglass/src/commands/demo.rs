@@ -12,11 +12,11 @@ use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_formats::SavedState;
 use isinglass_net::LinkModel;
-use isinglass_server::ServeOptions;
+use isinglass_server::{ServeOptions, Timing};
 
 use crate::args::{
     BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
-    RawArgs, VolumeArgs, parse_duration, parse_fov, parse_size,
+    RawArgs, VolumeArgs, parse_duration, parse_fov, parse_rate, parse_size,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -184,6 +184,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         plan: args.plan.plan(None),
         max_viewers: 1,
         library: Some(opened.library),
+        timing: Timing::default(),
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let (server, server_link) = runtime.block_on(async {
@@ -208,6 +209,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             novel_views: rivals::for_viewer(),
             novel_view: args.method.method.name(),
             foresight: args.foresight.foresight(),
+            refresh_hz: args.window.refresh,
             ..WindowOptions::default()
         },
     });
@@ -229,11 +231,6 @@ pub(crate) fn initial_orbit(orbit: &Orbit) -> InitialOrbit {
 pub(crate) fn parse_speed(text: &str) -> Result<f32, String> {
     let speed = text.parse::<f32>().ok().filter(|s| s.abs() <= 360.0);
     speed.ok_or_else(|| "expected degrees a second, -360 to 360".into())
-}
-
-fn parse_rate(text: &str) -> Result<f32, String> {
-    let rate = text.parse::<f32>().ok().filter(|r| (1.0..=240.0).contains(r));
-    rate.ok_or_else(|| "expected 1 to 240 pictures a second".into())
 }
 
 const DEFAULT_OUT: &str = "isinglass-demo";

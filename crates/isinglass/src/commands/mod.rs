@@ -6,6 +6,7 @@ mod demo;
 mod doctor;
 mod info;
 mod layers;
+mod pipeline;
 mod render;
 mod reproject;
 mod serve;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_net::Link;
-use isinglass_server::{Attendance, ServeOptions};
+use isinglass_server::{Attendance, ServeOptions, Timing};
 use serde_json::json;
 
 use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
@@ -74,6 +74,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
         library: (!args.fixed).then_some(opened.library),
+        timing: Timing::default(),
     };
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let served = runtime.block_on(async {

@@ -131,6 +131,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         novel_views: rivals::for_viewer(),
         novel_view: args.method.method.name(),
         foresight: args.foresight.foresight(),
+        refresh_hz: args.window.refresh,
         recorder: recorder.clone(),
         ..WindowOptions::default()
     };

@@ -73,6 +73,7 @@ pub(super) const SETTINGS: &[Known] = &[
     viewer("window", "box", "volume_box"),
     viewer("window", "background", "background"),
     viewer("window", "theme", "theme"),
+    viewer("window", "refresh", "refresh"),
     viewer("picture", "method", "method"),
     viewer("picture", "stereo", "stereo"),
     viewer("picture", "eye_angle", "eye_angle"),

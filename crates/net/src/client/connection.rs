@@ -484,7 +484,11 @@ async fn send_poses(shared: &Shared, connection: &Connection) {
             if noted.replace(request.id) != Some(request.id) {
                 shared.session().handle_pose(request.stamp_micros, request.id);
             }
-            request.newest_complete = shared.session().newest_complete();
+            {
+                let session = shared.session();
+                request.newest_complete = session.newest_complete();
+                request.decode_nanos_per_list = session.decode_nanos_per_list();
+            }
             request.shown_turn_deg = shared.wishes.shown_turn_deg();
             match connection.send_datagram(request.encode().to_vec().into()) {
                 Ok(()) => {}

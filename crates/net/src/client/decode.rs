@@ -11,6 +11,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::session::client::DecodeJob;
 
 use super::{ReceivedFrame, Shared};
+use crate::work::Work;
 
 /// Decodes until the client stops.
 pub(super) fn run(shared: &Shared) {
@@ -32,8 +33,11 @@ pub(super) fn run(shared: &Shared) {
             assembly = None;
         }
         // Even a defect costs a frame only, and not all those to come.
+        let begun_micros = shared.clock.now_micros();
         let mut spare = given.take();
-        let attempt = catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)));
+        let attempt = shared.after_work.run(Work::Decode, || {
+            catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)))
+        });
         let decoded = match attempt {
             Ok(decoded) => decoded.map_err(|e| e.to_string()),
             Err(_) => Err("the decoder has failed".into()),
@@ -52,7 +56,12 @@ pub(super) fn run(shared: &Shared) {
             references.insert(reference);
         }
         let now = shared.clock.now_micros();
-        let times = shared.session().handle_decoded(now, job.connection, job.frame, job.is_last);
+        let num_lists = frame.header.camera.intrinsics.num_pixels();
+        let times = {
+            let mut session = shared.session();
+            session.handle_decode_time(now.saturating_sub(begun_micros), num_lists);
+            session.handle_decoded(now, job.connection, job.frame, job.is_last)
+        };
         let Some(times) = times else { continue };
         let is_complete = job.is_last;
         let received = Arc::new(ReceivedFrame { frame, is_complete, is_exact, times });
@@ -137,7 +146,7 @@ mod tests {
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::ids::FrameId;
     use isinglass_core::layer::FrameHeader;
-    use isinglass_core::session::client::FrameTimes;
+    use isinglass_core::session::ledger::Life;
     use isinglass_core::space::Aabb;
 
     use super::*;
@@ -150,12 +159,7 @@ mod tests {
             let camera = Camera::new(pose, Intrinsics::perspective(4, 3, 0.7), &bounds);
             let frame =
                 LayeredFrame::empty(FrameHeader { frame: FrameId(id), ..FrameHeader::alone(camera, 4) });
-            Arc::new(ReceivedFrame {
-                frame,
-                is_complete: true,
-                is_exact: false,
-                times: FrameTimes::default(),
-            })
+            Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: false, times: Life::default() })
         };
         let mut given = Given::default();
         assert!(given.take().is_none());

@@ -20,7 +20,8 @@ use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId, ProbeId, ShotId};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::{Look, LookError};
-use isinglass_core::session::client::{self, FrameTimes};
+use isinglass_core::session::client;
+use isinglass_core::session::ledger::Life;
 use isinglass_core::wire::{
     ClientStats, LoadStatus, Part, Parts, PoseRequest, ProbeRequest, Probed, ServerStats, ShotRequest,
     Welcome,
@@ -31,6 +32,7 @@ use crate::clock::Clock;
 use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
 
 use crate::link::Link;
+use crate::work::AfterWork;
 
 pub use error::ConnectError;
 pub use shot::ReceivedShot;
@@ -46,6 +48,8 @@ pub struct ClientOptions {
     pub conditioner: Option<LinkModel>,
     /// What all stamps are read from.
     pub clock: Clock,
+    /// What follows the decoding of chunks.
+    pub after_work: AfterWork,
     /// Called, on a thread of the client, when there is a new frame or state. Must return at once.
     pub wake: Arc<dyn Fn() + Send + Sync>,
 }
@@ -53,7 +57,13 @@ pub struct ClientOptions {
 impl Default for ClientOptions {
     fn default() -> Self {
         let name = concat!("isinglass ", env!("CARGO_PKG_VERSION")).into();
-        Self { name, conditioner: None, clock: Clock::start(), wake: Arc::new(|| {}) }
+        Self {
+            name,
+            conditioner: None,
+            clock: Clock::start(),
+            after_work: AfterWork::default(),
+            wake: Arc::new(|| {}),
+        }
     }
 }
 
@@ -115,7 +125,7 @@ pub struct ReceivedFrame {
     /// Whether all lists and depths are the server's own.
     pub is_exact: bool,
     /// Stamps of its life so far.
-    pub times: FrameTimes,
+    pub times: Life,
 }
 
 /// What the overlay shows. Times are on the client's clock.
@@ -156,6 +166,7 @@ impl Client {
         let (shown, shown_in) = mpsc::sync_channel(MAX_SHOWN);
         let shared = Arc::new(Shared {
             clock: options.clock,
+            after_work: options.after_work,
             wake: options.wake,
             session: Mutex::default(),
             decode_wanted: Condvar::new(),
@@ -272,9 +283,9 @@ impl Client {
     }
 
     /// The lives of the last frames, oldest first.
-    pub fn ledger(&self) -> Vec<FrameTimes> {
+    pub fn ledger(&self) -> Vec<Life> {
         self.shared.note_shown();
-        self.shared.session().ledger().copied().collect()
+        self.shared.session().ledger().iter().copied().collect()
     }
 
     /// Number of the newest connection, from 1; 0 before the first.
@@ -366,6 +377,7 @@ impl std::fmt::Debug for Client {
 /// but the lock's own condition; `session` is for the two threads alone.
 struct Shared {
     clock: Clock,
+    after_work: AfterWork,
     wake: Arc<dyn Fn() + Send + Sync>,
     session: Mutex<client::Session>,
     decode_wanted: Condvar,

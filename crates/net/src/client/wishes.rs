@@ -51,6 +51,7 @@ impl Wishes {
                 intrinsics,
                 newest_complete: None,
                 shown_turn_deg: None,
+                decode_nanos_per_list: 0,
             };
             if let Err(e) = request.validate() {
                 tracing::warn!("pose ignored: {e}");
@@ -109,6 +110,7 @@ impl Wishes {
             intrinsics,
             newest_complete: None,
             shown_turn_deg: None,
+            decode_nanos_per_list: 0,
         };
         let request = ShotRequest { id, view: view.encode().to_vec(), background };
         self.shot.store(Some(Arc::new(Some(request))));

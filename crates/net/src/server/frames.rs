@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId, ShotId};
+use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
 use isinglass_core::session::server::{Rank, SHOT_PRIORITY, priority};
 use isinglass_core::wire::shot::shot_header;
@@ -67,7 +68,7 @@ impl FrameSender {
     pub async fn send_shot(&self, id: ShotId, png: &[u8]) -> Result<(), SessionClosed> {
         let stream = self.link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(SHOT_PRIORITY);
-        let mut stream = ChunkStream { stream };
+        let mut stream = ChunkStream { stream, first_of: None };
         let header = shot_header(id);
         for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
             // Priorities order what is in quinn's window; what gets in there, frames have the first choice of. But for a
@@ -134,6 +135,7 @@ impl FrameSender {
             streams.push(stream);
         }
         drop(writing);
+        link.journal.stamp(frame, Stage::LastByteSent);
         tracing::trace!("base taken");
         let watched = link.clone();
         tokio::spawn(async move { deliver_base(&watched, frame, streams, is_kept).await }.in_current_span());
@@ -229,13 +231,15 @@ async fn all_delivered(streams: &[ChunkStream]) -> bool {
 #[derive(Debug)]
 struct ChunkStream {
     stream: SendStream,
+    /// The frame, as long as nothing of the chunk is written.
+    first_of: Option<FrameId>,
 }
 
 impl ChunkStream {
     async fn open(link: &Link, frame: FrameId, chunk: &Chunk, rank: Rank) -> Result<Self, SessionClosed> {
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(priority(frame, chunk.index, rank));
-        Ok(Self { stream })
+        Ok(Self { stream, first_of: Some(frame) })
     }
 
     /// Writes a whole chunk as the window and the rate let it. A client that stops the stream has no use for it: not an
@@ -259,7 +263,11 @@ impl ChunkStream {
             }
             link.connection.set_send_window(link.connection.stats().path.cwnd + SLACK);
             match self.stream.write_all(piece).await {
-                Ok(()) => {}
+                Ok(()) => {
+                    if let Some(frame) = self.first_of.take() {
+                        link.journal.stamp(frame, Stage::FirstByteSent);
+                    }
+                }
                 Err(WriteError::Stopped(_)) => return Ok(false),
                 Err(_) => return Err(SessionClosed),
             }

@@ -21,6 +21,7 @@ use tokio::sync::{Notify, mpsc};
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
 use crate::link::Link;
@@ -45,11 +46,13 @@ pub struct Server {
 pub struct ServerOptions {
     /// Viewers at the same time.
     pub max_viewers: u32,
+    /// What all stamps are read from.
+    pub clock: Clock,
 }
 
 impl Default for ServerOptions {
     fn default() -> Self {
-        Self { max_viewers: 8 }
+        Self { max_viewers: 8, clock: Clock::start() }
     }
 }
 

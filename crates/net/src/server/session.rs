@@ -21,6 +21,7 @@ use super::frames::{FrameSender, Pace};
 use super::{Admitted, Greeting, refuse};
 use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
+use crate::journal::Journal;
 use crate::transport;
 
 /// One viewer's connection, in parts that can go to different tasks. The connection closes when `frames` and
@@ -47,6 +48,8 @@ pub struct Session {
     pub frames: FrameSender,
     /// Messages go here.
     pub control: ControlSender,
+    /// The lives of the frames.
+    pub journal: Journal,
 }
 
 /// The connection is over.
@@ -145,6 +148,7 @@ pub(super) struct Link {
     pub(super) connection: Connection,
     state: Mutex<server::Session>,
     pace: Mutex<Pace>,
+    pub(super) journal: Journal,
     /// Sent on whenever a chunk may have been superseded.
     pub(super) progress: watch::Sender<()>,
     /// Frames that are being written: pictures to keep wait for them.
@@ -177,11 +181,13 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let Admitted { connection, mut send, recv, place, name, greeting } = admitted;
     let (id, viewer) = (place.session, place.viewer);
     let span = tracing::info_span!("session", id, viewer = viewer.0);
-    let clock = Clock::start();
+    let clock = place.shared.options.clock.clone();
+    let journal = Journal::new(clock.clone());
     let link = Arc::new(Link {
         connection: connection.clone(),
         state: Mutex::new(server::Session::new(clock.now_micros())),
         pace: Mutex::default(),
+        journal: journal.clone(),
         progress: watch::Sender::new(()),
         num_writing: watch::Sender::new(0),
     });
@@ -204,6 +210,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         requests,
         frames: FrameSender::new(link.clone(), close.clone()),
         control: ControlSender { messages, close },
+        journal,
     };
     // An unsent session is kept for the moment: dropping it closes the connection.
     if let Err(_unsent) = sessions.try_send(session) {

@@ -496,15 +496,15 @@ impl Contents {
 }
 
 /// Frames that are kept: a frame names none that is older.
-pub const MAX_REFERENCES: usize = 12;
+pub const MAX_REFERENCES: usize = 32;
 /// What the frames that are kept are counted as, together. A cell counts 12 bytes, so that 1280×720 lists of 4 in the mean count 44 MB,
-/// of which twelve fit, and 1920×1080 lists of 8 200 MB, of which two do. They take a tenth more, and those of layers with few cells
+/// of which eleven fit, and 1920×1080 lists of 8 200 MB, of which two do. They take a tenth more, and those of layers with few cells
 /// up to seven times as much. Where fewer fit, a frame that is lost costs one without a
 /// reference.
 pub const MAX_REFERENCE_BYTES: usize = 512 << 20;
-/// Frames that may be named although the receiver is not known to have them: at 30 a second a third of one, and so the
-/// longest that a lost one is missed.
-const MAX_AHEAD: usize = 10;
+/// Frames that may be named although the receiver is not known to have them: at 60 a second those of a round trip of 300 ms and some,
+/// and so the longest that a lost one is missed.
+const MAX_AHEAD: usize = 24;
 /// Part of a cell that is taken for all of it.
 const WHOLE: f32 = 0.999;
 /// Depth units beyond all matter.

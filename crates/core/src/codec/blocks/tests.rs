@@ -365,7 +365,7 @@ fn references_are_bounded_in_bytes() {
         Arc::new(Reference::new(header, None, vec![band.clone()]))
     };
     let (mut sender, mut receiver) = (References::default(), References::default());
-    for id in 1..=20 {
+    for id in 1..=40 {
         sender.insert(of(id));
         // It has lost some.
         if id % 4 != 0 {
@@ -377,10 +377,10 @@ fn references_are_bounded_in_bytes() {
         assert_eq!(kept(&sender).len(), id.min(3) as usize);
         assert!(kept(&sender).iter().all(|i| i % 4 == 0 || kept(&receiver).contains(i)));
     }
-    assert_eq!(sender.next(FrameId(12)).map(|r| r.frame()), Some(FrameId(20)));
-    assert!(sender.next(FrameId(9)).is_none(), "eleven are ahead of what it has, which is not kept");
+    assert_eq!(sender.next(FrameId(16)).map(|r| r.frame()), Some(FrameId(40)));
+    assert!(sender.next(FrameId(15)).is_none(), "25 are ahead of what it has, which is not kept");
     sender.clear();
-    assert!(sender.next(FrameId(20)).is_none());
+    assert!(sender.next(FrameId(40)).is_none());
     // One alone is kept whatever it takes.
     let large = |id| {
         let header = FrameHeader { frame: FrameId(id), ..header };

@@ -1,5 +1,6 @@
 //! The session by itself: chunks in any order, at any time.
 
+use super::super::ledger::MAX_LIVES;
 use super::*;
 
 fn place(frame: u32, index: u16) -> ChunkPlace {
@@ -31,15 +32,21 @@ fn a_frame_is_decoded_at_its_base_and_at_its_end() {
     assert_eq!((job.is_first, job.is_last, job.chunks.len()), (true, false, 3));
     assert!(s.poll_decode(12).is_none());
     let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
-    assert_eq!((times.pose_set, times.first_byte, times.base_complete), (Some(5), 10, Some(12)));
+    assert_eq!(
+        [Stage::Asked, Stage::FirstByteReceived, Stage::Received].map(|s| times.at(s)),
+        [Some(5), Some(10), Some(12)]
+    );
     arrive(&mut s, 20, 1, 3).unwrap();
     let job = s.poll_decode(20).unwrap();
     assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));
     let times = s.handle_decoded(21, job.connection, job.frame, true).unwrap();
-    assert_eq!((times.complete, times.complete_decoded, times.bytes), (Some(20), Some(21), 12));
+    assert_eq!(
+        (times.at(Stage::Whole), times.at(Stage::WholeDecoded), times.bytes),
+        (Some(20), Some(21), 12)
+    );
     s.handle_shown(30, FrameId(1));
     s.handle_shown(40, FrameId(1));
-    assert_eq!(s.ledger().next().unwrap().first_shown, Some(30));
+    assert_eq!(s.ledger().get(FrameId(1)).unwrap().at(Stage::Shown), Some(30));
     assert_eq!((s.frames_per_second(30), s.frames_per_second(2_000_000)), (1, 0));
 }
 
@@ -115,7 +122,7 @@ fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
         let (frame, index) = in_flight.swap_remove(random(in_flight.len() as u64) as usize);
         arrive(&mut s, now, frame, index).unwrap();
         assert!(s.assembling.len() <= MAX_ASSEMBLING);
-        assert!(s.ledger.len() <= MAX_LEDGER);
+        assert!(s.ledger.iter().count() <= MAX_LIVES);
         while let Some(job) = s.poll_decode(now) {
             assert!(job.frame > shown || job.frame == shown && !job.is_first);
             shown = job.frame;

@@ -1,0 +1,337 @@
+//! The frames of one viewer that are in the works: one being generated, one being coded, one being sent, and at most one in front of
+//! the coder and of the network each. Nothing here waits for the viewer or decides what a frame is of.
+
+use std::future::pending;
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_core::codec::blocks::Reference;
+use isinglass_core::codec::{CodecError, Coding, EncodedFrame};
+use isinglass_core::ids::{FrameId, LookVersion};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::session::ledger::Stage;
+use isinglass_core::session::schedule::{Schedule, Station};
+use isinglass_core::wire::{PoseRequest, ServerStats};
+use isinglass_net::server::{ControlSender, FrameSender};
+use isinglass_net::{AfterWork, Journal, SessionClosed, Work};
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
+use tracing::Instrument;
+
+use crate::generator::{GenerateError, Generated, Wish};
+
+/// A frame that was asked of the generator.
+#[derive(Clone)]
+pub(crate) struct Asked {
+    pub(crate) request: PoseRequest,
+    pub(crate) header: FrameHeader,
+    /// When the request was taken up.
+    pub(crate) asked_at: Instant,
+    /// Whether the same pose was answered before, with another look or shade.
+    pub(crate) is_again: bool,
+    pub(crate) wish: Wish,
+}
+
+/// What a frame is sent as.
+#[derive(Clone)]
+pub(crate) struct Ticket {
+    pub(crate) request: PoseRequest,
+    pub(crate) version: LookVersion,
+    /// When the request was taken up.
+    pub(crate) asked_at: Instant,
+    pub(crate) coding: Coding,
+    pub(crate) reference: Option<Arc<Reference>>,
+    /// Whether the same frame was sent before, less fine.
+    pub(crate) is_finer: bool,
+    /// Whether the viewer has the exact picture of it already, with another margin.
+    pub(crate) is_margin: bool,
+    pub(crate) wish: Wish,
+}
+
+impl Ticket {
+    /// Whether it is one of a moving camera's, whose next ones are like it.
+    fn is_usual(&self) -> bool {
+        !self.is_finer && !self.is_margin
+    }
+}
+
+/// A frame that is coded.
+pub(crate) struct Coded {
+    pub(crate) ticket: Ticket,
+    pub(crate) generated: Generated,
+    encoded: EncodedFrame,
+    /// What later frames may be predicted from.
+    pub(crate) reference: Option<Arc<Reference>>,
+    pub(crate) encode_micros: u64,
+}
+
+impl Coded {
+    pub(crate) fn num_bytes(&self) -> usize {
+        self.encoded.num_bytes()
+    }
+}
+
+/// A frame that the network has taken.
+pub(crate) struct Sent {
+    pub(crate) ticket: Ticket,
+    pub(crate) generated: Generated,
+}
+
+/// What a station has done. The frame is out of it, and goes on only if it is handed on.
+pub(crate) enum Event {
+    /// None: the thread of the renderer has ended.
+    Generated(Option<Asked>, Option<Result<Generated, GenerateError>>),
+    /// None: the thread has failed.
+    Coded(Option<Result<Coded, CodecError>>),
+    Sent(Result<Sent, SessionClosed>),
+}
+
+/// See the module. `advance` hands frames on; `next` waits for a station.
+pub(crate) struct Pipeline {
+    frames: FrameSender,
+    control: ControlSender,
+    journal: Journal,
+    after_work: AfterWork,
+    schedule: Schedule,
+    generating: Option<At<Option<Result<Generated, GenerateError>>, Asked>>,
+    /// Generated, in front of the coder.
+    made: Option<(Asked, Generated)>,
+    coding: Option<At<Result<Coded, CodecError>, Ticket>>,
+    /// Coded, in front of the network.
+    coded: Option<Coded>,
+    sending: Option<At<Result<Sent, SessionClosed>, Ticket>>,
+}
+
+/// A task and what it works on. It ends with this, but for work on threads, which ends with its wish.
+struct At<T, F> {
+    task: JoinHandle<T>,
+    of: F,
+    frame: FrameId,
+}
+
+impl<T, F> Drop for At<T, F> {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Drop for Pipeline {
+    fn drop(&mut self) {
+        // Nobody waits for what is on threads.
+        let asked = self.generating.as_ref().map(|at| &at.of.wish);
+        let coding = self.coding.as_ref().map(|at| &at.of.wish);
+        asked.into_iter().chain(coding).for_each(Wish::give_up);
+    }
+}
+
+impl Pipeline {
+    pub(crate) fn new(
+        frames: FrameSender,
+        control: ControlSender,
+        journal: Journal,
+        after_work: AfterWork,
+    ) -> Self {
+        Self {
+            frames,
+            control,
+            journal,
+            after_work,
+            schedule: Schedule::default(),
+            generating: None,
+            made: None,
+            coding: None,
+            coded: None,
+            sending: None,
+        }
+    }
+
+    /// Whether there is no frame in the works.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.generating.is_none()
+            && self.made.is_none()
+            && self.coding.is_none()
+            && self.coded.is_none()
+            && self.sending.is_none()
+    }
+
+    /// The viewer needs so long to decode a list; 0: it is not known.
+    pub(crate) fn handle_decoding(&mut self, nanos_per_list: u16) {
+        self.schedule.handle_decoding(nanos_per_list);
+    }
+
+    /// How long to wait before a frame of `num_lists` lists is begun; none: until a station is done.
+    pub(crate) fn begins_in(&self, num_lists: usize) -> Option<Duration> {
+        let now = self.now_micros();
+        let at = self.schedule.begin_at(now, num_lists)?;
+        Some(Duration::from_micros(at.saturating_sub(now)))
+    }
+
+    /// Begins a frame, which `making` makes.
+    pub(crate) fn generate(
+        &mut self,
+        asked: Asked,
+        making: impl Future<Output = Option<Result<Generated, GenerateError>>> + Send + 'static,
+    ) {
+        let frame = asked.header.frame;
+        self.journal.open(frame, asked.header.pose);
+        self.journal.stamp(frame, Stage::Begun);
+        self.schedule.handle_begun(self.now_micros(), Station::Generate, lists(&asked.header));
+        self.generating = Some(At { task: tokio::spawn(making), of: asked, frame });
+    }
+
+    /// What is being generated.
+    pub(crate) fn generating(&self) -> Option<&Asked> {
+        self.generating.as_ref().map(|at| &at.of)
+    }
+
+    /// A frame was generated, and waits for the coder.
+    pub(crate) fn put_made(&mut self, asked: Asked, generated: Generated) {
+        self.journal.stamp(asked.header.frame, Stage::Generated);
+        self.made = Some((asked, generated));
+    }
+
+    /// The frame that the coder can begin with now. The one before must be on its way, so that at most one waits.
+    pub(crate) fn take_made(&mut self) -> Option<(Asked, Generated)> {
+        self.made.take_if(|_| self.coding.is_none() && self.coded.is_none())
+    }
+
+    /// Encodes a frame on a thread for blocking work.
+    pub(crate) fn code(&mut self, generated: Generated, ticket: Ticket) {
+        let header = generated.frame.header;
+        if ticket.is_finer {
+            self.journal.open(header.frame, header.pose);
+        }
+        self.journal.stamp(header.frame, Stage::CodingBegun);
+        self.schedule.handle_begun(self.now_micros(), Station::Code, lists(&header));
+        let (of, after_work) = (ticket.clone(), self.after_work.clone());
+        let task = tokio::task::spawn_blocking(move || {
+            let started = Instant::now();
+            let wanted = || ticket.wish.holds();
+            let (coding, reference) = (&ticket.coding, ticket.reference.as_deref());
+            let work = || coding.encode_while(&generated.frame, reference, &wanted);
+            let (encoded, reference) = after_work.run(Work::Encode, work)?;
+            let encode_micros = started.elapsed().as_micros() as u64;
+            Ok(Coded { ticket, generated, encoded, reference, encode_micros })
+        });
+        self.coding = Some(At { task, of, frame: header.frame });
+    }
+
+    /// A frame was coded, and waits for the network.
+    pub(crate) fn put_coded(&mut self, coded: Coded) {
+        let header = coded.generated.frame.header;
+        self.journal.stamp(header.frame, Stage::Coded);
+        self.journal.add_bytes(header.frame, coded.num_bytes() as u64);
+        self.coded = Some(coded);
+    }
+
+    /// Hands a frame that waits for the network to it, if the one before is through.
+    pub(crate) fn send(&mut self) {
+        let Some(coded) = self.coded.take_if(|_| self.sending.is_none()) else { return };
+        let Coded { ticket, generated, encoded, encode_micros, .. } = coded;
+        let header = generated.frame.header;
+        self.schedule.handle_begun(self.now_micros(), Station::Send, lists(&header));
+        if !ticket.is_finer {
+            self.control.stats(ServerStats {
+                frame: header.frame,
+                pose: header.pose,
+                pose_stamp_micros: ticket.request.stamp_micros,
+                generate_micros: generated.generate_micros,
+                encode_micros,
+                bytes: encoded.num_bytes() as u64,
+                segments: generated.frame.num_segments() as u64,
+            });
+        }
+        let (frames, of) = (self.frames.clone(), ticket.clone());
+        let sending = async move {
+            let (frame, pose) = (header.frame, header.pose);
+            match ticket.is_finer {
+                true => frames.send_finer(frame, pose, encoded.chunks).await?,
+                false => frames.send(frame, pose, encoded.chunks).await?,
+            }
+            Ok(Sent { ticket, generated })
+        };
+        let span = tracing::debug_span!("frame", id = header.frame.0);
+        self.sending = Some(At { task: tokio::spawn(sending.instrument(span)), of, frame: header.frame });
+    }
+
+    /// Waits for a station. Nothing is lost if this is dropped.
+    pub(crate) async fn next(&mut self) -> Event {
+        tokio::select! {
+            biased;
+            sent = ended(&mut self.sending) => {
+                let is_usual = self.sending.take().is_some_and(|at| at.of.is_usual());
+                self.schedule.handle_done(self.now_micros(), Station::Send, is_usual);
+                Event::Sent(sent.unwrap_or(Err(SessionClosed)))
+            }
+            coded = ended(&mut self.coding) => self.note_coded(coded),
+            generated = ended(&mut self.generating) => self.note_generated(generated),
+        }
+    }
+
+    fn note_coded(&mut self, coded: Option<Result<Coded, CodecError>>) -> Event {
+        let (Some(at), Some(coded)) = (self.coding.take(), coded) else { return Event::Coded(None) };
+        // One that was given up at the last moment is not sent either: no other was predicted from it.
+        let coded =
+            coded.and_then(|c| if c.ticket.wish.holds() { Ok(c) } else { Err(CodecError::Abandoned) });
+        if coded.is_ok() {
+            self.schedule.handle_done(self.now_micros(), Station::Code, at.of.is_usual());
+        } else {
+            self.schedule.handle_given_up(Station::Code);
+            self.journal.give_up(at.frame);
+        }
+        Event::Coded(Some(coded))
+    }
+
+    fn note_generated(&mut self, generated: Option<Option<Result<Generated, GenerateError>>>) -> Event {
+        let generated = generated.flatten();
+        if generated.as_ref().is_some_and(Result::is_ok) {
+            self.schedule.handle_done(self.now_micros(), Station::Generate, true);
+        } else {
+            self.schedule.handle_given_up(Station::Generate);
+        }
+        let at = self.generating.take();
+        if let Some(at) = at.as_ref().filter(|_| !matches!(generated, Some(Ok(_)))) {
+            self.journal.give_up(at.frame);
+        }
+        Event::Generated(at.map(|at| at.of.clone()), generated)
+    }
+
+    /// A frame that was generated goes no further.
+    pub(crate) fn drop_made(&mut self, frame: FrameId) {
+        self.schedule.handle_dropped(Station::Code);
+        self.journal.give_up(frame);
+    }
+
+    /// Gives up the frames for which `is_outdated`, behind the generator. Others may name one in blocks that is coded, so that is sent
+    /// to its end.
+    pub(crate) fn give_up(&mut self, is_outdated: impl Fn(&Ticket) -> bool) {
+        if let Some(at) = self.coding.as_ref().filter(|at| is_outdated(&at.of)) {
+            at.of.wish.give_up();
+        }
+        let is_exact = |t: &Ticket| matches!(t.coding, Coding::Exact(_));
+        if let Some(coded) = self.coded.take_if(|c| is_exact(&c.ticket) && is_outdated(&c.ticket)) {
+            self.schedule.handle_dropped(Station::Send);
+            self.journal.give_up(coded.generated.frame.header.frame);
+        }
+        if let Some(at) = self.sending.take_if(|at| is_exact(&at.of) && is_outdated(&at.of)) {
+            self.schedule.handle_given_up(Station::Send);
+            self.journal.give_up(at.frame);
+        }
+    }
+
+    fn now_micros(&self) -> u64 {
+        self.journal.clock().now_micros()
+    }
+}
+
+/// Waits for a task; for ever if there is none. None if it has failed.
+async fn ended<T, F>(at: &mut Option<At<T, F>>) -> Option<T> {
+    match at {
+        Some(at) => (&mut at.task).await.ok(),
+        None => pending().await,
+    }
+}
+
+fn lists(header: &FrameHeader) -> usize {
+    header.camera.intrinsics.num_pixels()
+}
