@@ -28,7 +28,10 @@ fn sample_stride(width: u32, height: u32) -> u32 {
 }
 
 @compute @workgroup_size(8, 4)
-fn count(@builtin(global_invocation_id) id: vec3u) {
+fn count(
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {
     let width = u32(camera.width);
     let height = u32(camera.height);
     let stride = sample_stride(width, height);
@@ -42,7 +45,7 @@ fn count(@builtin(global_invocation_id) id: vec3u) {
     if (lattice.n == 0u) {
         return;
     }
-    begin_list(0u, from_camera.s_per_depth, true);
+    begin_list(0u, lane, from_camera.s_per_depth, true);
     list_at(budget.least * pow(budget.ratio, f32(id.z)), from_camera.ray, lattice);
     if (out.len > 0u) {
         atomicAdd(&budget.counts[id.z], out.len);

@@ -21,8 +21,9 @@ alias OpenSegment = Step;
 // The list of a ray, as far as it is out.
 struct Out {
     len: u32,
-    // Its place in the band.
+    // Its place in the band, and in the workgroup.
     i: u32,
+    lane: u32,
     s_per_depth: f32,
     // Whether segments are counted and not kept.
     is_counted: bool,
@@ -34,8 +35,8 @@ struct Out {
 
 var<private> out: Out;
 
-fn begin_list(i: u32, s_per_depth: f32, is_counted: bool) {
-    out = Out(0u, i, s_per_depth, is_counted, 0.0, 0.0, 0.0);
+fn begin_list(i: u32, lane: u32, s_per_depth: f32, is_counted: bool) {
+    out = Out(0u, i, lane, s_per_depth, is_counted, 0.0, 0.0, 0.0);
 }
 
 // Adds a segment behind the others.
@@ -46,13 +47,13 @@ fn push(segment: OpenSegment) {
         if (out.len == 0u) {
             out.first_front = front;
         }
-        put(out.len, segment, max(front, out.behind), max(out.last_back, max(front, out.behind) + f32(MIN_UNITS)));
+        put_segment(out.len, segment, max(front, out.behind), max(out.last_back, max(front, out.behind) + f32(MIN_UNITS)));
         out.behind = max(out.last_back, max(front, out.behind) + f32(MIN_UNITS));
     }
     out.len += 1u;
 }
 
-fn put(j: u32, segment: OpenSegment, front: f32, back: f32) {
+fn put_segment(j: u32, segment: OpenSegment, front: f32, back: f32) {
     let words = pack(Segment(u32(front), u32(back), segment.c, min(segment.tau, TAU_MAX)));
     slots[slot(j, 0u)] = words.x;
     slots[slot(j, 1u)] = words.y;
@@ -85,7 +86,7 @@ fn close_list() {
         for (var j = 1u; j < out.len; j++) {
             all = united(all, taken(j));
         }
-        put(0u, all, out.first_front, end);
+        put_segment(0u, all, out.first_front, end);
         out.len = 1u;
         return;
     }
@@ -142,14 +143,17 @@ fn piece(step: Step, s0: f32, s1: f32, tau: f32) -> Step {
 }
 
 @compute @workgroup_size(8, 4)
-fn generate(@builtin(global_invocation_id) id: vec3u) {
+fn generate(
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {
     let width = u32(camera.width);
     if (id.x >= width || id.y >= band.num_rows) {
         return;
     }
     let from_camera = basis_ray(camera, f32(id.x) + 0.5, f32(band.first_row + id.y) + 0.5);
     let lattice = scene_lattice(from_camera.ray, camera.near * from_camera.s_per_depth);
-    begin_list(id.y * width + id.x, from_camera.s_per_depth, false);
+    begin_list(id.y * width + id.x, lane, from_camera.s_per_depth, false);
     if (lattice.n > 0u) {
         generate_list(from_camera.ray, lattice);
         close_list();

@@ -19,6 +19,32 @@ struct Piece {
     third: f32,
 }
 
+const PIECE_WORDS: u32 = 9u;
+
+fn piece_at(place: u32) -> Piece {
+    return Piece(
+        vec3f(ring[place], ring[place + LANES], ring[place + 2u * LANES]),
+        ring[place + 3u * LANES],
+        ring[place + 4u * LANES],
+        ring[place + 5u * LANES],
+        ring[place + 6u * LANES],
+        ring[place + 7u * LANES],
+        ring[place + 8u * LANES],
+    );
+}
+
+fn put_piece(place: u32, piece: Piece) {
+    ring[place] = piece.shown.x;
+    ring[place + LANES] = piece.shown.y;
+    ring[place + 2u * LANES] = piece.shown.z;
+    ring[place + 3u * LANES] = piece.s0;
+    ring[place + 4u * LANES] = piece.s1;
+    ring[place + 5u * LANES] = piece.peak;
+    ring[place + 6u * LANES] = piece.first;
+    ring[place + 7u * LANES] = piece.second;
+    ring[place + 8u * LANES] = piece.third;
+}
+
 var<private> lattice_of_ray: Lattice;
 
 fn begin_pieces(lattice: Lattice) {

@@ -36,7 +36,7 @@ fn end_pieces() {
             segment.c = shown_of_key(key);
             segment.tau = slot_from_key(key);
         }
-        put(j, segment, segment.s0, segment.s1);
+        put_segment(j, segment, segment.s0, segment.s1);
     }
 }
 

@@ -1,8 +1,12 @@
 // Lists made while their rays are marched, with few pieces open at once. Twin of
-// crates/core/src/kernels/layering/stream.rs, which derives it. All that is open is in registers.
+// crates/core/src/kernels/layering/stream.rs, which derives it. The piece that comes in is in registers. Those that are open
+// are asked for rarely and stay in the memory of the workgroup, as a ring: in registers they would halve the waves that
+// hide each other's waits, and in private memory they would be far away.
 //
 // The part after this one says what a piece is:
 //   struct Piece, whose s1 is the world distance of its back
+//   const PIECE_WORDS: u32, fn piece_at(place: u32) -> Piece and fn put_piece(place: u32, piece: Piece), which read and write
+//   the words of one in ring, a workgroup's lanes apart
 //   fn begin_pieces(lattice: Lattice)
 //   fn joined(front: Piece, behind: Piece) -> Piece
 //   fn error_of(piece: Piece) -> f32
@@ -19,29 +23,21 @@ struct Stream {
     num_out: u32,
     has_coming: bool,
     num_open: u32,
+    // Where in the ring the first open piece is.
+    first: u32,
+    // The ray, among those of the workgroup.
+    lane: u32,
 }
 
 var<private> stream: Stream;
 var<private> coming: Piece;
-// The open pieces; the last is the farthest. Fewer than four are the last ones.
-var<private> open_0: Piece;
-var<private> open_1: Piece;
-var<private> open_2: Piece;
-var<private> open_3: Piece;
-// Error of two neighbours as one.
-var<private> joint_01: f32;
-var<private> joint_12: f32;
-var<private> joint_23: f32;
 
 fn generate_list(ray: Ray, lattice: Lattice) {
     list_at(budget.threshold, ray, lattice);
 }
 
 fn list_at(threshold: f32, ray: Ray, lattice: Lattice) {
-    stream = Stream(threshold, lattice.s0, 1.0 / (lattice.h * f32(lattice.n)), 0u, false, 0u);
-    joint_01 = INFINITE_ERROR;
-    joint_12 = INFINITE_ERROR;
-    joint_23 = INFINITE_ERROR;
+    stream = Stream(threshold, lattice.s0, 1.0 / (lattice.h * f32(lattice.n)), 0u, false, 0u, 0u, out.lane);
     begin_pieces(lattice);
     march(ray, lattice);
     finish_stream();
@@ -73,58 +69,86 @@ fn stream_step(step: Piece, s0: f32) {
     stream.has_coming = true;
 }
 
+fn place(k: u32) -> u32 {
+    return ((stream.first + k) % WINDOW) * PIECE_WORDS * LANES + stream.lane;
+}
+
+fn open_at(k: u32) -> Piece {
+    return piece_at(place(k));
+}
+
+fn put(k: u32, piece: Piece) {
+    put_piece(place(k), piece);
+}
+
+// Error of open piece k as one with the piece behind it.
+fn joint_place(k: u32) -> u32 {
+    return ((stream.first + k) % WINDOW) * LANES + stream.lane;
+}
+
 fn open_piece(come: Piece) {
-    var joint_last = INFINITE_ERROR;
     if (stream.num_open > 0u) {
-        joint_last = joint(open_3, come);
+        let last = stream.num_open - 1u;
+        joints[joint_place(last)] = joint(open_at(last), come);
     }
-    let least = min(min(joint_01, joint_12), min(joint_23, joint_last));
-    let is_full = stream.num_open == WINDOW;
-    let is_over = least > limit(open_0.s1) && stream.num_out + WINDOW < longest_list();
-    if (is_full && is_over) {
-        push_piece(open_0);
-        stream.num_out += 1u;
-    }
-    if (!is_full || is_over) {
-        stream.num_open = min(stream.num_open + 1u, WINDOW);
-        open_0 = open_1;
-        open_1 = open_2;
-        open_2 = open_3;
-        open_3 = come;
-        joint_01 = joint_12;
-        joint_12 = joint_23;
-        joint_23 = joint_last;
-        return;
-    }
-    // The first of the least is joined; what is behind it moves up.
-    let is_0 = least == joint_01;
-    let is_1 = !is_0 && least == joint_12;
-    let is_2 = !is_0 && !is_1 && least == joint_23;
-    if (is_0 || is_1 || is_2) {
-        if (is_0) {
-            open_0 = joined(open_0, open_1);
-            open_1 = open_2;
-            open_2 = open_3;
-            joint_12 = joint_23;
-        } else if (is_1) {
-            open_1 = joined(open_1, open_2);
-            open_2 = open_3;
+    if (stream.num_open == WINDOW) {
+        let least = least_joint(WINDOW);
+        let error = joints[joint_place(least)];
+        if (error > limit(open_at(0u).s1) && stream.num_out + WINDOW < longest_list()) {
+            push_piece(open_at(0u));
+            stream.num_out += 1u;
+            stream.first = (stream.first + 1u) % WINDOW;
+            stream.num_open -= 1u;
+        } else if (least == WINDOW - 1u) {
+            let last = joined(open_at(least), come);
+            put(least, last);
+            joints[joint_place(least - 1u)] = joint(open_at(least - 1u), last);
+            return;
         } else {
-            open_2 = joined(open_2, open_3);
+            let last = joints[joint_place(WINDOW - 1u)];
+            join(least);
+            let behind = stream.num_open - 1u;
+            // The last piece is another where it was joined.
+            if (least + 1u == WINDOW - 1u) {
+                joints[joint_place(behind)] = joint(open_at(behind), come);
+            } else {
+                joints[joint_place(behind)] = last;
+            }
         }
-        open_3 = come;
-    } else {
-        open_3 = joined(open_3, come);
     }
-    if (is_0 || is_1) {
-        joint_01 = joint(open_0, open_1);
-        joint_23 = joint_last;
-    } else {
-        joint_23 = joint(open_2, open_3);
+    put(stream.num_open, come);
+    stream.num_open += 1u;
+}
+
+// Makes one of the open pieces `first` and the one behind it.
+fn join(first: u32) {
+    let both = joined(open_at(first), open_at(first + 1u));
+    put(first, both);
+    stream.num_open -= 1u;
+    for (var k = first + 1u; k < stream.num_open; k++) {
+        put(k, open_at(k + 1u));
+        joints[joint_place(k)] = joints[joint_place(k + 1u)];
     }
-    if (is_1 || is_2) {
-        joint_12 = joint(open_1, open_2);
+    if (first > 0u) {
+        joints[joint_place(first - 1u)] = joint(open_at(first - 1u), both);
     }
+    if (first + 1u < stream.num_open) {
+        joints[joint_place(first)] = joint(both, open_at(first + 1u));
+    }
+}
+
+// The first of the least of so many.
+fn least_joint(num: u32) -> u32 {
+    var least = 0u;
+    var error = joints[joint_place(0u)];
+    for (var k = 1u; k < num; k++) {
+        let other = joints[joint_place(k)];
+        if (other < error) {
+            least = k;
+            error = other;
+        }
+    }
+    return least;
 }
 
 // The ray is over: neighbours are joined, cheapest first, and the rest are segments.
@@ -133,44 +157,21 @@ fn finish_stream() {
         open_piece(coming);
     }
     while (stream.num_open > 1u) {
-        let least = min(joint_01, min(joint_12, joint_23));
-        if (least > stream.threshold) {
+        let least = least_joint(stream.num_open - 1u);
+        if (joints[joint_place(least)] > stream.threshold) {
             break;
         }
-        if (least == joint_01) {
-            open_1 = joined(open_0, open_1);
-        } else if (least == joint_12) {
-            open_2 = joined(open_1, open_2);
-            open_1 = open_0;
-        } else {
-            open_3 = joined(open_2, open_3);
-            open_2 = open_1;
-            open_1 = open_0;
-        }
-        stream.num_open -= 1u;
-        joint_01 = INFINITE_ERROR;
-        joint_12 = INFINITE_ERROR;
-        joint_23 = INFINITE_ERROR;
-        if (stream.num_open > 2u) {
-            joint_12 = joint(open_1, open_2);
-        }
-        if (stream.num_open > 1u) {
-            joint_23 = joint(open_2, open_3);
-        }
+        join(least);
     }
-    if (stream.num_open > 3u) {
-        push_piece(open_0);
-    }
-    if (stream.num_open > 2u) {
-        push_piece(open_1);
-    }
-    if (stream.num_open > 1u) {
-        push_piece(open_2);
-    }
-    if (stream.num_open > 0u) {
-        push_piece(open_3);
+    for (var k = 0u; k < stream.num_open; k++) {
+        push_piece(open_at(k));
     }
 }
+
+// Open pieces of all rays of a workgroup.
+var<workgroup> ring: array<f32, WINDOW * PIECE_WORDS * LANES>;
+// Error of each as one with the piece behind it.
+var<workgroup> joints: array<f32, WINDOW * LANES>;
 
 // Pieces that are open at once.
 const WINDOW: u32 = 4u;
@@ -178,5 +179,5 @@ const WINDOW: u32 = 4u;
 const COMING_SHARE: f32 = 0.35;
 // A list may be filled by this much more than its ray has passed.
 const HEAD_START: f32 = 0.05;
-// More than any error: WGSL has no infinity.
-const INFINITE_ERROR: f32 = 3.4e38;
+// Rays of a workgroup.
+const LANES: u32 = 32u;

@@ -18,6 +18,38 @@ struct Piece {
     second: f32,
 }
 
+const PIECE_WORDS: u32 = 13u;
+
+fn piece_at(place: u32) -> Piece {
+    return Piece(
+        vec3f(ring[place], ring[place + LANES], ring[place + 2u * LANES]),
+        ring[place + 3u * LANES],
+        ring[place + 4u * LANES],
+        ring[place + 5u * LANES],
+        ring[place + 6u * LANES],
+        ring[place + 7u * LANES],
+        vec3f(ring[place + 8u * LANES], ring[place + 9u * LANES], ring[place + 10u * LANES]),
+        ring[place + 11u * LANES],
+        ring[place + 12u * LANES],
+    );
+}
+
+fn put_piece(place: u32, piece: Piece) {
+    ring[place] = piece.c.x;
+    ring[place + LANES] = piece.c.y;
+    ring[place + 2u * LANES] = piece.c.z;
+    ring[place + 3u * LANES] = piece.tau;
+    ring[place + 4u * LANES] = piece.s0;
+    ring[place + 5u * LANES] = piece.s1;
+    ring[place + 6u * LANES] = piece.alpha;
+    ring[place + 7u * LANES] = piece.visibility;
+    ring[place + 8u * LANES] = piece.color_first.x;
+    ring[place + 9u * LANES] = piece.color_first.y;
+    ring[place + 10u * LANES] = piece.color_first.z;
+    ring[place + 11u * LANES] = piece.first;
+    ring[place + 12u * LANES] = piece.second;
+}
+
 var<private> steps_per_length: f32;
 // Transmittance in front of the next step.
 var<private> transmittance: f32;

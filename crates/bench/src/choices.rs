@@ -7,6 +7,7 @@ use isinglass_core::kernels::layering::{Layering, all_samples};
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
+use isinglass_core::wanted::ALWAYS;
 use isinglass_gpu::Renderer;
 
 use crate::error::BenchError;
@@ -53,6 +54,21 @@ impl Rule {
         match self {
             Self::Layering(layering) => Ok(renderer.generate(header, layering)?),
             Self::AllSamples => Ok(all_samples::generate(renderer.scene(), header)?),
+        }
+    }
+
+    /// The same for one frame after another, as a server makes them: the budget follows from the frame before.
+    pub fn generate_next(
+        self,
+        renderer: &mut Renderer,
+        header: FrameHeader,
+    ) -> Result<LayeredFrame, BenchError> {
+        match self {
+            Self::Layering(layering) => {
+                let frame = renderer.generate_while(header, layering, ALWAYS)?;
+                Ok(frame.unwrap_or_else(|| LayeredFrame::empty(header)))
+            }
+            Self::AllSamples => self.generate(renderer, header),
         }
     }
 }

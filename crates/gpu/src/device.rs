@@ -445,7 +445,11 @@ fn pipeline_of_text(
         layout: Some(&layout),
         module: &module_of_text(device, text),
         entry_point: Some(entry),
-        compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
+        // No kernel reads memory of the workgroup that it has not written.
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants,
+            zero_initialize_workgroup_memory: false,
+        },
         cache: None,
     })
 }

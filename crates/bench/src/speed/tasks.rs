@@ -226,7 +226,7 @@ impl<'a> Tasks<'a> {
             }
             Task::Generate(i) => {
                 let MadeFrame { rule, header, .. } = frames[i];
-                timed(backend, || rule.generate(renderer, header))
+                timed(backend, || rule.generate_next(renderer, header))
             }
             Task::Encode(i) => {
                 timed(backend, || Ok(codec::encode(&frames[i].frame, &codec::Settings::default())?))
