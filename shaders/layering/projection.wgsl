@@ -23,26 +23,26 @@ const PIECE_WORDS: u32 = 9u;
 
 fn piece_at(place: u32) -> Piece {
     return Piece(
-        vec3f(ring[place], ring[place + LANES], ring[place + 2u * LANES]),
-        ring[place + 3u * LANES],
-        ring[place + 4u * LANES],
-        ring[place + 5u * LANES],
-        ring[place + 6u * LANES],
-        ring[place + 7u * LANES],
-        ring[place + 8u * LANES],
+        vec3f(open_words[place], open_words[place + LANES], open_words[place + 2u * LANES]),
+        open_words[place + 3u * LANES],
+        open_words[place + 4u * LANES],
+        open_words[place + 5u * LANES],
+        open_words[place + 6u * LANES],
+        open_words[place + 7u * LANES],
+        open_words[place + 8u * LANES],
     );
 }
 
 fn put_piece(place: u32, piece: Piece) {
-    ring[place] = piece.shown.x;
-    ring[place + LANES] = piece.shown.y;
-    ring[place + 2u * LANES] = piece.shown.z;
-    ring[place + 3u * LANES] = piece.s0;
-    ring[place + 4u * LANES] = piece.s1;
-    ring[place + 5u * LANES] = piece.peak;
-    ring[place + 6u * LANES] = piece.first;
-    ring[place + 7u * LANES] = piece.second;
-    ring[place + 8u * LANES] = piece.third;
+    open_words[place] = piece.shown.x;
+    open_words[place + LANES] = piece.shown.y;
+    open_words[place + 2u * LANES] = piece.shown.z;
+    open_words[place + 3u * LANES] = piece.s0;
+    open_words[place + 4u * LANES] = piece.s1;
+    open_words[place + 5u * LANES] = piece.peak;
+    open_words[place + 6u * LANES] = piece.first;
+    open_words[place + 7u * LANES] = piece.second;
+    open_words[place + 8u * LANES] = piece.third;
 }
 
 var<private> lattice_of_ray: Lattice;
@@ -104,6 +104,10 @@ fn error_of(piece: Piece) -> f32 {
     }
     // Not a number where errors are infinite: pieces must be joined.
     return select(0.0, error, error >= 0.0);
+}
+
+fn is_within(piece: Piece, limit: f32) -> bool {
+    return error_of(piece) <= limit;
 }
 
 // Of the way from the mean key of a piece to its greatest.

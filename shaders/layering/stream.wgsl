@@ -1,15 +1,16 @@
 // Lists made while their rays are marched, with few pieces open at once. Twin of
 // crates/core/src/kernels/layering/stream.rs, which derives it. The piece that comes in is in registers. Those that are open
-// are asked for rarely and stay in the memory of the workgroup, as a ring: in registers they would halve the waves that
-// hide each other's waits, and in private memory they would be far away.
+// are asked for rarely and stay in the memory of the workgroup: in registers they would halve the waves that hide each
+// other's waits, and in private memory they would be far away.
 //
 // The part after this one says what a piece is:
 //   struct Piece, whose s1 is the world distance of its back
 //   const PIECE_WORDS: u32, fn piece_at(place: u32) -> Piece and fn put_piece(place: u32, piece: Piece), which read and write
-//   the words of one in ring, a workgroup's lanes apart
+//   the words of one in open_words, a workgroup's lanes apart
 //   fn begin_pieces(lattice: Lattice)
 //   fn joined(front: Piece, behind: Piece) -> Piece
 //   fn error_of(piece: Piece) -> f32
+//   fn is_within(piece: Piece, limit: f32) -> bool, which is about whether the error is
 //   fn push_piece(piece: Piece), which makes it a segment
 //   fn end_pieces()
 // and hands its steps to stream_step.
@@ -22,9 +23,11 @@ struct Stream {
     // Pieces that became segments.
     num_out: u32,
     has_coming: bool,
+    // How far the piece that comes in may err.
+    coming_limit: f32,
     num_open: u32,
-    // Where in the ring the first open piece is.
-    first: u32,
+    // Which of the places each open piece has, four bits each, and behind them those that are free.
+    order: u32,
     // The ray, among those of the workgroup.
     lane: u32,
 }
@@ -37,15 +40,11 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 }
 
 fn list_at(threshold: f32, ray: Ray, lattice: Lattice) {
-    stream = Stream(threshold, lattice.s0, 1.0 / (lattice.h * f32(lattice.n)), 0u, false, 0u, 0u, out.lane);
+    stream = Stream(threshold, lattice.s0, 1.0 / (lattice.h * f32(lattice.n)), 0u, false, 0.0, 0u, 0x43210u, out.lane);
     begin_pieces(lattice);
     march(ray, lattice);
     finish_stream();
     end_pieces();
-}
-
-fn joint(front: Piece, behind: Piece) -> f32 {
-    return error_of(joined(front, behind));
 }
 
 // The greatest error that a segment may have behind which the ray is at s.
@@ -59,7 +58,7 @@ fn limit(s: f32) -> f32 {
 fn stream_step(step: Piece, s0: f32) {
     if (stream.has_coming) {
         let both = joined(coming, step);
-        if (error_of(both) <= COMING_SHARE * limit(s0)) {
+        if (is_within(both, stream.coming_limit)) {
             coming = both;
             return;
         }
@@ -67,82 +66,75 @@ fn stream_step(step: Piece, s0: f32) {
     }
     coming = step;
     stream.has_coming = true;
+    stream.coming_limit = COMING_SHARE * limit(s0);
 }
 
-fn place(k: u32) -> u32 {
-    return ((stream.first + k) % WINDOW) * PIECE_WORDS * LANES + stream.lane;
+fn place_of(k: u32) -> u32 {
+    return (stream.order >> (4u * k)) & 15u;
 }
 
 fn open_at(k: u32) -> Piece {
-    return piece_at(place(k));
+    return piece_at(place_of(k) * PIECE_WORDS * LANES + stream.lane);
 }
 
 fn put(k: u32, piece: Piece) {
-    put_piece(place(k), piece);
+    put_piece(place_of(k) * PIECE_WORDS * LANES + stream.lane, piece);
 }
 
-// Error of open piece k as one with the piece behind it.
-fn joint_place(k: u32) -> u32 {
-    return ((stream.first + k) % WINDOW) * LANES + stream.lane;
+// Piece k is open no more; its place is free.
+fn remove(k: u32) {
+    let before = (1u << (4u * k)) - 1u;
+    let place = place_of(k);
+    stream.order = (stream.order & before) | ((stream.order >> 4u) & ~before) | (place << (4u * WINDOW));
+    stream.num_open -= 1u;
+}
+
+// Where the error is of open piece k as one with the piece behind it.
+fn joint_at(k: u32) -> u32 {
+    return place_of(k) * LANES + stream.lane;
+}
+
+fn find_joint(k: u32) {
+    joints[joint_at(k)] = error_of(joined(open_at(k), open_at(k + 1u)));
 }
 
 fn open_piece(come: Piece) {
-    if (stream.num_open > 0u) {
-        let last = stream.num_open - 1u;
-        joints[joint_place(last)] = joint(open_at(last), come);
-    }
-    if (stream.num_open == WINDOW) {
-        let least = least_joint(WINDOW);
-        let error = joints[joint_place(least)];
-        if (error > limit(open_at(0u).s1) && stream.num_out + WINDOW < longest_list()) {
-            push_piece(open_at(0u));
-            stream.num_out += 1u;
-            stream.first = (stream.first + 1u) % WINDOW;
-            stream.num_open -= 1u;
-        } else if (least == WINDOW - 1u) {
-            let last = joined(open_at(least), come);
-            put(least, last);
-            joints[joint_place(least - 1u)] = joint(open_at(least - 1u), last);
-            return;
-        } else {
-            let last = joints[joint_place(WINDOW - 1u)];
-            join(least);
-            let behind = stream.num_open - 1u;
-            // The last piece is another where it was joined.
-            if (least + 1u == WINDOW - 1u) {
-                joints[joint_place(behind)] = joint(open_at(behind), come);
-            } else {
-                joints[joint_place(behind)] = last;
-            }
-        }
-    }
     put(stream.num_open, come);
     stream.num_open += 1u;
+    if (stream.num_open > 1u) {
+        find_joint(stream.num_open - 2u);
+    }
+    if (stream.num_open <= WINDOW) {
+        return;
+    }
+    let least = least_joint();
+    let is_over = joints[joint_at(least)] > limit(open_at(0u).s1);
+    if (is_over && stream.num_out + WINDOW < longest_list()) {
+        push_piece(open_at(0u));
+        stream.num_out += 1u;
+        remove(0u);
+    } else {
+        join(least);
+    }
 }
 
-// Makes one of the open pieces `first` and the one behind it.
+// Makes one of the open piece `first` and the one behind it.
 fn join(first: u32) {
-    let both = joined(open_at(first), open_at(first + 1u));
-    put(first, both);
-    stream.num_open -= 1u;
-    for (var k = first + 1u; k < stream.num_open; k++) {
-        put(k, open_at(k + 1u));
-        joints[joint_place(k)] = joints[joint_place(k + 1u)];
-    }
-    if (first > 0u) {
-        joints[joint_place(first - 1u)] = joint(open_at(first - 1u), both);
-    }
-    if (first + 1u < stream.num_open) {
-        joints[joint_place(first)] = joint(both, open_at(first + 1u));
+    put(first, joined(open_at(first), open_at(first + 1u)));
+    remove(first + 1u);
+    // Its own joint is another now, and that of the piece in front of it.
+    let end = min(first + 2u, stream.num_open);
+    for (var k = max(first, 1u); k < end; k++) {
+        find_joint(k - 1u);
     }
 }
 
-// The first of the least of so many.
-fn least_joint(num: u32) -> u32 {
+// The first of the least.
+fn least_joint() -> u32 {
     var least = 0u;
-    var error = joints[joint_place(0u)];
-    for (var k = 1u; k < num; k++) {
-        let other = joints[joint_place(k)];
+    var error = joints[joint_at(0u)];
+    for (var k = 1u; k + 1u < stream.num_open; k++) {
+        let other = joints[joint_at(k)];
         if (other < error) {
             least = k;
             error = other;
@@ -157,8 +149,8 @@ fn finish_stream() {
         open_piece(coming);
     }
     while (stream.num_open > 1u) {
-        let least = least_joint(stream.num_open - 1u);
-        if (joints[joint_place(least)] > stream.threshold) {
+        let least = least_joint();
+        if (joints[joint_at(least)] > stream.threshold) {
             break;
         }
         join(least);
@@ -169,9 +161,9 @@ fn finish_stream() {
 }
 
 // Open pieces of all rays of a workgroup.
-var<workgroup> ring: array<f32, WINDOW * PIECE_WORDS * LANES>;
+var<workgroup> open_words: array<f32, (WINDOW + 1) * PIECE_WORDS * LANES>;
 // Error of each as one with the piece behind it.
-var<workgroup> joints: array<f32, WINDOW * LANES>;
+var<workgroup> joints: array<f32, (WINDOW + 1) * LANES>;
 
 // Pieces that are open at once.
 const WINDOW: u32 = 4u;

@@ -22,32 +22,32 @@ const PIECE_WORDS: u32 = 13u;
 
 fn piece_at(place: u32) -> Piece {
     return Piece(
-        vec3f(ring[place], ring[place + LANES], ring[place + 2u * LANES]),
-        ring[place + 3u * LANES],
-        ring[place + 4u * LANES],
-        ring[place + 5u * LANES],
-        ring[place + 6u * LANES],
-        ring[place + 7u * LANES],
-        vec3f(ring[place + 8u * LANES], ring[place + 9u * LANES], ring[place + 10u * LANES]),
-        ring[place + 11u * LANES],
-        ring[place + 12u * LANES],
+        vec3f(open_words[place], open_words[place + LANES], open_words[place + 2u * LANES]),
+        open_words[place + 3u * LANES],
+        open_words[place + 4u * LANES],
+        open_words[place + 5u * LANES],
+        open_words[place + 6u * LANES],
+        open_words[place + 7u * LANES],
+        vec3f(open_words[place + 8u * LANES], open_words[place + 9u * LANES], open_words[place + 10u * LANES]),
+        open_words[place + 11u * LANES],
+        open_words[place + 12u * LANES],
     );
 }
 
 fn put_piece(place: u32, piece: Piece) {
-    ring[place] = piece.c.x;
-    ring[place + LANES] = piece.c.y;
-    ring[place + 2u * LANES] = piece.c.z;
-    ring[place + 3u * LANES] = piece.tau;
-    ring[place + 4u * LANES] = piece.s0;
-    ring[place + 5u * LANES] = piece.s1;
-    ring[place + 6u * LANES] = piece.alpha;
-    ring[place + 7u * LANES] = piece.visibility;
-    ring[place + 8u * LANES] = piece.color_first.x;
-    ring[place + 9u * LANES] = piece.color_first.y;
-    ring[place + 10u * LANES] = piece.color_first.z;
-    ring[place + 11u * LANES] = piece.first;
-    ring[place + 12u * LANES] = piece.second;
+    open_words[place] = piece.c.x;
+    open_words[place + LANES] = piece.c.y;
+    open_words[place + 2u * LANES] = piece.c.z;
+    open_words[place + 3u * LANES] = piece.tau;
+    open_words[place + 4u * LANES] = piece.s0;
+    open_words[place + 5u * LANES] = piece.s1;
+    open_words[place + 6u * LANES] = piece.alpha;
+    open_words[place + 7u * LANES] = piece.visibility;
+    open_words[place + 8u * LANES] = piece.color_first.x;
+    open_words[place + 9u * LANES] = piece.color_first.y;
+    open_words[place + 10u * LANES] = piece.color_first.z;
+    open_words[place + 11u * LANES] = piece.first;
+    open_words[place + 12u * LANES] = piece.second;
 }
 
 var<private> steps_per_length: f32;
@@ -112,6 +112,18 @@ fn error_of(piece: Piece) -> f32 {
     let color = abs(piece.color_first - piece.c * (even.x * per_alpha));
     let displaced = max(moved + spread, COLOR_WEIGHT * max(max(color.x, color.y), color.z));
     return displaced * sqrt(sqrt(length)) * piece.visibility;
+}
+
+// By the fourth power of the error without its spread, times that of the opacity: no root and one division.
+fn is_within(piece: Piece, limit: f32) -> bool {
+    let length = (piece.s1 - piece.s0) * steps_per_length;
+    let even_first = even_moments(piece.tau, piece.alpha).x * length;
+    let color = abs(piece.color_first * piece.alpha - piece.c * even_first);
+    let moved = abs(piece.first - even_first) * piece.alpha;
+    var error = max(moved, COLOR_WEIGHT * max(max(color.x, color.y), color.z)) * piece.visibility;
+    error *= error;
+    let bound = (limit * piece.alpha) * (limit * piece.alpha);
+    return error * error * length <= bound * bound;
 }
 
 // ∫s dα and ∫s² dα on the way through a homogeneous medium of unit length.

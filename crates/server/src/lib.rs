@@ -142,7 +142,8 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         present: present_in,
         load: load_in,
     };
-    let house = serving::House { generator, present, load, orders, plan, after_work };
+    let coders = pipeline::coders()?;
+    let house = serving::House { generator, present, load, orders, plan, after_work, coders };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, librarian, house, receiver, attendance_in, newest_in));

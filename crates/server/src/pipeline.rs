@@ -14,11 +14,27 @@ use isinglass_core::session::schedule::{Schedule, Station};
 use isinglass_core::wire::{PoseRequest, ServerStats};
 use isinglass_net::server::{ControlSender, FrameSender};
 use isinglass_net::{AfterWork, Journal, SessionClosed, Work};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::ServeError;
 use crate::generator::{GenerateError, Generated, Wish};
+use crate::serving::House;
+
+/// The threads that encode the frames of all viewers.
+pub(crate) type Coders = Arc<ThreadPool>;
+
+/// Threads of their own: on common ones, encoding a frame and decoding another would each wait for parts of the other.
+pub(crate) fn coders() -> Result<Coders, ServeError> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = ThreadPoolBuilder::new().num_threads(cores.min(MAX_CODERS));
+    Ok(Arc::new(threads.thread_name(|i| format!("code {i}")).build()?))
+}
+
+/// A frame is encoded no faster by more.
+const MAX_CODERS: usize = 8;
 
 /// A frame that was asked of the generator.
 #[derive(Clone)]
@@ -92,6 +108,7 @@ pub(crate) struct Pipeline {
     control: ControlSender,
     journal: Journal,
     after_work: AfterWork,
+    coders: Coders,
     schedule: Schedule,
     generating: Option<At<Option<Result<Generated, GenerateError>>, Asked>>,
     /// Generated, in front of the coder.
@@ -129,13 +146,14 @@ impl Pipeline {
         frames: FrameSender,
         control: ControlSender,
         journal: Journal,
-        after_work: AfterWork,
+        house: &House,
     ) -> Self {
         Self {
             frames,
             control,
             journal,
-            after_work,
+            after_work: house.after_work.clone(),
+            coders: house.coders.clone(),
             schedule: Schedule::default(),
             generating: None,
             made: None,
@@ -196,20 +214,23 @@ impl Pipeline {
     }
 
     /// Encodes a frame on a thread for blocking work.
-    pub(crate) fn code(&mut self, generated: Generated, ticket: Ticket) {
+    pub(crate) fn code(&mut self, generated: Generated, mut ticket: Ticket) {
         let header = generated.frame.header;
+        if let Coding::Blocks(settings) = &mut ticket.coding {
+            settings.max_bands = settings.max_bands.max(self.coders.current_num_threads() as u8);
+        }
         if ticket.is_finer {
             self.journal.open(header.frame, header.pose);
         }
         self.journal.stamp(header.frame, Stage::CodingBegun);
         self.schedule.handle_begun(self.now_micros(), Station::Code, lists(&header));
-        let (of, after_work) = (ticket.clone(), self.after_work.clone());
+        let (of, after_work, coders) = (ticket.clone(), self.after_work.clone(), self.coders.clone());
         let task = tokio::task::spawn_blocking(move || {
             let started = Instant::now();
             let wanted = || ticket.wish.holds();
             let (coding, reference) = (&ticket.coding, ticket.reference.as_deref());
             let work = || coding.encode_while(&generated.frame, reference, &wanted);
-            let (encoded, reference) = after_work.run(Work::Encode, work)?;
+            let (encoded, reference) = after_work.run(Work::Encode, || coders.install(work))?;
             let encode_micros = started.elapsed().as_micros() as u64;
             Ok(Coded { ticket, generated, encoded, reference, encode_micros })
         });

@@ -22,7 +22,7 @@ use tracing::Instrument;
 
 use crate::generator::Generator;
 use crate::parts::{Librarian, Load, Order, Present, TELL_PERIOD, load_due};
-use crate::pipeline::{Pipeline, Sent};
+use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::shots::Shots;
 use crate::{Attendance, Command};
 
@@ -35,6 +35,7 @@ pub(crate) struct House {
     pub(crate) orders: mpsc::Sender<Order>,
     pub(crate) plan: Plan,
     pub(crate) after_work: AfterWork,
+    pub(crate) coders: Coders,
 }
 
 /// Lets viewers in until told to close.
@@ -146,7 +147,7 @@ impl Viewer {
         let probes = answer_probes(session.probes.clone(), session.control.clone(), house.present.clone());
         let shots = Shots::new(house.generator.clone(), session.frames.clone(), session.control.clone());
         let (frames, control) = (session.frames.clone(), session.control.clone());
-        let pipeline = Pipeline::new(frames, control, session.journal.clone(), house.after_work.clone());
+        let pipeline = Pipeline::new(frames, control, session.journal.clone(), &house);
         Self {
             look: Arc::new(session.greeting.look.clone()),
             usual: session.greeting.look.transfer.clone(),

@@ -105,6 +105,8 @@ pub struct Pilot {
     exact_micros: Mean,
     blocks_micros: Mean,
     exact_bytes: Mean,
+    /// The best quality that is encoded in time.
+    timely_quality: f64,
 }
 
 impl Pilot {
@@ -124,6 +126,7 @@ impl Pilot {
             exact_micros: Mean::default(),
             blocks_micros: Mean::default(),
             exact_bytes: Mean::default(),
+            timely_quality: blocks::MAX_QUALITY.into(),
         }
     }
 
@@ -191,8 +194,8 @@ impl Pilot {
         let share = SHARE_OF_AGE * (making / FRAME_MICROS).min(1.0);
         let budget = rate * (interval.max(age * share) / 1e6);
         self.control.set_target((budget * counted(num_lists)) as usize);
-        let quality =
-            self.control.quality(is_predicted).clamp(LEAST_QUALITY, self.plan.quality.max(LEAST_QUALITY));
+        let best = self.plan.quality.min(self.timely_quality as u8).max(LEAST_QUALITY);
+        let quality = self.control.quality(is_predicted).clamp(LEAST_QUALITY, best);
         let turned_deg = self.turned_deg.filter(|_| self.is_turned);
         let turn_deg =
             turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
@@ -252,6 +255,12 @@ impl Pilot {
             }
             Coding::Blocks(settings) => {
                 self.blocks_micros.add(micros as f64 / lists);
+                // Where frames are generated fast, a newer one is worth more than a finer one that waits for its coding.
+                let in_time = CODING_MICROS.max(self.generate_micros);
+                let timely =
+                    f64::from(settings.quality) - QUALITY_PER_OCTAVE * (micros.max(1) as f64 / in_time).log2();
+                let now = self.timely_quality + TIMELY_TAKEN * (timely - self.timely_quality);
+                self.timely_quality = now.clamp(LEAST_TIMELY_QUALITY, blocks::MAX_QUALITY.into());
                 let bytes = (bytes as f64 * counted(num_lists)) as usize;
                 self.control.observe(is_predicted, settings.quality, bytes);
             }
@@ -301,6 +310,14 @@ const FINE_QUALITY: u8 = 90;
 const FRAME_MICROS: f64 = 1e6 / 30.0;
 const LEAST_FRAME_MICROS: f64 = 1e6 / 240.0;
 const SHARE_OF_AGE: f64 = 0.25;
+/// Time that a frame of a moving camera may take to be encoded, unless it takes longer to be generated: 25 frames a second.
+const CODING_MICROS: f64 = 40_000.0;
+/// So much less quality takes half the time to encode.
+const QUALITY_PER_OCTAVE: f64 = 40.0;
+/// Part of what a frame says of the quality that is encoded in time: first frames take longer.
+const TIMELY_TAKEN: f64 = 0.3;
+/// No frame is made worse than this to be encoded in time: below, time hardly falls any more.
+const LEAST_TIMELY_QUALITY: f64 = 40.0;
 /// An exact frame is worth so much delay: half the time to the next frame, or a part of the time in the making.
 const EXACT_SHARE_OF_INTERVAL: f64 = 0.48;
 const EXACT_SHARE_OF_MAKING: f64 = 0.15;
@@ -465,6 +482,31 @@ mod tests {
         );
         // Negative control: losses do tell.
         assert!(mean(340..350) < 0.5 * mean(100..150));
+    }
+
+    #[test]
+    fn a_quality_that_takes_too_long_to_encode_is_left_out() {
+        let wide = LinkState { window_bytes: 100_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
+        let settled = |generate_micros: u64, micros_at_best: f64| {
+            let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+            let (mut last, mut micros) = (0, 0.0);
+            for n in 0..60 {
+                pilot.handle_generated(generate_micros);
+                pilot.handle_link(n * 33_000, wide);
+                let coding = pilot.next(LISTS, n > 0);
+                last = quality(coding).unwrap();
+                // Half the time with every 30 less.
+                micros = micros_at_best * ((f64::from(last) - 100.0) / 30.0).exp2();
+                pilot.handle_encoded(&coding, n > 0, LISTS, 1000, micros as u64);
+            }
+            (last, micros)
+        };
+        let (quality, micros) = settled(2_000, 90_000.0);
+        assert!(quality < 75 && (micros / CODING_MICROS - 1.0).abs() < 0.1, "{quality}: {micros} µs");
+        // Where generating takes as long, nothing waits for the coder; and a fast coder makes the best.
+        assert_eq!([settled(100_000, 90_000.0).0, settled(2_000, 30_000.0).0], [100, 100]);
+        // However slow the coder, the picture stays one.
+        assert_eq!(settled(2_000, 1e6).0, LEAST_TIMELY_QUALITY as u8);
     }
 
     #[test]

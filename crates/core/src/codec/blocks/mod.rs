@@ -68,12 +68,15 @@ pub struct Settings {
     /// Whether the corrections of the picture are chunks of their own, so that a frame can be shown before they are
     /// there. Costs the headers, and a frame can be a reference only with all of its chunks.
     pub is_split: bool,
+    /// Most bands, each of which a thread encodes or decodes. More cost some percent of the bytes: headers, and estimates
+    /// that start anew.
+    pub max_bands: u8,
 }
 
 impl Settings {
-    /// Of a quality, for all turns, in one piece.
+    /// Of a quality, for all turns, in one piece, for up to four threads.
     pub const fn of(quality: u8) -> Self {
-        Self { quality, turn_deg: None, is_split: false }
+        Self { quality, turn_deg: None, is_split: false, max_bands: 4 }
     }
 }
 
@@ -102,7 +105,7 @@ pub(super) fn encode_while(
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     let frame_header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
     let (rule, steps) = steps::from_settings(settings, reference.is_some(), &camera);
-    let num_bands = header::num_bands(camera.intrinsics.height).min(MOST_BANDS);
+    let num_bands = header::num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
     let borders = bands::borders(frame, num_bands);
     let reference_frame = reference.map(Reference::frame);
     let head = Head {
@@ -174,6 +177,3 @@ pub(super) fn prepare() {
     scales::scales();
     syntax::Contexts::new();
 }
-
-/// Bands of a frame: their headers and their estimates, which start anew, cost some percent.
-const MOST_BANDS: u8 = 4;

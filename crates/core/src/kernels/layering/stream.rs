@@ -3,7 +3,7 @@
 //! What pieces are and how far a piece is from what it stands for is the rule's ([`Piece`]): [`super::visibility_merge`] or
 //! [`super::projection`]. The way from steps to segments is the same for both:
 //!
-//! 1. *A piece comes in.* Steps are joined to it while its error is at most [`COMING_SHARE`] of the limit.
+//! 1. *A piece comes in.* Steps are joined to it while its error is about [`COMING_SHARE`] of the limit at most.
 //! 2. *The window.* Then it goes behind the [`WINDOW`] pieces that are open. Of these and the new one, the two neighbours
 //!    that have the least error as one are joined, if that is at most the limit. If not, the first is a segment for good.
 //! 3. *The end.* Neighbours are joined, cheapest first, while their error is at most the threshold. The rest are segments.
@@ -26,6 +26,11 @@ pub(super) trait Piece: Copy + Default {
     /// How far the piece is from what it stands for, as one segment; never negative.
     fn error(&self, ray: &Self::Ray) -> f32;
 
+    /// Whether it may grow so far: about whether its error is at most `limit`. Asked for each step.
+    fn is_within(&self, limit: f32, ray: &Self::Ray) -> bool {
+        self.error(ray) <= limit
+    }
+
     /// World distance of its back.
     fn s1(&self) -> f32;
 }
@@ -40,8 +45,10 @@ pub(super) struct Stream<P> {
     per_length: f32,
     num_out: usize,
     coming: Option<P>,
+    /// How far the piece that comes in may err.
+    coming_limit: f32,
     num_open: usize,
-    open: [P; WINDOW],
+    open: [P; WINDOW + 1],
     /// Error of each open piece as one with the piece behind it.
     joint: [f32; WINDOW],
 }
@@ -56,8 +63,9 @@ impl<P: Piece> Stream<P> {
             per_length: 1.0 / (lattice.h * lattice.n as f32),
             num_out: 0,
             coming: None,
+            coming_limit: 0.0,
             num_open: 0,
-            open: [P::default(); WINDOW],
+            open: [P::default(); WINDOW + 1],
             joint: [0.0; WINDOW],
         }
     }
@@ -72,8 +80,7 @@ impl<P: Piece> Stream<P> {
     pub(super) fn step(&mut self, ray: &P::Ray, step: P, s0: f32, emit: impl FnMut(&P)) {
         if let Some(coming) = &mut self.coming {
             let joined = coming.joined(&step, ray);
-            let limit = limit(self.threshold, self.num_out, self.longest, (s0 - self.s0) * self.per_length);
-            if joined.error(ray) <= COMING_SHARE * limit {
+            if joined.is_within(self.coming_limit, ray) {
                 *coming = joined;
                 return;
             }
@@ -81,6 +88,7 @@ impl<P: Piece> Stream<P> {
             self.push(ray, come, emit);
         }
         self.coming = Some(step);
+        self.coming_limit = COMING_SHARE * self.limit(s0);
     }
 
     /// The ray is over.
@@ -89,7 +97,7 @@ impl<P: Piece> Stream<P> {
             self.push(ray, come, &mut emit);
         }
         while self.num_open > 1 {
-            let (least, error) = least_of(&self.joint[..self.num_open - 1]);
+            let (least, error) = self.least_joint();
             if error > self.threshold {
                 break;
             }
@@ -102,72 +110,64 @@ impl<P: Piece> Stream<P> {
     }
 
     fn push(&mut self, ray: &P::Ray, come: P, mut emit: impl FnMut(&P)) {
-        if self.num_open > 0 {
-            let last = self.num_open - 1;
-            self.joint[last] = self.open[last].joined(&come, ray).error(ray);
-        }
-        if self.num_open == WINDOW {
-            let (least, error) = least_of(&self.joint);
-            let passed = (self.open[0].s1() - self.s0) * self.per_length;
-            let is_over = error > limit(self.threshold, self.num_out, self.longest, passed);
-            if is_over && self.num_out + WINDOW < self.longest {
-                emit(&self.open[0]);
-                self.num_out += 1;
-                self.open.rotate_left(1);
-                self.joint.rotate_left(1);
-                self.num_open -= 1;
-            } else if least == WINDOW - 1 {
-                self.open[least] = self.open[least].joined(&come, ray);
-                self.joint[least - 1] = self.open[least - 1].joined(&self.open[least], ray).error(ray);
-                return;
-            } else {
-                let last = self.joint[WINDOW - 1];
-                self.join(ray, least);
-                let behind = self.num_open - 1;
-                // The last piece is another where it was joined.
-                self.joint[behind] = match least + 1 == WINDOW - 1 {
-                    true => self.open[behind].joined(&come, ray).error(ray),
-                    false => last,
-                };
-            }
-        }
         self.open[self.num_open] = come;
         self.num_open += 1;
+        if self.num_open > 1 {
+            self.find_joint(ray, self.num_open - 2);
+        }
+        if self.num_open <= WINDOW {
+            return;
+        }
+        let (least, error) = self.least_joint();
+        let is_over = error > self.limit(self.open[0].s1());
+        if is_over && self.num_out + WINDOW < self.longest {
+            emit(&self.open[0]);
+            self.num_out += 1;
+            self.open.copy_within(1.., 0);
+            self.joint.copy_within(1.., 0);
+            self.num_open -= 1;
+        } else {
+            self.join(ray, least);
+        }
     }
 
-    /// Makes one of the open pieces `first` and the one behind it.
+    /// The greatest error that a segment may have behind which the ray is at the world distance `s`.
+    #[inline(always)]
+    fn limit(&self, s: f32) -> f32 {
+        let passed = (s - self.s0) * self.per_length;
+        let haste = greater(self.num_out as f32 / self.longest as f32 / (passed + HEAD_START), 1.0);
+        self.threshold * ((haste * haste) * (haste * haste))
+    }
+
+    /// Makes one of the open piece `first` and the one behind it.
     fn join(&mut self, ray: &P::Ray, first: usize) {
         self.open[first] = self.open[first].joined(&self.open[first + 1], ray);
         self.open.copy_within(first + 2..self.num_open, first + 1);
+        self.joint.copy_within(first + 1..self.num_open - 1, first);
         self.num_open -= 1;
-        self.joint.copy_within(first + 1..self.num_open, first);
-        if first > 0 {
-            self.joint[first - 1] = self.open[first - 1].joined(&self.open[first], ray).error(ray);
-        }
-        if first + 1 < self.num_open {
-            self.joint[first] = self.open[first].joined(&self.open[first + 1], ray).error(ray);
+        // Its own joint is another now, and that of the piece in front of it.
+        for k in first.max(1)..(first + 2).min(self.num_open) {
+            self.find_joint(ray, k - 1);
         }
     }
-}
 
-/// The greatest error that a segment may have in a ray of which the share `passed` is behind and `num_out` segments are out.
-#[inline(always)]
-fn limit(threshold: f32, num_out: usize, longest: usize, passed: f32) -> f32 {
-    let haste = num_out as f32 / longest as f32 / (passed + HEAD_START);
-    let squared = greater(haste, 1.0) * greater(haste, 1.0);
-    threshold * squared * squared
-}
-
-/// The first of the least, and how much it is.
-#[inline(always)]
-fn least_of(errors: &[f32]) -> (usize, f32) {
-    let mut least = 0;
-    for (i, error) in errors.iter().enumerate() {
-        if *error < errors[least] {
-            least = i;
-        }
+    #[inline(always)]
+    fn find_joint(&mut self, ray: &P::Ray, k: usize) {
+        self.joint[k] = self.open[k].joined(&self.open[k + 1], ray).error(ray);
     }
-    (least, errors[least])
+
+    /// The first of the least joints, and how much it is.
+    #[inline(always)]
+    fn least_joint(&self) -> (usize, f32) {
+        let joints = &self.joint[..self.num_open - 1];
+        let mut least = 0;
+        for (k, joint) in joints.iter().enumerate() {
+            if *joint < joints[least] {
+                least = k;
+            }
+        }
+        (least, joints[least])
+    }
 }
 
 /// Pieces that are open at once. With three, novel views of lists that are full were an eighth worse; with six none were better.
