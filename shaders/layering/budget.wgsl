@@ -61,7 +61,7 @@ fn choose() {
     let wanted = f32(max(atomicLoad(&budget.num_lists) * budget.mean_k, 1u));
     // The last threshold with more, and what it and the next have.
     var last = 0u;
-    var more = f32(atomicLoad(&budget.counts[0]));
+    var more = max(f32(atomicLoad(&budget.counts[0])), 1.0);
     var less = more;
     for (var i = 0u; i < NUM_THRESHOLDS; i++) {
         let num = f32(atomicLoad(&budget.counts[i]));
@@ -83,7 +83,7 @@ fn choose() {
         return;
     }
     let part = saturate(log(more / wanted) / max(log(more / less), LOGARITHM_LEAST));
-    budget.threshold = budget.least * pow(SECOND_RATIO, f32(last) + part);
+    budget.threshold = budget.least * pow(SECOND_RATIO, min(f32(last) + part, f32(NUM_THRESHOLDS - 1u)));
 }
 
 // Thresholds that are counted at once.

@@ -54,7 +54,8 @@ fn push(segment: OpenSegment) {
 }
 
 fn put_segment(j: u32, segment: OpenSegment, front: f32, back: f32) {
-    let words = pack(Segment(u32(front), u32(back), segment.c, min(segment.tau, TAU_MAX)));
+    let ends = min(vec2f(front, back), vec2f(DEPTH_UNITS));
+    let words = pack(Segment(u32(ends.x), u32(ends.y), segment.c, min(segment.tau, TAU_MAX)));
     slots[slot(j, 0u)] = words.x;
     slots[slot(j, 1u)] = words.y;
     slots[slot(j, 2u)] = words.z;

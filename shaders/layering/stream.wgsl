@@ -58,7 +58,12 @@ fn limit(s: f32) -> f32 {
 fn stream_step(step: Piece, s0: f32) {
     if (stream.has_coming) {
         let both = joined(coming, step);
-        if (is_within(both, stream.coming_limit)) {
+        // Across a gap matter is spread as well as moved.
+        var fits = is_within(both, stream.coming_limit);
+        if (fits && s0 > coming.s1) {
+            fits = error_of(both) <= stream.coming_limit;
+        }
+        if (fits) {
             coming = both;
             return;
         }
@@ -94,16 +99,17 @@ fn joint_at(k: u32) -> u32 {
     return place_of(k) * LANES + stream.lane;
 }
 
-fn find_joint(k: u32) {
-    joints[joint_at(k)] = error_of(joined(open_at(k), open_at(k + 1u)));
+fn joint(front: Piece, behind: Piece) -> f32 {
+    return error_of(joined(front, behind));
 }
 
 fn open_piece(come: Piece) {
+    if (stream.num_open > 0u) {
+        let last = stream.num_open - 1u;
+        joints[joint_at(last)] = joint(open_at(last), come);
+    }
     put(stream.num_open, come);
     stream.num_open += 1u;
-    if (stream.num_open > 1u) {
-        find_joint(stream.num_open - 2u);
-    }
     if (stream.num_open <= WINDOW) {
         return;
     }
@@ -120,12 +126,15 @@ fn open_piece(come: Piece) {
 
 // Makes one of the open piece `first` and the one behind it.
 fn join(first: u32) {
-    put(first, joined(open_at(first), open_at(first + 1u)));
+    let both = joined(open_at(first), open_at(first + 1u));
+    put(first, both);
     remove(first + 1u);
     // Its own joint is another now, and that of the piece in front of it.
-    let end = min(first + 2u, stream.num_open);
-    for (var k = max(first, 1u); k < end; k++) {
-        find_joint(k - 1u);
+    if (first > 0u) {
+        joints[joint_at(first - 1u)] = joint(open_at(first - 1u), both);
+    }
+    if (first + 1u < stream.num_open) {
+        joints[joint_at(first)] = joint(both, open_at(first + 1u));
     }
 }
 
@@ -168,7 +177,7 @@ var<workgroup> joints: array<f32, (WINDOW + 1) * LANES>;
 // Pieces that are open at once.
 const WINDOW: u32 = 4u;
 // Of the limit, for the piece that comes in.
-const COMING_SHARE: f32 = 0.35;
+const COMING_SHARE: f32 = 0.5;
 // A list may be filled by this much more than its ray has passed.
 const HEAD_START: f32 = 0.05;
 // Rays of a workgroup.

@@ -175,7 +175,8 @@ fn a_new_look_reaches_the_picture_and_only_its_own_viewer() {
     let pose = Pose::orbit(Vec3::ZERO, 0.4, 0.3, 6.0);
     let before = frame_for(&changing, changing.set_pose(pose, SIZE));
     let same = frame_for(&staying, staying.set_pose(pose, SIZE));
-    assert_eq!(before.frame.flatten(), same.frame.flatten());
+    // Its budget follows from the frame before, so its segments may be others.
+    assert!(error(&before.frame.flatten(), &same.frame.flatten()).max_abs_255 <= 1);
 
     changing.set_look(look(Builtin::Shells)).unwrap();
     let patience = Instant::now() + Duration::from_secs(60);
@@ -274,12 +275,11 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     let (late_exact, frames_exact, other) = turned_over(&runtime, Plan::EXACT, &link);
     assert!(late * 2 < late_exact, "{late} against {late_exact} poses late");
     assert!(frames > 2 * frames_exact, "{frames} against {frames_exact} frames");
-    // The rest ends with the same lists and depths as if all frames had been exact.
+    // The rest ends with the picture as if all frames had been exact.
     let [ours, theirs] = [client, other].map(|c| c.latest_frame().unwrap().frame.clone());
     let as_theirs = isinglass_core::layer::FrameHeader { frame: theirs.header.frame, ..ours.header };
     assert_eq!(as_theirs, theirs.header);
-    assert!(ours.offsets == theirs.offsets && ours.depth == theirs.depth);
-    assert!(ours.c_rg == theirs.c_rg && ours.c_b_tau == theirs.c_b_tau);
+    assert!(error(&ours.flatten(), &theirs.flatten()).max_abs_255 <= 1);
     // A rate makes any link as narrow: 0.25 MB/s leave no room for more than 33 kB in a second of frames.
     let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(0.25e6) };
     let (late, frames, client) = turned_over(&runtime, plan, &LinkModel::default());

@@ -149,13 +149,14 @@ fn another_time_changes_picture_and_description_of_all_viewers() {
     let (asking, watching) = (stage.viewer(), stage.viewer());
     let both = [&asking, &watching];
     let before = both.map(|c| picture_of(c, 0));
-    assert_eq!(before[0], before[1]);
+    // Of two frames at one pose, the budget of the second follows from the first.
+    assert!(greatest_difference(&before[0], &before[1]) <= 1);
     for time in [1, 2, 0] {
         asking.open_part(at(time));
         let after = both.map(|c| picture_of(c, time));
-        assert_eq!(after[0], after[1], "{time}");
+        assert!(greatest_difference(&after[0], &after[1]) <= 1, "{time}");
         let difference = greatest_difference(&after[0], &before[0]);
-        // The control: time 0 again is what it was to the byte.
+        // The control: time 0 again is what it was.
         assert_eq!(difference > 8, time != 0, "{time}: {difference}");
         for client in both {
             let description = client.description().unwrap();

@@ -445,10 +445,10 @@ fn pipeline_of_text(
         layout: Some(&layout),
         module: &module_of_text(device, text),
         entry_point: Some(entry),
-        // No kernel reads memory of the workgroup that it has not written.
+        // Lists are made in memory of the workgroup that is written before it is read.
         compilation_options: wgpu::PipelineCompilationOptions {
             constants,
-            zero_initialize_workgroup_memory: false,
+            zero_initialize_workgroup_memory: !matches!(entry, "generate" | "count"),
         },
         cache: None,
     })

@@ -91,7 +91,15 @@ impl FrameTarget {
             let uniform = gpu.uniform::<Band>("band");
             gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&band));
             let [uniform, camera, counts, slots, budget, block_sums, offsets, depth, c_rg, c_b_tau] = [
-                &uniform, &camera, &counts, &slots, &budget, &block_sums, &offsets, &planes[0], &planes[1],
+                &uniform,
+                &camera,
+                &counts,
+                &slots,
+                &budget,
+                &block_sums,
+                &offsets,
+                &planes[0],
+                &planes[1],
                 &planes[2],
             ]
             .map(wgpu::Buffer::as_entire_binding);
@@ -163,7 +171,13 @@ impl FrameTarget {
             self.readback.read(
                 gpu,
                 encoder,
-                [(&self.budget, BUDGET_WORDS), (&self.offsets, num_offsets), (a, guess), (b, guess), (c, guess)],
+                [
+                    (&self.budget, BUDGET_WORDS),
+                    (&self.offsets, num_offsets),
+                    (a, guess),
+                    (b, guess),
+                    (c, guess),
+                ],
                 [&mut head, offsets, depth, c_rg, c_b_tau],
             )?;
             // Some drivers give back what is in a buffer, and no error, where they had to end a dispatch.
@@ -183,7 +197,10 @@ impl FrameTarget {
             }
             // The rays that were counted have missed what most meet.
             if !(0.0..THRESHOLD_GREATEST).contains(&used) {
-                return Err(GpuError::Frame(format!("more than {} segments at any threshold", self.capacity)));
+                return Err(GpuError::Frame(format!(
+                    "more than {} segments at any threshold",
+                    self.capacity
+                )));
             }
             threshold = Some((used * 2.0).max(FIRST_LEAST));
         }
@@ -262,7 +279,8 @@ impl FrameTarget {
             pass.dispatch_workgroups(x, y, 1);
             let num_blocks = band.num_pixels.div_ceil(BLOCK);
             pass.set_bind_group(0, packed, &[]);
-            for (pipeline, workgroups) in [(&sum_blocks, num_blocks), (&scan_blocks, 1), (&compact, num_blocks)]
+            for (pipeline, workgroups) in
+                [(&sum_blocks, num_blocks), (&scan_blocks, 1), (&compact, num_blocks)]
             {
                 pass.set_pipeline(pipeline);
                 pass.dispatch_workgroups(workgroups, 1, 1);

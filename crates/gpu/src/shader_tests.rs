@@ -10,7 +10,7 @@ use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{
-    BLOCK, Band, Basis, GROUP_HEIGHT, Combination, Display, Raycaster, Scene, WORKGROUP_SIDE,
+    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, Raycaster, Scene, WORKGROUP_SIDE,
 };
 use crate::shaders::{Extent, Frames, Kernel, Purpose, TexelKind};
 
@@ -216,7 +216,9 @@ const TWINS: [&str; 28] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 20] = [
+const SHADER_ONLY: [&str; 21] = [
+    "LANES",
+    "PIECE_WORDS",
     "IS_MEAN",
     "IS_LEAST",
     "X_LEAST",
@@ -225,7 +227,6 @@ const SHADER_ONLY: [&str; 20] = [
     "UNBOUNDED",
     "K",
     "STOP_AT",
-    "INFINITE_ERROR",
     "REPRESENTATIVE",
     "BLOCK",
     "HALF_NORMAL_MIN",

@@ -328,7 +328,7 @@ fn speed_has_a_row_for_each_choice() {
         "bench speed builtin:cloud@16 builtin:shells@16 --size 32x32 --frame-size 32x32,48x48 --repeats 1 --backend cpu \
          --layering visibility-merge,homogeneity --k 2,4 --angles 5,30 --method layers,slabs-mesh@slabs --json",
     );
-    assert_eq!(keys(&report), ["conditions", "rows"]);
+    assert_eq!(keys(&report), ["conditions", "preparations", "rows"]);
     let rows = report["rows"].as_array().unwrap();
     // Two scenes, sizes, list lengths and turns, of three methods.
     assert_eq!(rows.len(), 2 * 2 * 2 * 2 * 3);

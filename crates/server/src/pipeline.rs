@@ -142,12 +142,7 @@ impl Drop for Pipeline {
 }
 
 impl Pipeline {
-    pub(crate) fn new(
-        frames: FrameSender,
-        control: ControlSender,
-        journal: Journal,
-        house: &House,
-    ) -> Self {
+    pub(crate) fn new(frames: FrameSender, control: ControlSender, journal: Journal, house: &House) -> Self {
         Self {
             frames,
             control,

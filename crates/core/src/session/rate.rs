@@ -257,9 +257,13 @@ impl Pilot {
                 self.blocks_micros.add(micros as f64 / lists);
                 // Where frames are generated fast, a newer one is worth more than a finer one that waits for its coding.
                 let in_time = CODING_MICROS.max(self.generate_micros);
-                let timely =
-                    f64::from(settings.quality) - QUALITY_PER_OCTAVE * (micros.max(1) as f64 / in_time).log2();
-                let now = self.timely_quality + TIMELY_TAKEN * (timely - self.timely_quality);
+                let timely = f64::from(settings.quality)
+                    - QUALITY_PER_OCTAVE * (micros.max(1) as f64 / in_time).log2();
+                let mut now = self.timely_quality + TIMELY_TAKEN * (timely - self.timely_quality);
+                if (micros as f64) < in_time {
+                    // It says nothing against the best.
+                    now = now.max(self.timely_quality);
+                }
                 self.timely_quality = now.clamp(LEAST_TIMELY_QUALITY, blocks::MAX_QUALITY.into());
                 let bytes = (bytes as f64 * counted(num_lists)) as usize;
                 self.control.observe(is_predicted, settings.quality, bytes);
@@ -310,8 +314,9 @@ const FINE_QUALITY: u8 = 90;
 const FRAME_MICROS: f64 = 1e6 / 30.0;
 const LEAST_FRAME_MICROS: f64 = 1e6 / 240.0;
 const SHARE_OF_AGE: f64 = 0.25;
-/// Time that a frame of a moving camera may take to be encoded, unless it takes longer to be generated: 25 frames a second.
-const CODING_MICROS: f64 = 40_000.0;
+/// Time that a frame of a moving camera may take to be encoded, unless it takes longer to be generated: some 30 frames a
+/// second.
+const CODING_MICROS: f64 = 30_000.0;
 /// So much less quality takes half the time to encode.
 const QUALITY_PER_OCTAVE: f64 = 40.0;
 /// Part of what a frame says of the quality that is encoded in time: first frames take longer.

@@ -114,7 +114,7 @@ fn it_is_text_that_a_person_can_read() {
         "stereo = \"red-cyan\"",
         "[look]",
         "k = 9",
-        "layering = \"equal-transmittance\"",
+        "layering = \"equal-length\"",
         "[look.transfer]",
         "domain = { percentiles = [0.1, 99.9] }",
     ] {

@@ -174,7 +174,8 @@ impl Budget {
             return;
         }
         let spent = frame.num_segments() as f32 / num as f32;
-        let threshold = threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
+        let threshold =
+            threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
         let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);
         self.last = Some(Spent { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
     }

@@ -196,14 +196,16 @@ fn generate_with<T: Texels>(
     let longest = usize::from(header.k);
     let k = usize::from(k);
     let threshold = match layering {
-        Layering::VisibilityMerge => budget.threshold(&asked, scene.volume.bounds().radius()).unwrap_or_else(|| {
-            budget::count(scene, marcher, &camera, k, |of, thresholds| {
-                Some(match mode.is_projection() {
-                    true => projection::counts(of, longest, thresholds),
-                    false => budget::counts_of_matter(of, longest, thresholds),
+        Layering::VisibilityMerge => {
+            budget.threshold(&asked, scene.volume.bounds().radius()).unwrap_or_else(|| {
+                budget::count(scene, marcher, &camera, k, |of, thresholds| {
+                    Some(match mode.is_projection() {
+                        true => projection::counts(of, longest, thresholds),
+                        false => budget::counts_of_matter(of, longest, thresholds),
+                    })
                 })
             })
-        }),
+        }
         _ => 0.0,
     };
     let frame = gather_rows(header, wanted, |y, row| {

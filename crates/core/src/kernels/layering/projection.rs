@@ -135,14 +135,40 @@ struct Projected<'a, const N: usize> {
     scene: &'a Scene,
     ray: Projection,
     streams: [Stream<Part>; N],
+    /// What of each stream becomes segments.
+    kept: [Kept; N],
     written: Written<'a>,
 }
 
-/// Segments that are out, and the greatest of their peaks.
+/// Parts that became segments, and the greatest of their peaks.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    num: u32,
+    greatest: f32,
+}
+
+impl Kept {
+    const NONE: Self = Self { num: 0, greatest: -1.0 };
+
+    /// Whether a part shows or hides anything, or holds the greatest key so far.
+    fn keeps(&self, part: &Part, ray: &Projection) -> bool {
+        match ray.compositing {
+            Compositing::Mean => part.first > 0.0,
+            _ => part.peak > self.greatest || part.key() > ray.key_limit,
+        }
+    }
+
+    fn add(&mut self, part: &Part, ray: &Projection) {
+        self.num += u32::from(self.keeps(part, ray));
+        self.greatest = greater(self.greatest, part.peak);
+    }
+}
+
+/// Segments that are out.
 struct Written<'a> {
     list: &'a mut SegmentList,
-    greatest: f32,
-    /// Which of the segments has it: the first of equals.
+    kept: Kept,
+    /// Which of the segments has the greatest peak: the first of equals.
     of: usize,
 }
 
@@ -156,18 +182,19 @@ impl<'a, const N: usize> Projected<'a, N> {
         let compositing = of.scene.settings.mode.compositing();
         let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit() };
         let streams = thresholds.map(|threshold| Stream::new(threshold, longest, &of.lattice));
-        Self { scene: of.scene, ray, streams, written: Written { list, greatest: -1.0, of: 0 } }
+        let written = Written { list, kept: Kept::NONE, of: 0 };
+        Self { scene: of.scene, ray, streams, kept: [Kept::NONE; N], written }
     }
 
     fn count(mut self) -> [u32; N] {
-        self.streams.each_mut().map(|stream| {
-            stream.finish(&self.ray, |_| ());
-            stream.num_out() as u32
-        })
+        for (stream, kept) in self.streams.iter_mut().zip(&mut self.kept) {
+            stream.finish(&self.ray, |part| kept.add(part, &self.ray));
+        }
+        self.kept.map(|kept| kept.num)
     }
 
     fn finish(mut self) {
-        let Self { scene, ray, streams, written } = &mut self;
+        let Self { scene, ray, streams, written, .. } = &mut self;
         for stream in streams {
             stream.finish(ray, |part| written.push(scene, ray, part));
         }
@@ -178,20 +205,20 @@ impl<'a, const N: usize> Projected<'a, N> {
 impl Written<'_> {
     fn push(&mut self, scene: &Scene, ray: &Projection, part: &Part) {
         let ends = OpenSegment { s0: part.s0, s1: part.s1, ..OpenSegment::default() };
+        let is_kept = self.kept.keeps(part, ray);
+        if part.peak > self.kept.greatest {
+            self.of = self.list.len;
+        }
+        self.kept.add(part, ray);
+        if !is_kept {
+            return;
+        }
         if ray.compositing == Compositing::Mean {
             let length = ray.lattice.h * ray.lattice.n as f32;
-            if part.first > 0.0 {
-                self.list.push(OpenSegment { c: part.shown / length, ..ends });
-            }
+            self.list.push(OpenSegment { c: part.shown / length, ..ends });
             return;
         }
         let key = part.key();
-        if part.peak > self.greatest {
-            (self.greatest, self.of) = (part.peak, self.list.len);
-        } else if key <= ray.key_limit {
-            // It neither shows nor hides anything.
-            return;
-        }
         let c = shown_of_key(&scene.table, scene.settings.mode == Mode::MinIp, key);
         self.list.push(OpenSegment { c, tau: slot_from_key(key), ..ends });
     }
@@ -202,7 +229,7 @@ impl Written<'_> {
             return;
         }
         // Apart from those below it by a code of the codec at least.
-        let greatest = self.greatest.max(2.0 * KEY_LEAST);
+        let greatest = self.kept.greatest.max(2.0 * KEY_LEAST);
         let slot = slot_from_key(greatest);
         let below = half_below(slot);
         for segment in &mut self.list.segments[..self.list.len] {
@@ -217,13 +244,12 @@ impl Written<'_> {
 impl<const N: usize> Sink for Projected<'_, N> {
     #[inline(always)]
     fn step(&mut self, step: Step) -> Pace {
-        let Self { scene, ray, streams, written } = self;
+        let Self { scene, ray, streams, kept, written } = self;
         let part = Part::of(&step, ray);
-        for stream in streams {
-            stream.step(ray, part, step.s0, |part| {
-                if N == 1 {
-                    written.push(scene, ray, part);
-                }
+        for (stream, kept) in streams.iter_mut().zip(kept) {
+            stream.step(ray, part, step.s0, |part| match N {
+                1 => written.push(scene, ray, part),
+                _ => kept.add(part, ray),
             });
         }
         Pace::Step

@@ -3,7 +3,7 @@
 //! What pieces are and how far a piece is from what it stands for is the rule's ([`Piece`]): [`super::visibility_merge`] or
 //! [`super::projection`]. The way from steps to segments is the same for both:
 //!
-//! 1. *A piece comes in.* Steps are joined to it while its error is about [`COMING_SHARE`] of the limit at most.
+//! 1. *A piece comes in.* Steps are joined to it while its error, roughly measured, is at most [`COMING_SHARE`] of the limit.
 //! 2. *The window.* Then it goes behind the [`WINDOW`] pieces that are open. Of these and the new one, the two neighbours
 //!    that have the least error as one are joined, if that is at most the limit. If not, the first is a segment for good.
 //! 3. *The end.* Neighbours are joined, cheapest first, while their error is at most the threshold. The rest are segments.
@@ -26,7 +26,7 @@ pub(super) trait Piece: Copy + Default {
     /// How far the piece is from what it stands for, as one segment; never negative.
     fn error(&self, ray: &Self::Ray) -> f32;
 
-    /// Whether it may grow so far: about whether its error is at most `limit`. Asked for each step.
+    /// A cheap test, asked at each step, for an error of at most `limit`.
     fn is_within(&self, limit: f32, ray: &Self::Ray) -> bool {
         self.error(ray) <= limit
     }
@@ -80,7 +80,9 @@ impl<P: Piece> Stream<P> {
     pub(super) fn step(&mut self, ray: &P::Ray, step: P, s0: f32, emit: impl FnMut(&P)) {
         if let Some(coming) = &mut self.coming {
             let joined = coming.joined(&step, ray);
-            if joined.is_within(self.coming_limit, ray) {
+            // Across a gap matter is spread as well as moved.
+            let limit = self.coming_limit;
+            if joined.is_within(limit, ray) && (s0 <= coming.s1() || joined.error(ray) <= limit) {
                 *coming = joined;
                 return;
             }
@@ -172,8 +174,8 @@ impl<P: Piece> Stream<P> {
 
 /// Pieces that are open at once. With three, novel views of lists that are full were an eighth worse; with six none were better.
 pub(super) const WINDOW: usize = 4;
-/// Of the limit, for the piece that comes in. Between .2 and .5 novel views are alike.
-const COMING_SHARE: f32 = 0.35;
+/// Of the limit, for the piece that comes in. Between .2 and .6 novel views are alike; the more, the fewer pieces are opened.
+const COMING_SHARE: f32 = 0.5;
 /// A list may be filled by this much more than its ray has passed. With .2, lists of 32 segments lacked what lies behind.
 const HEAD_START: f32 = 0.05;
 

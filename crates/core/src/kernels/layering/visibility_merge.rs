@@ -84,9 +84,8 @@ impl Piece for Matter {
         let (even_first, even_second) = (even_first * length, even_second * length * length);
         let moved = (self.first - even_first).abs();
         let spread = alpha
-            * (deviation(self.first, self.second, per_alpha)
-                - deviation(even_first, even_second, per_alpha))
-            .abs();
+            * (deviation(self.first, self.second, per_alpha) - deviation(even_first, even_second, per_alpha))
+                .abs();
         let color = (self.color_first - c * (even_first * per_alpha)).abs();
         let color = greater(greater(color.x, color.y), color.z);
         greater(moved + spread, COLOR_WEIGHT * color) * length.sqrt().sqrt() * self.visibility
@@ -145,12 +144,7 @@ pub(super) struct Lister<'a> {
 
 impl<'a> Lister<'a> {
     /// Writes to `list`, from its start, at most `longest` segments.
-    pub(super) fn new(
-        threshold: f32,
-        longest: usize,
-        lattice: &Lattice,
-        list: &'a mut SegmentList,
-    ) -> Self {
+    pub(super) fn new(threshold: f32, longest: usize, lattice: &Lattice, list: &'a mut SegmentList) -> Self {
         list.len = 0;
         let ray = StepsPerLength(1.0 / lattice.unit);
         Self { ray, stream: Stream::new(threshold, longest, lattice), transmittance: 1.0, list }
