@@ -2,7 +2,7 @@
 //! `shaders/layering/projection.wgsl`.
 //!
 //! Nothing hides anything here, so matter anywhere on a ray counts alike, and only what a segment gets wrong of its own
-//! piece of the way does. From steps to segments goes [`super::stream`], with the budget of [`super::budget`]; the error of a
+//! piece of the way does. From steps to segments goes `super::stream`, with the budget of [`super::budget`]; the error of a
 //! piece follows from a few sums over it.
 //!
 //! *Greatest key.* A segment shows one key v wherever a turned ray crosses it. With y(s) the keys on its way, its error
