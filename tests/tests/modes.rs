@@ -124,9 +124,9 @@ fn novel_views_are_those_of_the_twin() {
                 let what = format!("{name}, {view}, {reconstruction:?}, {num_samples} samples");
                 let expected = caster.picture(&camera, &options);
                 let difference = Difference::of(&found, &expected);
-                // Which of two keys is greater, or which of two samples is met, decides a rounding.
+                // Which of two keys is greater, or which of two samples is met, decides a rounding; and a step of 1/255 is no fault.
                 assert!(
-                    difference.is_tolerable() || difference.is_another_choice(),
+                    difference.max <= 1 || difference.is_tolerable() || difference.is_another_choice(),
                     "{what}: {difference:?}"
                 );
             }

@@ -178,7 +178,7 @@ fn another_time_changes_picture_and_description_of_all_viewers() {
     picture_of(&asking, 2);
     let late = stage.viewer();
     assert_eq!(late.description().unwrap().volume.dims, [16; 3]);
-    assert_eq!(picture_of(&late, 2), picture_of(&asking, 2));
+    assert!(greatest_difference(&picture_of(&late, 2), &picture_of(&asking, 2)) <= 1);
     assert!(late.load().is_none(), "what was read before is no news");
     stage.end();
 }
