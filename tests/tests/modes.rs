@@ -142,7 +142,7 @@ fn novel_views_are_those_of_the_twin() {
         let mut both = GpuReprojector::of_frames(gpu, &[&newest, &kept], &bounds).unwrap();
         let difference = Difference::of(&both.raycast(&display).unwrap(), &expected);
         assert!(
-            difference.is_tolerable() || difference.is_another_choice(),
+            difference.max <= 1 || difference.is_tolerable() || difference.is_another_choice(),
             "{name}, combined: {difference:?}"
         );
         let alone = combine::combine(&[&newest], &bounds, &display);
