@@ -6,13 +6,15 @@
 //! at the two ends. The error is how far what is collected is displaced, in steps of length h, weighted by what can be
 //! seen of it:
 //!
-//!   e = max(κ, 0.1) · (L/h)^¼ · max(|α·(μ − μ̂)| + α·|σ − σ̂|, 6·|C·(μ_C − μ̂)|) / h
+//! ```text
+//! e = max(κ, 0.1) · (L/h)^¼ · max(|α·(μ − μ̂)| + α·|σ − σ̂|, 6·|C·(μ_C − μ̂)|) / h
+//! ```
 //!
-//! κ is the transmittance in front, L the length, μ and σ are the mean and the deviation of the distance at which opacity is
-//! collected, μ_C the mean of that at which colour is. They follow from integrals of dα, s·dα, s²·dα and s·dC, which add up
-//! from piece to piece, so the error of a union costs a few operations and errors that cancel do cancel. Those of the medium
-//! have closed forms ([`even_moments`]). Matter that cannot be seen keeps a tenth of its weight, as a turned camera sees it.
-//! The power of the length holds apart what is far apart.
+//! κ is the transmittance in front, and L the length. μ and σ are the mean and the deviation of the distance at which opacity
+//! is collected. μ_C is the mean of that at which colour is. They follow from integrals of dα, s·dα, s²·dα and s·dC. These
+//! add up from piece to piece, so the error of a union costs a few operations, and errors that cancel do cancel. Those of the
+//! medium have closed forms (`even_moments`). Matter that cannot be seen keeps a tenth of its weight, as a turned camera sees
+//! it. The power of the length holds apart what is far apart.
 
 use glam::Vec3;
 
@@ -202,10 +204,10 @@ impl<const N: usize> Sink for Counter<N> {
     }
 }
 
-/// Least visibility that matter is counted with. With .2 smooth media were a tenth worse, with .05 so was what is hidden
-/// behind leaves, at 30°.
+/// Least visibility that matter is counted with. With .2 smooth media were some percent worse. With .05 what leaves hide was a
+/// tenth worse at 30°.
 const VISIBILITY_FLOOR: f32 = 0.1;
-/// Weight of displaced colour, as sRGB, against displaced opacity: between 3 and 8 flat.
+/// Weight of displaced colour, as sRGB, against displaced opacity. With 3 novel views were 3 % worse, with 12 alike.
 const COLOR_WEIGHT: f32 = 6.0;
 /// A piece without any opacity is divided by this.
 const ALPHA_LEAST: f32 = 1e-30;
