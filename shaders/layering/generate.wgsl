@@ -42,13 +42,13 @@ fn begin_list(i: u32, lane: u32, s_per_depth: f32, is_counted: bool) {
 // Adds a segment behind the others.
 fn push(segment: OpenSegment) {
     if (!out.is_counted && out.len < longest_list()) {
-        let front = units(segment.s0 / out.s_per_depth);
-        out.last_back = units(segment.s1 / out.s_per_depth);
+        let front = max(units(segment.s0 / out.s_per_depth), out.behind);
         if (out.len == 0u) {
             out.first_front = front;
         }
-        put_segment(out.len, segment, max(front, out.behind), max(out.last_back, max(front, out.behind) + f32(MIN_UNITS)));
-        out.behind = max(out.last_back, max(front, out.behind) + f32(MIN_UNITS));
+        out.last_back = units(segment.s1 / out.s_per_depth);
+        out.behind = max(out.last_back, front + f32(MIN_UNITS));
+        put_segment(out.len, segment, front, out.behind);
     }
     out.len += 1u;
 }

@@ -3,6 +3,7 @@
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::layering::{self, Layering, Representative};
 use isinglass_core::kernels::march::{self, MarchSettings, Shading};
 use isinglass_core::kernels::raycast;
@@ -10,6 +11,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Lighting;
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::wanted::ALWAYS;
 use isinglass_gpu::{GpuError, GpuRenderer};
 use isinglass_tests::twins::{Difference, camera, gpu, header, scene, scenes, transfer};
 
@@ -171,6 +173,32 @@ fn layered_frames_are_those_of_the_twin() {
             );
         }
     }
+}
+
+/// Their thresholds follow from the frame before, on the GPU as on the CPU.
+#[test]
+fn frames_that_follow_each_other_keep_their_budget() {
+    let Some(gpu) = gpu() else { return };
+    let (name, scene) = scenes().swap_remove(0);
+    let mut on_gpu = GpuRenderer::new(gpu, scene.clone()).unwrap();
+    let mut budget = Budget::default();
+    let k = 4;
+    for n in 0..8 {
+        let header = header(camera(&scene, 25.0 + 3.0 * n as f32, (80, 64)), k);
+        let found = on_gpu.generate_while(header, Layering::default(), ALWAYS).unwrap().unwrap();
+        let twin =
+            layering::generate_while(&scene, header, Layering::default(), &mut budget, ALWAYS).unwrap();
+        Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(name);
+        for (which, frame) in [("gpu", found), ("cpu", twin)] {
+            let mean = frame.segments_mean();
+            // The first frame is counted on a sixteenth of its rays.
+            assert!((mean / f64::from(k) - 1.0).abs() < 0.15, "{name}, {which}, frame {n}: {mean}");
+        }
+    }
+    // Another K is counted, not followed.
+    let header = header(camera(&scene, 46.0, (80, 64)), 12);
+    let mean = on_gpu.generate_while(header, Layering::default(), ALWAYS).unwrap().unwrap().segments_mean();
+    assert!((mean / 12.0 - 1.0).abs() < 0.2, "{mean}");
 }
 
 #[test]

@@ -202,7 +202,12 @@ impl FrameTarget {
                     self.capacity
                 )));
             }
-            threshold = Some((used * 2.0).max(FIRST_LEAST));
+            if !wanted() {
+                return Ok(None);
+            }
+            // Segments fall at most as the root of the threshold.
+            let excess = total as f32 / self.capacity as f32;
+            threshold = Some((used * (excess * excess).clamp(2.0, 16.0)).max(FIRST_LEAST));
         }
     }
 

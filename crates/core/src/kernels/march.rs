@@ -290,7 +290,7 @@ pub struct Marcher<'a, T> {
     lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
     visible_bins: VisibleBins,
     /// See [`modes::key_limit`].
-    key_limit: f32,
+    pub(crate) key_limit: f32,
     voxel_from_world: Vec3,
     half_dims: Vec3,
     max_brick: Vec3,
@@ -314,11 +314,6 @@ impl<'a, T: Texels> Marcher<'a, T> {
             max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
             has_avx2: has_avx2(),
         }
-    }
-
-    /// See [`modes::key_limit`].
-    pub(crate) fn key_limit(&self) -> f32 {
-        self.key_limit
     }
 
     /// Marches the lattice of one ray in a mode that composites with *over*; stops when the sink says so. Surfaces have

@@ -96,7 +96,7 @@ pub(super) fn count<T: Texels>(
     marcher: &Marcher<'_, T>,
     camera: &Camera,
     k: usize,
-    counts_of_ray: impl Fn(&Listing<'_, T>, &[f32; NUM_THRESHOLDS]) -> Option<[u32; NUM_THRESHOLDS]> + Sync,
+    counts_of_ray: impl Fn(&Listing<'_, T>, &[f32; NUM_THRESHOLDS]) -> [u32; NUM_THRESHOLDS] + Sync,
 ) -> f32 {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let stride = sample_stride(width, height);
@@ -108,7 +108,7 @@ pub(super) fn count<T: Texels>(
             let mut counts = Counts::default();
             for x in sampled(width, stride) {
                 let of = Listing::new(scene, marcher, &basis, camera.near, (x, y));
-                if let Some(num_segments) = of.and_then(|of| counts_of_ray(&of, &thresholds)) {
+                if let Some(num_segments) = of.map(|of| counts_of_ray(&of, &thresholds)) {
                     let num_lists = u32::from(num_segments[0] > 0);
                     counts = counts.sum(Counts { num_lists, num_segments });
                 }
@@ -169,7 +169,7 @@ impl Budget {
     /// A frame was made at `threshold`. `header.k` is K.
     pub fn note(&mut self, header: &FrameHeader, threshold: f32, frame: &LayeredFrame) {
         let (k, num) = (f32::from(header.k.max(1)), frame.num_filled());
-        if num < NOTED_LISTS {
+        if num < NOTED_LISTS || !threshold.is_finite() {
             self.last = None;
             return;
         }
@@ -195,7 +195,7 @@ pub const THRESHOLD_GREATEST: f32 = FIRST_LEAST * 268_435_456.0;
 pub const SAMPLE_RAYS: u64 = 2048;
 /// Counts that are equal are told apart by no less than this.
 const LOGARITHM_LEAST: f32 = 1e-6;
-/// The number of segments falls as some power between −.25 and −.5 of the threshold; the steepest never overshoots.
+/// The number of segments falls as a power of the threshold between −.25 and −.5. Even at the steepest, none overshoots.
 const FOLLOWING_POWER: f32 = 2.0;
 /// The threshold changes by no more than this from one frame to the next.
 const FOLLOWING_MOST: f32 = 4.0;
@@ -207,7 +207,11 @@ const NEAR_SHARE: f32 = 0.5;
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
+    use crate::camera::Intrinsics;
+    use crate::space::Aabb;
 
     #[test]
     fn the_threshold_is_where_the_counts_say() {
@@ -233,6 +237,56 @@ mod tests {
         assert_eq!(threshold_from_counts(&Counts::default(), 0.5, 2.0, 4), 0.5);
         assert!((SECOND_RATIO.powi(NUM_THRESHOLDS as i32 - 1) / FIRST_RATIO - 1.0).abs() < 1e-5);
         assert_eq!(THRESHOLD_GREATEST, FIRST_LEAST * FIRST_RATIO.powi(NUM_THRESHOLDS as i32 - 1));
+    }
+
+    fn header(azimuth: f32, k: u8) -> FrameHeader {
+        let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(1.0) };
+        let intrinsics = Intrinsics::perspective(32, 32, 0.7);
+        FrameHeader::alone(Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 4.0), intrinsics, &bounds), k)
+    }
+
+    /// A frame of lists of `mean` segments, as far as a budget looks at it.
+    fn frame(mean: f32) -> LayeredFrame {
+        let mut frame = LayeredFrame::empty(header(0.0, 8));
+        for (i, offset) in frame.offsets.iter_mut().enumerate() {
+            *offset = (i as f32 * mean) as u32;
+        }
+        frame.depth = vec![0; *frame.offsets.last().unwrap() as usize];
+        frame
+    }
+
+    #[test]
+    fn frames_that_follow_come_to_their_budget_and_stay_there() {
+        for power in [0.25f32, 0.35, 0.5] {
+            let mut budget = Budget::default();
+            let (mut threshold, mut means) = (1.0, vec![]);
+            for _ in 0..16 {
+                let mean = 20.0 * f32::powf(threshold, -power);
+                means.push(mean);
+                budget.note(&header(0.0, 8), threshold, &frame(mean));
+                threshold = budget.threshold(&header(0.02, 8), 1.7).unwrap();
+            }
+            // A quarter of the way that is left is gone with each frame at least, but for the greatest change.
+            assert!(means[12..].iter().all(|mean| (mean / 8.0 - 1.0).abs() < 0.03), "{power}: {means:?}");
+            assert!(means.windows(2).all(|w| w[1] > 7.9 && w[1] <= w[0] + 0.1), "{power}: {means:?}");
+        }
+    }
+
+    #[test]
+    fn rays_are_counted_after_a_jump() {
+        let mut budget = Budget::default();
+        let threshold = |budget: &Budget, azimuth, k| budget.threshold(&header(azimuth, k), 1.7);
+        assert_eq!(threshold(&budget, 0.0, 8), None);
+        budget.note(&header(0.0, 8), 0.5, &frame(8.0));
+        // The control: a camera that moves on has the threshold.
+        assert!(threshold(&budget, 0.1, 8).is_some_and(|t| (t / 0.5 - 1.0).abs() < 0.01));
+        assert_eq!(threshold(&budget, 0.4, 8), None, "a turn of 23 degrees");
+        assert_eq!(threshold(&budget, 0.1, 4), None, "another K");
+        let other_mode = FrameHeader { mode: Mode::Average, ..header(0.1, 8) };
+        assert_eq!(budget.threshold(&other_mode, 1.7), None);
+        assert_eq!(budget.threshold(&header(0.1, 8), 0.1), None, "a small volume, which the eye has passed");
+        budget.note(&header(0.0, 8), f32::NAN, &frame(8.0));
+        assert_eq!(threshold(&budget, 0.0, 8), None, "what is no threshold is forgotten");
     }
 
     #[test]

@@ -95,7 +95,7 @@ fn trace(
         let marcher = Marcher::new(scene, texels);
         let longest = budget::longest_list(K);
         let threshold = budget::count(scene, &marcher, &camera, K, |of, thresholds| {
-            Some(budget::counts_of_matter(of, longest, thresholds))
+            budget::counts_of_matter(of, longest, thresholds)
         });
         for i in 0..width * height {
             let pixel = (i % width, i / width);

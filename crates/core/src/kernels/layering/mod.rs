@@ -198,11 +198,9 @@ fn generate_with<T: Texels>(
     let threshold = match layering {
         Layering::VisibilityMerge => {
             budget.threshold(&asked, scene.volume.bounds().radius()).unwrap_or_else(|| {
-                budget::count(scene, marcher, &camera, k, |of, thresholds| {
-                    Some(match mode.is_projection() {
-                        true => projection::counts(of, longest, thresholds),
-                        false => budget::counts_of_matter(of, longest, thresholds),
-                    })
+                budget::count(scene, marcher, &camera, k, |of, thresholds| match mode.is_projection() {
+                    true => projection::counts(of, longest, thresholds),
+                    false => budget::counts_of_matter(of, longest, thresholds),
                 })
             })
         }

@@ -180,7 +180,7 @@ impl<'a, const N: usize> Projected<'a, N> {
         list: &'a mut SegmentList,
     ) -> Self {
         let compositing = of.scene.settings.mode.compositing();
-        let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit() };
+        let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
         let streams = thresholds.map(|threshold| Stream::new(threshold, longest, &of.lattice));
         let written = Written { list, kept: Kept::NONE, of: 0 };
         Self { scene: of.scene, ray, streams, kept: [Kept::NONE; N], written }

@@ -1,0 +1,269 @@
+use super::*;
+
+const LISTS: usize = 1 << 16;
+
+fn quality(coding: Coding) -> Option<u8> {
+    match coding {
+        Coding::Blocks(settings) => Some(settings.quality),
+        Coding::Exact(_) => None,
+    }
+}
+
+/// A link of so many bytes a second that carries one frame after the other: a round trip, and whatever queues.
+struct FakeLink {
+    bytes_per_second: f64,
+    rtt_micros: f64,
+    window: f64,
+    queued: f64,
+}
+
+impl FakeLink {
+    fn new(megabytes: f64) -> Self {
+        Self { bytes_per_second: megabytes * 1e6, rtt_micros: 1e5, window: 76_800.0, queued: 0.0 }
+    }
+
+    /// 33 ms in which `bytes` are handed over, and what the transport sees then.
+    fn send(&mut self, bytes: f64) -> LinkState {
+        let in_flight = self.bytes_per_second * self.rtt_micros / 1e6;
+        self.queued = (self.queued + bytes - self.bytes_per_second / 30.0).max(0.0);
+        // Never more than the window is on its way; it grows as long as it is filled and nothing is lost.
+        if bytes * 30.0 * self.rtt_micros / 1e6 + self.queued > self.window {
+            self.window = (self.window * 1.3).min(in_flight * 3.0);
+        }
+        self.queued = self.queued.min(self.window - in_flight.min(self.window));
+        LinkState {
+            window_bytes: self.window as u64,
+            rtt_micros: (self.rtt_micros + self.queued / self.bytes_per_second * 1e6) as u64,
+            least_rtt_micros: 100_000,
+        }
+    }
+}
+
+/// Bytes of a frame of a quality: what the codec does, with a slope of its own.
+fn bytes_at(quality: u8, hardness: f64) -> f64 {
+    hardness * 4_000.0 * (f64::from(quality) * 0.033).exp2()
+}
+
+#[test]
+fn frames_are_made_for_the_turn_they_are_seen_at() {
+    let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+    let mut next = |turned| {
+        pilot.handle_turned(turned);
+        let Coding::Blocks(settings) = pilot.next(LISTS, true) else { panic!("not in blocks") };
+        settings.turn_deg
+    };
+    assert_eq!(next(None), None);
+    assert_eq!([next(Some(4)), next(Some(12)), next(Some(12))], [Some(2), Some(3), Some(4)]);
+    // One at rest is made for all, and says nothing of the next movement.
+    assert_eq!([next(None), next(Some(12)), next(Some(0))], [None, Some(4), Some(3)]);
+    // A jump to another view is forgotten like any turn: twice the half of 20 degrees is the most.
+    assert_eq!([next(Some(180)), next(Some(180)), next(Some(180))], [Some(5), Some(6), Some(7)]);
+    for _ in 0..8 {
+        next(Some(0));
+    }
+    assert_eq!(next(Some(0)), Some(1));
+    // Where it rests, it is made once more for any turn, though it be at the best quality, and never worse.
+    let sent =
+        |turn_deg| Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(DEFAULT_QUALITY) });
+    assert_eq!(pilot.finer(LISTS, &sent(Some(5))), Some(sent(None)));
+    assert_eq!(pilot.finer(LISTS, &sent(None)), None);
+    let plan = Plan { mode: Mode::Blocks, quality: 0, ..Plan::default() };
+    let moving = blocks::Settings { turn_deg: Some(5), ..blocks::Settings::of(LEAST_QUALITY) };
+    let finer = Pilot::new(plan).finer(LISTS, &Coding::Blocks(moving));
+    assert_eq!(finer.and_then(quality), Some(LEAST_QUALITY));
+}
+
+#[test]
+fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
+    for megabytes in [0.6, 1.25, 6.0] {
+        let mut link = FakeLink::new(megabytes);
+        let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+        let mut waits = vec![];
+        for n in 0..300 {
+            // A harder scene from the 150th frame on.
+            let hardness = if n < 150 { 1.0 } else { 1.6 };
+            let coding = pilot.next(LISTS, n > 0);
+            let bytes = bytes_at(quality(coding).unwrap(), hardness);
+            pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+            pilot.handle_link(n * 33_000, link.send(bytes));
+            waits.push(link.queued / link.bytes_per_second);
+        }
+        // Half a second to settle, each time; then what queues is a few frames' worth.
+        let calm = waits[15..150].iter().chain(&waits[165..]).fold(0f64, |a, &b| a.max(b));
+        assert!(calm < 0.1, "{megabytes}: {calm} s of queue");
+        let best = pilot.bytes_per_second();
+        assert!(best > megabytes * 0.5e6, "{megabytes}: {best} of the link is used");
+        // The control: a fixed quality fills the narrow link's queue.
+        let mut link = FakeLink::new(megabytes);
+        for _ in 0..300 {
+            link.send(bytes_at(90, 1.0));
+        }
+        assert_eq!(link.queued > 0.1 * link.bytes_per_second, megabytes < 0.7, "{megabytes}");
+    }
+}
+
+#[test]
+fn a_way_that_has_become_longer_is_no_queue() {
+    let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+    let mut link = FakeLink::new(2.5);
+    let mut rates = vec![];
+    for n in 0..900 {
+        if n == 150 {
+            link.rtt_micros = 2e5;
+        }
+        // Losses for a while.
+        if (200..350).contains(&n) && n % 10 == 0 {
+            link.window = (link.window * 0.5).max(5_000.0);
+        }
+        let coding = pilot.next(LISTS, n > 0);
+        let bytes = bytes_at(quality(coding).unwrap(), 1.0);
+        pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+        pilot.handle_link(n * 33_000, link.send(bytes));
+        rates.push(pilot.bytes_per_second());
+    }
+    let mean = |range: std::ops::Range<usize>| rates[range.clone()].iter().sum::<f64>() / range.len() as f64;
+    // Ten seconds after the last loss.
+    assert!(
+        mean(650..900) > 0.9 * mean(100..150),
+        "{} {} {}",
+        mean(100..150),
+        mean(340..350),
+        mean(650..900)
+    );
+    // Negative control: losses do tell.
+    assert!(mean(340..350) < 0.5 * mean(100..150));
+}
+
+#[test]
+fn a_quality_that_takes_too_long_to_encode_is_left_out() {
+    let wide = LinkState { window_bytes: 100_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
+    let settled = |generate_micros: u64, micros_at_best: f64| {
+        let mut pilot = Pilot::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+        let (mut last, mut micros) = (0, 0.0);
+        for n in 0..60 {
+            pilot.handle_generated(generate_micros);
+            pilot.handle_link(n * 33_000, wide);
+            let coding = pilot.next(LISTS, n > 0);
+            last = quality(coding).unwrap();
+            // Half the time with every 30 less.
+            micros = micros_at_best * ((f64::from(last) - 100.0) / 30.0).exp2();
+            pilot.handle_encoded(&coding, n > 0, LISTS, 1000, micros as u64);
+        }
+        (last, micros)
+    };
+    let (quality, micros) = settled(2_000, 90_000.0);
+    assert!(quality < 75 && (micros / CODING_MICROS - 1.0).abs() < 0.1, "{quality}: {micros} µs");
+    // Where generating takes as long, nothing waits for the coder; and a fast coder makes the best.
+    assert_eq!([settled(100_000, 90_000.0).0, settled(2_000, 30_000.0).0], [100, 100]);
+    // However slow the coder, the picture stays one.
+    assert_eq!(settled(2_000, 1e6).0, LEAST_TIMELY_QUALITY as u8);
+}
+
+#[test]
+fn a_rate_is_kept_whatever_the_link_carries() {
+    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(1e6) };
+    let mut pilot = Pilot::new(plan);
+    let wide = LinkState { window_bytes: 10_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
+    let mut last = 0.0;
+    for n in 0..20 {
+        pilot.handle_link(n * 33_000, wide);
+        let coding = pilot.next(LISTS, n > 0);
+        last = bytes_at(quality(coding).unwrap(), 1.0);
+        pilot.handle_encoded(&coding, n > 0, LISTS, last as usize, 1000);
+    }
+    assert!((20_000.0..=33_400.0).contains(&last), "{last} bytes a frame");
+    pilot.plan.bytes_per_second = None;
+    assert!(bytes_at(quality(pilot.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
+}
+
+#[test]
+fn frames_over_a_long_way_may_take_a_part_of_it() {
+    let bytes_over = |rtt_micros, generate_micros| {
+        let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(3e5) };
+        let mut pilot = Pilot::new(plan);
+        let mut last = 0.0;
+        for _ in 0..20 {
+            pilot.handle_generated(generate_micros);
+            let link = LinkState { window_bytes: 10_000_000, rtt_micros, least_rtt_micros: rtt_micros };
+            pilot.handle_link(0, link);
+            let coding = pilot.next(LISTS, true);
+            last = bytes_at(quality(coding).unwrap(), 1.0);
+            pilot.handle_encoded(&coding, true, LISTS, last as usize, 1000);
+        }
+        last / 3e5
+    };
+    let [near, far, slow] =
+        [(20_000, 20_000), (350_000, 50_000), (20_000, 380_000)].map(|(r, g)| bytes_over(r, g));
+    // Seconds of the link: one thirtieth, and a quarter of 400 ms.
+    assert!((0.025..0.034).contains(&near), "{near}");
+    assert!((0.075..0.101).contains(&far) && (0.075..0.101).contains(&slow), "{far} {slow}");
+}
+
+#[test]
+fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
+    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(300_000.0) };
+    let mut pilot = Pilot::new(plan);
+    let mut at = |num_lists: usize| {
+        let coding = pilot.next(num_lists, true);
+        let bytes = bytes_at(quality(coding).unwrap(), 1.0) * num_lists as f64 / LISTS as f64;
+        pilot.handle_encoded(&coding, true, num_lists, bytes as usize, 1000);
+        (f64::from(quality(coding).unwrap()), bytes)
+    };
+    for _ in 0..10 {
+        at(LISTS);
+    }
+    let (whole, of_whole) = at(LISTS);
+    let (small, of_small) = at(LISTS / 4);
+    // Two octaves of bytes, by the slope of `bytes_at`.
+    assert!((small - whole - 2.0 / 0.033).abs() < 12.0, "{whole} and {small}");
+    assert!(of_small < 11_000.0 && of_whole < 11_000.0, "{of_whole} and {of_small} bytes");
+    // And a larger one its worse: with the quality of the small one it would take four times the bytes.
+    let (again, of_again) = at(LISTS);
+    assert!((again - whole).abs() < 12.0 && of_again < 12_000.0, "{again}, {of_again} bytes");
+}
+
+#[test]
+fn a_rest_ends_exactly_and_by_a_finer_frame_only_where_that_takes_long() {
+    let mut pilot = Pilot::new(Plan { quality: 50, ..Plan::default() });
+    let first = pilot.next(LISTS, false);
+    assert_eq!(quality(first), Some(50), "nothing is known of the link or of exact frames");
+    pilot.handle_encoded(&first, false, LISTS, 30_000, 20_000);
+    let link = |window_bytes| LinkState { window_bytes, rtt_micros: 100_000, least_rtt_micros: 100_000 };
+    let steps = |pilot: &Pilot| {
+        let mut steps = vec![];
+        let mut last = first;
+        while let Some(finer) = pilot.finer(LISTS, &last) {
+            steps.push(quality(finer));
+            last = finer;
+        }
+        steps
+    };
+    pilot.handle_link(0, link(10_000_000));
+    assert_eq!(steps(&pilot), [None]);
+    pilot.handle_link(0, link(80_000));
+    assert_eq!(steps(&pilot), [Some(FINE_QUALITY), None]);
+    pilot.plan.mode = Mode::Blocks;
+    assert_eq!(steps(&pilot), []);
+    pilot.plan.quality = 70;
+    assert_eq!(steps(&pilot), [Some(70)]);
+    pilot.plan.mode = Mode::Exact;
+    assert_eq!(steps(&pilot), []);
+}
+
+#[test]
+fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
+    let mut pilot = Pilot::new(Plan::default());
+    let blocks = Coding::Blocks(blocks::Settings::of(60));
+    pilot.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
+    let mut coding = |exact_micros: u64, window_bytes| {
+        pilot.exact_bytes = Mean::default();
+        pilot.exact_micros = Mean::default();
+        pilot.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
+        pilot.handle_link(0, LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
+        quality(pilot.next(LISTS, true))
+    };
+    assert_eq!(coding(20_000, 2_000_000), None);
+    assert_eq!(coding(20_000, 100_000), Some(100), "too narrow");
+    assert_eq!(coding(100, 150_000), Some(100), "too narrow, though blocks take longer to encode");
+    assert_eq!(coding(40_000, 2_000_000), Some(100), "exact frames take longer to encode");
+}
