@@ -1,6 +1,5 @@
 // Lists of segments from the steps of a march. Twin of crates/core/src/kernels/layering/mod.rs.
 //
-// Before this part stands a generated line: fn longest_list() -> u32, the greatest length of a list.
 // The part after this one is the rule:
 //   fn generate_list(ray: Ray, lattice: Lattice)
 // marches and hands its segments to push, front to back, and
@@ -41,7 +40,7 @@ fn begin_list(i: u32, lane: u32, s_per_depth: f32, is_counted: bool) {
 
 // Adds a segment behind the others.
 fn push(segment: OpenSegment) {
-    if (!out.is_counted && out.len < longest_list()) {
+    if (!out.is_counted && out.len < budget.longest) {
         let front = max(units(segment.s0 / out.s_per_depth), out.behind);
         if (out.len == 0u) {
             out.first_front = front;
@@ -159,7 +158,7 @@ fn generate(
         generate_list(from_camera.ray, lattice);
         close_list();
     }
-    counts[out.i] = min(out.len, longest_list());
+    counts[out.i] = min(out.len, budget.longest);
 }
 
 // Least thickness of a segment in depth units.

@@ -50,7 +50,7 @@ fn list_at(threshold: f32, ray: Ray, lattice: Lattice) {
 // The greatest error that a segment may have behind which the ray is at s.
 fn limit(s: f32) -> f32 {
     let passed = (s - stream.s0) * stream.per_length;
-    let haste = max(f32(stream.num_out) / f32(longest_list()) / (passed + HEAD_START), 1.0);
+    let haste = max(f32(stream.num_out) / f32(budget.longest) / (passed + HEAD_START), 1.0);
     return stream.threshold * ((haste * haste) * (haste * haste));
 }
 
@@ -115,7 +115,7 @@ fn open_piece(come: Piece) {
     }
     let least = least_joint();
     let is_over = joints[joint_at(least)] > limit(open_at(0u).s1);
-    if (is_over && stream.num_out + WINDOW < longest_list()) {
+    if (is_over && stream.num_out + WINDOW < budget.longest) {
         push_piece(open_at(0u));
         stream.num_out += 1u;
         remove(0u);

@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Who may use whom, among our own crates.
-const ARROWS: [(&str, &[&str]); 9] = [
+const ARROWS: [(&str, &[&str]); 10] = [
     ("isinglass-core", &[]),
     ("isinglass-formats", &["core"]),
     ("isinglass-gpu", &["core"]),
@@ -14,6 +14,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("isinglass-server", &["core", "formats", "gpu", "net"]),
     ("isinglass-client", &["core", "formats", "gpu", "net"]),
     ("isinglass-bench", &["core", "formats", "gpu", "net", "server", "client"]),
+    ("isinglass-lab", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
     ("isinglass", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
     ("isinglass-tests", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
 ];
@@ -29,9 +30,9 @@ const WORLDS: [(&str, &[&str]); 12] = [
     ("winit", &["isinglass-client"]),
     ("flate2", &["isinglass-formats"]),
     ("toml", &["isinglass-formats"]),
-    ("clap", &["isinglass"]),
-    ("openjpeg-sys", &["isinglass-bench"]),
-    ("rav1e", &["isinglass-bench"]),
+    ("clap", &["isinglass", "isinglass-lab"]),
+    ("openjpeg-sys", &["isinglass-lab"]),
+    ("rav1e", &["isinglass-lab"]),
 ];
 
 /// What cargo says, asked with these arguments.
@@ -128,9 +129,9 @@ fn carried(packages: &[Value]) -> Vec<String> {
 fn the_product_carries_no_codec_of_others() {
     let mut packages = packages();
     assert_eq!(carried(&packages), Vec::<String>::new());
-    let bench = packages.iter_mut().find(|p| name(p) == "isinglass-bench").expect("bench is a member");
-    bench["features"]["default"] = serde_json::json!(["rivals"]);
-    for dependency in bench["dependencies"].as_array_mut().expect("dependencies") {
+    let lab = packages.iter_mut().find(|p| name(p) == "isinglass-lab").expect("the lab is a member");
+    lab["features"]["default"] = serde_json::json!(["rivals"]);
+    for dependency in lab["dependencies"].as_array_mut().expect("dependencies") {
         dependency["optional"] = Value::Bool(false);
     }
     assert_eq!(carried(&packages).len(), 5);

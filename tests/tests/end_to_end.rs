@@ -4,15 +4,17 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::PoseId;
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::{self, budget::Budget};
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::kernels::raycast::raycast;
+use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::ledger::Stage;
@@ -39,14 +41,14 @@ async fn serve(builtin: Builtin) -> RunningServer {
 }
 
 async fn serve_as(builtin: Builtin, plan: Plan) -> RunningServer {
-    serve_sized(builtin, 48, plan).await
+    serve_with(builtin, plan, Backend::Cpu).await
 }
 
-async fn serve_sized(builtin: Builtin, side: u32, plan: Plan) -> RunningServer {
+async fn serve_with(builtin: Builtin, plan: Plan, backend: Backend) -> RunningServer {
     start(ServeOptions {
-        volume: Arc::new(builtin.volume(side)),
+        volume: Arc::new(builtin.volume(48)),
         look: look(builtin),
-        backend: Backend::Cpu,
+        backend,
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan,
         max_viewers: 4,
@@ -348,35 +350,70 @@ fn a_frame_for_a_rest_that_is_over_is_given_up() {
     runtime.block_on(server.close());
 }
 
-/// Frames that take minutes on a few cores are asked for by viewers that leave at once: nobody else waits for them.
+/// A renderer that takes as long for wide frames as it is let, and how many it has begun and made.
+#[derive(Default)]
+struct Slow {
+    begun: AtomicUsize,
+    made: AtomicUsize,
+    /// Whether wide frames get done.
+    is_open: AtomicBool,
+}
+
+impl Slow {
+    fn backend(self: Arc<Self>) -> Backend {
+        Backend::Rule(Arc::new(move |scene, header, wanted| {
+            if header.camera.intrinsics.width < WIDE.width {
+                return layering::generate_while(scene, header, &mut Budget::default(), wanted);
+            }
+            self.begun.fetch_add(1, Ordering::SeqCst);
+            while !self.is_open.load(Ordering::SeqCst) {
+                if !wanted() {
+                    return None;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.made.fetch_add(1, Ordering::SeqCst);
+            Some(LayeredFrame::empty(header))
+        }))
+    }
+}
+
+const WIDE: Intrinsics = Intrinsics { width: 320, height: 240, ..SIZE };
+
+/// Viewers that leave at once have asked for frames that take for ever: nobody else waits for them, and none is made.
 #[test]
 fn what_viewers_that_have_left_asked_for_is_not_made() {
     let runtime = runtime();
-    let server = runtime.block_on(serve_sized(Builtin::Cloud, 160, Plan::EXACT));
+    let slow = Arc::new(Slow::default());
+    let server = runtime.block_on(serve_with(Builtin::Cloud, Plan::EXACT, slow.clone().backend()));
     let connect = || {
         let link = runtime.block_on(server.mint_link(None)).unwrap();
         Client::connect(&link, ClientOptions::default()).unwrap()
     };
     let bounds = Builtin::Cloud.volume(8).bounds();
     let pose = Pose::orbit(Vec3::ZERO, 0.0, 0.3, bounds.radius() * SIZE.fit_distance());
-    let slow = Look { layering: Layering::Homogeneity, k: 15, ..look(Builtin::Cloud) };
     let leaving = [(); 3].map(|()| {
         let viewer = connect();
-        let first = frame_for(&viewer, viewer.set_pose(pose, SIZE)).frame.header.look;
-        viewer.set_look(slow.clone()).unwrap();
-        let is_slow = |frame: Arc<ReceivedFrame>| frame.frame.header.look > first;
-        while !viewer.latest_frame().is_some_and(is_slow) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        frame_for(&viewer, viewer.set_pose(pose, SIZE));
         viewer
     });
     for viewer in &leaving {
-        viewer.set_pose(pose, Intrinsics { width: 1600, height: 1200, ..SIZE });
+        viewer.set_pose(pose, WIDE);
     }
-    // Long enough for them to be asked for, which otherwise takes a few milliseconds.
-    std::thread::sleep(Duration::from_millis(200));
+    let patience = Instant::now() + Duration::from_secs(60);
+    while slow.begun.load(Ordering::SeqCst) == 0 {
+        assert!(Instant::now() < patience, "no wide frame is begun");
+        std::thread::sleep(Duration::from_millis(1));
+    }
     drop(leaving);
     let staying = connect();
     frame_for(&staying, staying.set_pose(pose, SIZE));
+    // What the others have asked for is out of the way: from now on a wide frame would be made.
+    slow.is_open.store(true, Ordering::SeqCst);
+    frame_for(&staying, staying.set_pose(Pose { eye: pose.eye * 1.01, ..pose }, SIZE));
+    assert_eq!(slow.made.load(Ordering::SeqCst), 0);
+    // Negative control: a viewer that stays gets its wide frame.
+    frame_for(&staying, staying.set_pose(pose, WIDE));
+    assert_eq!(slow.made.load(Ordering::SeqCst), 1);
     runtime.block_on(server.close());
 }

@@ -4,7 +4,7 @@
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::combine;
-use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::layering;
 use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_gpu::{GpuError, GpuReprojector};
@@ -15,8 +15,7 @@ fn novel_views_are_those_of_the_twin() {
     let Some(gpu) = gpu() else { return };
     for (name, scene) in scenes() {
         let bounds = scene.volume.bounds();
-        let frame =
-            layering::generate(&scene, header(camera(&scene, 25.0, (90, 77)), 8), Layering::VisibilityMerge);
+        let frame = layering::generate(&scene, header(camera(&scene, 25.0, (90, 77)), 8));
         let mut reprojector = GpuReprojector::new(gpu, &frame, &bounds).unwrap();
         let caster = Raycaster::new(&frame, &bounds);
         for (view, camera) in views(&scene) {
@@ -59,9 +58,7 @@ fn several_frames_are_combined_as_by_the_twin() {
             let eye = pose.eye + pose.world_from_view * (Vec3::X * (aside * bounds.radius()));
             Camera::new(Pose { eye, ..pose }, intrinsics, &bounds)
         };
-        let frame = |degrees, aside, size| {
-            layering::generate(&scene, header(near(degrees, aside, size), 6), Layering::VisibilityMerge)
-        };
+        let frame = |degrees, aside, size| layering::generate(&scene, header(near(degrees, aside, size), 6));
         // Of several sizes: each has its own buffers.
         let frames = [
             frame(0.0, 0.0, (72, 56)),
@@ -107,9 +104,7 @@ fn a_reprojector_takes_frames_of_any_size_and_refuses_bad_ones() {
     let Some(gpu) = gpu() else { return };
     let (_, scene) = scenes().swap_remove(1);
     let bounds = scene.volume.bounds();
-    let frame = |size, k| {
-        layering::generate(&scene, header(camera(&scene, 25.0, size), k), Layering::EqualTransmittance)
-    };
+    let frame = |size, k| layering::generate(&scene, header(camera(&scene, 25.0, size), k));
     let view = camera(&scene, 31.0, (64, 48));
     let mut reprojector = GpuReprojector::new(gpu, &frame((20, 16), 2), &bounds).unwrap();
     for frame in

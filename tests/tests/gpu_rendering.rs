@@ -3,8 +3,8 @@
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::kernels::layering;
 use isinglass_core::kernels::layering::budget::Budget;
-use isinglass_core::kernels::layering::{self, Layering, Representative};
 use isinglass_core::kernels::march::{self, MarchSettings, Shading};
 use isinglass_core::kernels::raycast;
 use isinglass_core::layer::LayeredFrame;
@@ -126,52 +126,35 @@ fn layered_frames_are_those_of_the_twin() {
         let view = |frame: &LayeredFrame| raycast::raycast(frame, &bounds, &camera_1);
         let truth = march::render(&scene, &camera_1);
         let mut renderer = GpuRenderer::new(gpu, scene.clone()).unwrap();
-        for layering in Layering::ALL {
-            // Each list length is a kernel of its own; one scene tries the ends of the range.
-            let ks: &[u8] = match layering {
-                // These differ in a number alone.
-                Layering::SingleDepth(r) if r != Representative::Mean && !name.ends_with("u8 shaded") => &[],
-                Layering::SingleDepth(_) | Layering::Slabs => &[8],
-                _ if name.starts_with("cubus") => &[8, 1, 32],
-                _ => &[8],
-            };
-            for &k in ks {
-                let what = format!("{name}, {layering}, k = {k}");
-                let twin = layering::generate(&scene, header(camera_0, k), layering);
-                let found = renderer.generate(header(camera_0, k), layering).unwrap();
-                found.validate().unwrap_or_else(|e| panic!("{what}: {e}"));
-                assert_eq!(found.header, twin.header);
-                Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(&what);
-                let (view_found, view_twin) = (view(&found), view(&twin));
-                let turned = Difference::of(&view_found, &view_twin);
-                let chooses = layering == Layering::VisibilityMerge && k > 1;
-                assert!(
-                    turned.is_tolerable() || chooses && turned.is_another_choice(),
-                    "{what}, turned: {turned:?}"
-                );
-                let error = |view| Difference::of(view, &truth).mean;
-                let (a, b) = (error(&view_found), error(&view_twin));
-                assert!((a - b).abs() <= 0.02 * b, "{what}: error {a} of the view, the twin's is {b}");
-                let tau = |f: &LayeredFrame| {
-                    (0..f.num_segments()).map(|i| f64::from(f.segment(i).tau)).sum::<f64>()
-                };
-                assert!(
-                    (tau(&found) - tau(&twin)).abs() <= 1e-3 * tau(&twin),
-                    "{what}: optical depth in all"
-                );
-                let again = renderer.generate(header(camera_0, k), layering).unwrap();
-                assert!(again == found, "{what}: another result of the same input");
-            }
-        }
-        let twin = layering::generate(&scene, header(camera_0, 8), Layering::VisibilityMerge);
-        for (layering, k) in [(Layering::VisibilityMerge, 4), (Layering::EqualTransmittance, 8)] {
-            let other = view(&renderer.generate(header(camera_0, k), layering).unwrap());
-            let turned = Difference::of(&other, &view(&twin));
+        // One scene tries the ends of the range.
+        let ks: &[u8] = if name.starts_with("cubus") { &[8, 1, 32] } else { &[8] };
+        for &k in ks {
+            let what = format!("{name}, k = {k}");
+            let twin = layering::generate(&scene, header(camera_0, k));
+            let found = renderer.generate(header(camera_0, k)).unwrap();
+            found.validate().unwrap_or_else(|e| panic!("{what}: {e}"));
+            assert_eq!(found.header, twin.header);
+            Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(&what);
+            let (view_found, view_twin) = (view(&found), view(&twin));
+            let turned = Difference::of(&view_found, &view_twin);
             assert!(
-                !turned.is_tolerable() && !turned.is_another_choice(),
-                "{name}: {layering}, k = {k}: {turned:?}"
+                turned.is_tolerable() || k > 1 && turned.is_another_choice(),
+                "{what}, turned: {turned:?}"
             );
+            let error = |view| Difference::of(view, &truth).mean;
+            let (a, b) = (error(&view_found), error(&view_twin));
+            assert!((a - b).abs() <= 0.02 * b, "{what}: error {a} of the view, the twin's is {b}");
+            let tau =
+                |f: &LayeredFrame| (0..f.num_segments()).map(|i| f64::from(f.segment(i).tau)).sum::<f64>();
+            assert!((tau(&found) - tau(&twin)).abs() <= 1e-3 * tau(&twin), "{what}: optical depth in all");
+            let again = renderer.generate(header(camera_0, k)).unwrap();
+            assert!(again == found, "{what}: another result of the same input");
         }
+        let twin = layering::generate(&scene, header(camera_0, 8));
+        // Negative control: lists of half the length.
+        let other = view(&renderer.generate(header(camera_0, 4)).unwrap());
+        let turned = Difference::of(&other, &view(&twin));
+        assert!(!turned.is_tolerable() && !turned.is_another_choice(), "{name}: {turned:?}");
     }
 }
 
@@ -185,9 +168,8 @@ fn frames_that_follow_each_other_keep_their_budget() {
     let k = 4;
     for n in 0..8 {
         let header = header(camera(&scene, 25.0 + 3.0 * n as f32, (80, 64)), k);
-        let found = on_gpu.generate_while(header, Layering::default(), ALWAYS).unwrap().unwrap();
-        let twin =
-            layering::generate_while(&scene, header, Layering::default(), &mut budget, ALWAYS).unwrap();
+        let found = on_gpu.generate_while(header, ALWAYS).unwrap().unwrap();
+        let twin = layering::generate_while(&scene, header, &mut budget, ALWAYS).unwrap();
         Difference::of(&found.flatten(), &twin.flatten()).assert_tolerable(name);
         for (which, frame) in [("gpu", found), ("cpu", twin)] {
             let mean = frame.segments_mean();
@@ -197,7 +179,7 @@ fn frames_that_follow_each_other_keep_their_budget() {
     }
     // Another K is counted, not followed.
     let header = header(camera(&scene, 46.0, (80, 64)), 12);
-    let mean = on_gpu.generate_while(header, Layering::default(), ALWAYS).unwrap().unwrap().segments_mean();
+    let mean = on_gpu.generate_while(header, ALWAYS).unwrap().unwrap().segments_mean();
     assert!((mean / 12.0 - 1.0).abs() < 0.2, "{mean}");
 }
 
@@ -210,9 +192,9 @@ fn pictures_of_several_dispatches_have_no_seams() {
     let mut renderer = GpuRenderer::new(gpu, scene.clone()).unwrap();
     let found = renderer.render(&camera).unwrap();
     Difference::of(&found, &march::render(&scene, &camera)).assert_tolerable("render");
-    let frame = renderer.generate(header(camera, 3), Layering::VisibilityMerge).unwrap();
+    let frame = renderer.generate(header(camera, 3)).unwrap();
     frame.validate().unwrap();
-    let twin = layering::generate(&scene, header(camera, 3), Layering::VisibilityMerge);
+    let twin = layering::generate(&scene, header(camera, 3));
     Difference::of(&frame.flatten(), &twin.flatten()).assert_tolerable("generate");
     let moved =
         Picture { pixels: found.pixels.iter().cycle().skip(333).take(333 * 211).copied().collect(), ..found };
@@ -224,10 +206,10 @@ fn what_does_not_fit_is_refused_by_name() {
     let (_, scene) = scenes().swap_remove(0);
     let mut renderer = GpuRenderer::new(gpu, scene.clone()).unwrap();
     let huge = camera(&scene, 0.0, (8192, 8192));
-    let error = renderer.generate(header(huge, 16), Layering::VisibilityMerge).unwrap_err();
+    let error = renderer.generate(header(huge, 16)).unwrap_err();
     assert!(matches!(error, GpuError::TooLarge { .. }), "{error}");
     // The longest lists of the sources at full size: a quarter of a gigabyte a plane, which not every device can bind.
-    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30), Layering::EqualLength) {
+    match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30)) {
         Ok(frame) => frame.validate().unwrap(),
         Err(e) => {
             assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000, .. }), "{e}");
@@ -237,7 +219,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let mut bad = camera(&scene, 0.0, (64, 64));
     bad.intrinsics.width = 0;
     assert_eq!(renderer.render(&bad), Err(GpuError::Camera));
-    assert_eq!(renderer.generate(header(bad, 4), Layering::VisibilityMerge), Err(GpuError::Camera));
+    assert_eq!(renderer.generate(header(bad, 4)), Err(GpuError::Camera));
     // And the renderer still works.
     let good = camera(&scene, 0.0, (40, 40));
     let found = renderer.render(&good).unwrap();

@@ -4,7 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::layering;
 use isinglass_core::kernels::{combine, raycast};
 use isinglass_core::picture::Picture;
 use isinglass_gpu::{Gpu, ViewPass, wgpu};
@@ -120,8 +120,7 @@ fn warming_up_draws_with_each_pipeline_and_leaves_no_trace() {
     let Some(gpu) = gpu() else { return };
     let (_, scene) = scenes().swap_remove(2);
     let bounds = scene.volume.bounds();
-    let frame =
-        layering::generate(&scene, header(camera(&scene, 25.0, (40, 30)), 8), Layering::VisibilityMerge);
+    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (40, 30)), 8));
     let format = wgpu::TextureFormat::Rgba8Unorm;
     let mut pass = ViewPass::new(gpu.device(), format).unwrap();
     let warm_up = pass.warm_up(gpu.device(), gpu.queue()).unwrap();
@@ -145,8 +144,7 @@ fn the_view_pass_paints_what_the_twin_casts() {
     let Some(gpu) = gpu() else { return };
     let (_, scene) = scenes().swap_remove(2);
     let bounds = scene.volume.bounds();
-    let frame =
-        layering::generate(&scene, header(camera(&scene, 25.0, (90, 77)), 8), Layering::VisibilityMerge);
+    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (90, 77)), 8));
     for format in [wgpu::TextureFormat::Rgba8Unorm, wgpu::TextureFormat::Rgba8UnormSrgb] {
         let mut pass = ViewPass::new(gpu.device(), format).unwrap();
         let view = camera(&scene, 33.0, (100, 76));
@@ -196,7 +194,7 @@ fn the_view_pass_paints_what_the_twin_casts() {
         );
         // Another slot for an older frame, of another size, shown along with the newest.
         let older = header(camera(&scene, 80.0, (61, 50)), 8);
-        let older = layering::generate(&scene, older, Layering::VisibilityMerge);
+        let older = layering::generate(&scene, older);
         pass.upload(gpu.device(), gpu.queue(), 5, &older, &bounds).unwrap();
         let aside = |degrees: f32, distance: f32| {
             let pose =
@@ -204,7 +202,7 @@ fn the_view_pass_paints_what_the_twin_casts() {
             Camera::new(pose, whole.intrinsics, &bounds)
         };
         let newest = header(Camera { intrinsics: frame.header.camera.intrinsics, ..aside(30.0, 0.8) }, 8);
-        let newest = layering::generate(&scene, newest, Layering::VisibilityMerge);
+        let newest = layering::generate(&scene, newest);
         pass.upload(gpu.device(), gpu.queue(), 0, &newest, &bounds).unwrap();
         let whole = aside(45.0, 0.9);
         let draw = |pass: &mut ViewPass, slots: &[usize]| {
@@ -222,7 +220,7 @@ fn the_view_pass_paints_what_the_twin_casts() {
         // A frame of another size in a slot that is shown.
         pass.show(gpu.device(), &[0, 5]).unwrap();
         let larger = header(camera(&scene, 80.0, (120, 100)), 8);
-        let larger = layering::generate(&scene, larger, Layering::VisibilityMerge);
+        let larger = layering::generate(&scene, larger);
         pass.upload(gpu.device(), gpu.queue(), 5, &larger, &bounds).unwrap();
         let twin = combine::combine(&[&newest, &larger], &bounds, &whole).to_srgb8(BACKGROUND);
         Difference::of_srgb8(&draw(&mut pass, &[0, 5]), &twin).assert_tolerable("a larger frame");

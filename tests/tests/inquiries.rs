@@ -106,9 +106,7 @@ fn a_draft_of_the_shade_is_called_one_and_the_rest_has_all_of_it() {
     let made = |lighting: Lighting| {
         let look = Look { lighting, ..shaded.clone() };
         let scene = Scene::new(volume.clone(), &look.transfer, look.march_settings());
-        isinglass_core::kernels::layering::generate(&scene, header, look.layering)
-            .flatten()
-            .to_srgb8([0.0; 3])
+        isinglass_core::kernels::layering::generate(&scene, header).flatten().to_srgb8([0.0; 3])
     };
     let ours = shown.frame.flatten().to_srgb8([0.0; 3]);
     let off = |other: Vec<u8>| ours.iter().zip(&other).map(|(a, b)| u32::from(a.abs_diff(*b))).sum::<u32>();

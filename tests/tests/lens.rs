@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::lens::{Exposure, View};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
@@ -44,9 +43,7 @@ fn means_and_shifted_eyes_are_the_same_on_both_backends() {
         Exposure { aperture_radius: 0.3 * r, focus_depth, shutter: Some(camera(0.6).pose), num_samples: 6 };
     let [left, right] = View::from(&open).stereo(0.4 * r, focus_depth);
     let header = FrameHeader::alone(camera(0.3), 8);
-    let frame = Arc::new(
-        Backend::Cpu.renderer(scene.clone()).unwrap().generate(header, Layering::VisibilityMerge).unwrap(),
-    );
+    let frame = Arc::new(Backend::Cpu.renderer(scene.clone()).unwrap().generate(header).unwrap());
     let means = [exposure.views(&open, &bounds), vec![left], vec![right]].map(|views| {
         let novel = backends
             .each_ref()

@@ -1,12 +1,10 @@
 //! Do the modes do on the GPU what their Rust twins do, and keep the promise of the same pose through the wire? The
 //! tolerance is that of `isinglass_tests::twins`.
 
-use std::sync::Arc;
-
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::codec::{Coding, decode};
 use isinglass_core::kernels::combine;
-use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::layering;
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -57,24 +55,21 @@ fn renderings_and_frames_are_those_of_the_twin() {
             let composite = scene.with_look(&transfer(name.contains("cloud")), composite);
             Difference::of(&twin, &march::render(&composite, &own)).assert_noticed(&name);
 
-            let rules = [Layering::VisibilityMerge, Layering::EqualLength];
-            for &layering in &rules[..if mode.is_projection() { 1 } else { 2 }] {
-                let what = format!("{name}, {layering}");
-                let found = renderer.generate(header(own, 8), layering).unwrap();
-                found.validate().unwrap_or_else(|e| panic!("{what}: {e}"));
-                let expected = layering::generate(&scene, header(own, 8), layering);
-                assert_eq!(found.header, expected.header);
-                assert_eq!(found.header.mode, mode);
-                Difference::of(&found.flatten(), &expected.flatten()).assert_tolerable(&what);
-                let view = |frame: &LayeredFrame| {
-                    Raycaster::new(frame, &bounds).picture(&beside, &CastOptions::default())
-                };
-                let turned = Difference::of(&view(&found), &view(&expected));
-                assert!(turned.is_tolerable() || turned.is_another_choice(), "{what}, turned: {turned:?}");
-                // As many pixels hold lists, but for rays that graze.
-                let (a, b) = (found.num_filled() as f64, expected.num_filled() as f64);
-                assert!((a - b).abs() <= 0.01 * b, "{what}: {a} lists, the twin has {b}");
-            }
+            let what = &name;
+            let found = renderer.generate(header(own, 8)).unwrap();
+            found.validate().unwrap_or_else(|e| panic!("{what}: {e}"));
+            let expected = layering::generate(&scene, header(own, 8));
+            assert_eq!(found.header, expected.header);
+            assert_eq!(found.header.mode, mode);
+            Difference::of(&found.flatten(), &expected.flatten()).assert_tolerable(what);
+            let view = |frame: &LayeredFrame| {
+                Raycaster::new(frame, &bounds).picture(&beside, &CastOptions::default())
+            };
+            let turned = Difference::of(&view(&found), &view(&expected));
+            assert!(turned.is_tolerable() || turned.is_another_choice(), "{what}, turned: {turned:?}");
+            // As many pixels hold lists, but for rays that graze.
+            let (a, b) = (found.num_filled() as f64, expected.num_filled() as f64);
+            assert!((a - b).abs() <= 0.01 * b, "{what}: {a} lists, the twin has {b}");
         }
     }
 }
@@ -90,9 +85,9 @@ fn surfaces_are_filled_on_the_side_that_the_scene_says() {
         |frame: &LayeredFrame| Raycaster::new(frame, &bounds).picture(&beside, &CastOptions::default());
     let of = |has_lesser_bodies| {
         let scene = Scene { has_lesser_bodies, ..scene.clone() };
-        let expected = layering::generate(&scene, header(own, 8), Layering::default());
+        let expected = layering::generate(&scene, header(own, 8));
         let mut renderer = GpuRenderer::new(gpu, scene).unwrap();
-        (view(&renderer.generate(header(own, 8), Layering::default()).unwrap()), view(&expected))
+        (view(&renderer.generate(header(own, 8)).unwrap()), view(&expected))
     };
     let both = [false, true].map(of);
     for (found, expected) in &both {
@@ -108,8 +103,7 @@ fn novel_views_are_those_of_the_twin() {
     for mode in others() {
         let (name, scene) = scenes_in(mode).swap_remove(2);
         let bounds = scene.volume.bounds();
-        let frame =
-            layering::generate(&scene, header(camera(&scene, 25.0, (72, 60)), 6), Layering::default());
+        let frame = layering::generate(&scene, header(camera(&scene, 25.0, (72, 60)), 6));
         let caster = Raycaster::new(&frame, &bounds);
         let mut reprojector = GpuReprojector::new(gpu, &frame, &bounds).unwrap();
         for (view, camera) in views(&scene) {
@@ -130,10 +124,10 @@ fn novel_views_are_those_of_the_twin() {
         }
         // The frames of two cameras at once.
         let aside = camera(&scene, 60.0, (40, 34));
-        let kept = layering::generate(&scene, header(aside, 6), Layering::default());
+        let kept = layering::generate(&scene, header(aside, 6));
         let mut narrow = camera(&scene, 25.0, (40, 34));
         narrow.intrinsics = Intrinsics::perspective(40, 34, 0.5 * narrow.intrinsics.fov_y());
-        let newest = layering::generate(&scene, header(narrow, 6), Layering::default());
+        let newest = layering::generate(&scene, header(narrow, 6));
         let display = camera(&scene, 30.0, (72, 60));
         let expected = combine::combine(&[&newest, &kept], &bounds, &display);
         let mut both = GpuReprojector::of_frames(gpu, &[&newest, &kept], &bounds).unwrap();
@@ -156,7 +150,7 @@ fn the_same_pose_is_exact_through_the_wire() {
                 let own = camera(&scene, azimuth, (64, 52));
                 let truth = march::render(&scene, &own);
                 for k in [1, 4, 12] {
-                    let frame = layering::generate(&scene, header(own, k), Layering::default());
+                    let frame = layering::generate(&scene, header(own, k));
                     let (encoded, _) = Coding::default().for_mode(mode).encode(&frame, None).unwrap();
                     let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
                     let decoded = decode(&chunks).unwrap();
@@ -177,15 +171,14 @@ fn the_same_pose_is_exact_through_the_wire() {
     // Negative control: the frame of another mode.
     let (_, scene) = scenes_in(Mode::Mip).swap_remove(0);
     let own = camera(&scene, 25.0, (64, 52));
-    let mean =
-        layering::generate(&scenes_in(Mode::Average).swap_remove(0).1, header(own, 8), Layering::default());
+    let mean = layering::generate(&scenes_in(Mode::Average).swap_remove(0).1, header(own, 8));
     Difference::of(&mean.flatten(), &march::render(&scene, &own)).assert_noticed("another mode");
 }
 
 #[test]
 fn frames_of_projections_in_blocks_are_refused_and_coded_exactly_instead() {
     let (_, scene) = scenes_in(Mode::Mip).swap_remove(0);
-    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (64, 52)), 8), Layering::default());
+    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (64, 52)), 8));
     let blocks = Coding::Blocks(isinglass_core::codec::blocks::Settings::of(60));
     let error = blocks.encode(&frame, None).unwrap_err().to_string();
     assert!(error.contains("mip") && !error.contains('\n'), "{error}");
@@ -193,21 +186,8 @@ fn frames_of_projections_in_blocks_are_refused_and_coded_exactly_instead() {
     assert_eq!(blocks.for_mode(Mode::Iso), blocks);
     // Surfaces are composited with over, so blocks carry them.
     let (_, scene) = scenes_in(Mode::Iso).swap_remove(0);
-    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (64, 52)), 8), Layering::default());
+    let frame = layering::generate(&scene, header(camera(&scene, 25.0, (64, 52)), 8));
     let (encoded, _) = blocks.encode(&frame, None).unwrap();
     let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
     assert_eq!(decode(&chunks).unwrap().header, FrameHeader { k: 24, ..frame.header });
-}
-
-/// Projections have one rule.
-#[test]
-fn other_rules_stand_for_the_default_in_a_projection() {
-    let (_, scene) = scenes_in(Mode::Mip).swap_remove(0);
-    let scene = Arc::new(scene);
-    let of = |layering, k| layering::generate(&scene, header(camera(&scene, 25.0, (40, 32)), k), layering);
-    let own = of(Layering::VisibilityMerge, 8);
-    for layering in Layering::ALL {
-        assert_eq!(of(layering, 8), own, "{layering}");
-    }
-    assert_ne!(of(Layering::VisibilityMerge, 4), own, "another K");
 }

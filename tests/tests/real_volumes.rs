@@ -13,7 +13,7 @@ use isinglass_core::codec::{
 };
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::compare;
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::transfer::Domain;
@@ -244,7 +244,7 @@ fn a_real_volume_goes_through_blocks() {
             k: 12,
             mode: Default::default(),
         };
-        let frame = generate(&scene, header, Layering::VisibilityMerge);
+        let frame = generate(&scene, header);
         let settings = blocks::Settings::of(60);
         let reference = references.newest().cloned();
         let (encoded, decoded) = blocks::encode(&frame, &settings, reference.as_deref()).unwrap();

@@ -9,7 +9,6 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::codec;
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::FrameHeader;
@@ -41,12 +40,6 @@ fn backends() -> Vec<Backend> {
 fn error(a: &Picture, b: &Picture) -> ImageError {
     let (width, height) = (a.width as usize, a.height as usize);
     compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), width, height, [0; 3]).unwrap()
-}
-
-/// The rules. The representative depths differ in a number alone; the exit is nearest to leaving the box.
-fn one_of_each() -> impl Iterator<Item = Layering> {
-    let is_one = |l: &Layering| !matches!(l, Layering::SingleDepth(r) if *r != Representative::Exit);
-    Layering::ALL.into_iter().filter(is_one)
 }
 
 /// The scene of a volume by its own preset.
@@ -86,12 +79,12 @@ fn in_other_modes(scene: &Scene, transfer: &TransferFunction) -> Vec<(String, Sc
     ]
 }
 
-fn check(source: &str, backends: &[Backend], rules: &[Layering]) {
+fn check(source: &str, backends: &[Backend]) {
     let (scene, _) = scene_of(source);
-    check_scene(source, &scene, backends, rules);
+    check_scene(source, &scene, backends);
 }
 
-fn check_scene(source: &str, scene: &Scene, backends: &[Backend], rules: &[Layering]) {
+fn check_scene(source: &str, scene: &Scene, backends: &[Backend]) {
     let bounds = scene.volume.bounds();
     let camera_at = |azimuth: f32| {
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.35, bounds.radius() * SIZE.fit_distance());
@@ -105,26 +98,24 @@ fn check_scene(source: &str, scene: &Scene, backends: &[Backend], rules: &[Layer
         let mut renderer = backend.renderer(scene.clone()).unwrap();
         let truth = renderer.render(&camera).unwrap();
         assert!(truth.pixels.iter().any(|p| p[3] > seen), "{source} shows nothing");
-        for &layering in rules {
-            let at = format!("{source}, {layering}, {}", backend.description());
-            let header = FrameHeader::alone(camera, 8);
-            let frame = renderer.generate(header, layering).unwrap();
-            assert_eq!(frame.header.mode, scene.settings.mode, "{at}");
-            let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
-            // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
-            assert!(own.max_abs_255 <= 1, "{at}: {own:?}");
+        let at = format!("{source}, {}", backend.description());
+        let header = FrameHeader::alone(camera, 8);
+        let frame = renderer.generate(header).unwrap();
+        assert_eq!(frame.header.mode, scene.settings.mode, "{at}");
+        let own = error(&backend.raycast(&frame, &bounds, &camera).unwrap(), &truth);
+        // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
+        assert!(own.max_abs_255 <= 1, "{at}: {own:?}");
 
-            let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
-            let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
-            let decoded = codec::decode(&chunks).unwrap();
-            let wired = error(&backend.raycast(&decoded, &bounds, &camera).unwrap(), &truth);
-            // The bound that the wire is held to.
-            assert!(wired.dssim <= 1e-3, "{at}, through the wire: {wired:?}");
+        let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
+        let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
+        let decoded = codec::decode(&chunks).unwrap();
+        let wired = error(&backend.raycast(&decoded, &bounds, &camera).unwrap(), &truth);
+        // The bound that the wire is held to.
+        assert!(wired.dssim <= 1e-3, "{at}, through the wire: {wired:?}");
 
-            // Negative control: seven degrees to the side is another picture. (Three are not for a ball at one depth.)
-            let beside = backend.raycast(&frame, &bounds, &camera_at(aside)).unwrap();
-            assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
-        }
+        // Negative control: seven degrees to the side is another picture. (Three are not for a ball at one depth.)
+        let beside = backend.raycast(&frame, &bounds, &camera_at(aside)).unwrap();
+        assert!(error(&beside, &truth).dssim > 2e-3, "{at}: a turned camera shows the same");
     }
 }
 
@@ -152,7 +143,7 @@ fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
                 let truth = renderer.render(&camera).unwrap();
                 assert!(error(&truth, &uncut).max_abs_255 > 30, "{at}: nothing is cut away");
                 let header = FrameHeader::alone(camera, 8);
-                let frame = renderer.generate(header, Layering::default()).unwrap();
+                let frame = renderer.generate(header).unwrap();
                 let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
                 let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
                 let decoded = codec::decode(&chunks).unwrap();
@@ -170,7 +161,7 @@ fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
 fn of_the_built_in_volumes() {
     let backends = backends();
     for name in ["builtin:cloud@64", "builtin:cubus@64", "builtin:shells@64"] {
-        check(name, &backends, &Layering::ALL);
+        check(name, &backends);
     }
 }
 
@@ -178,14 +169,13 @@ fn of_the_built_in_volumes() {
 fn of_the_scanned_volumes() {
     let Some(folder) = data_dir() else { return };
     let backends = backends();
-    let rules: Vec<_> = one_of_each().collect();
     for name in ["engine", "bonsai", "avm", "t1_head", "heptane", "mouse_brain"] {
-        check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends, &rules);
+        check(folder.join(name).with_extension("nrrd").to_str().unwrap(), &backends);
     }
 }
 
-/// Every mode but the first by every rule that it has, of volumes that fill their boxes and ones that do not. On the GPU of
-/// one volume, as each rule is another kernel in each mode.
+/// Every mode but the first, of volumes that fill their boxes and ones that do not. On the GPU of
+/// one volume, as each mode is another kernel.
 #[test]
 fn of_the_other_modes() {
     let backends = backends();
@@ -197,10 +187,7 @@ fn of_the_other_modes() {
     for (source, backends) in sources {
         let (scene, transfer) = scene_of(&source);
         for (look, scene) in in_other_modes(&scene, &transfer) {
-            let mode = scene.settings.mode;
-            let is_of_mode = |l: &Layering| l.in_mode(mode) == *l;
-            let rules: Vec<_> = one_of_each().filter(is_of_mode).collect();
-            check_scene(&format!("{source}, {look}"), &scene, backends, &rules);
+            check_scene(&format!("{source}, {look}"), &scene, backends);
         }
     }
 }

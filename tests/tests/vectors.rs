@@ -10,7 +10,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{self, Reference, References};
 use isinglass_core::codec::{CodecError, HEADER_BYTES, Settings, assemble, encode, peek};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
@@ -162,7 +162,7 @@ fn another_frame_has_another_checksum() {
 #[test]
 #[ignore = "writes files into the repository"]
 fn make_missing_vectors() {
-    let frame_of = |mode, is_parallel, id, azimuth, source: &str, [width, height]: [u32; 2], k, layering| {
+    let frame_of = |mode, is_parallel, id, azimuth, source: &str, [width, height]: [u32; 2], k| {
         let volume = open(source, &Default::default()).unwrap();
         let preset = default_preset(source, &volume, &Histogram::of(&volume)).to_string();
         let bounds = volume.bounds();
@@ -174,26 +174,24 @@ fn make_missing_vectors() {
         let camera = Camera::new(pose, intrinsics, &bounds);
         let camera = if is_parallel { camera.to_orthographic(distance, &bounds) } else { camera };
         let (frame, pose, look) = (FrameId(id), PoseId(2), LookVersion(3));
-        generate(&scene, FrameHeader { frame, pose, look, camera, k, mode }, layering)
+        generate(&scene, FrameHeader { frame, pose, look, camera, k, mode })
     };
-    let frame_at = |id, azimuth, source: &str, size, k, layering| {
-        frame_of(Mode::Composite, false, id, azimuth, source, size, k, layering)
-    };
-    let frame = |source: &str, size, k, layering| frame_at(1, 0.5, source, size, k, layering);
+    let frame_at =
+        |id, azimuth, source: &str, size, k| frame_of(Mode::Composite, false, id, azimuth, source, size, k);
+    let frame = |source: &str, size, k| frame_at(1, 0.5, source, size, k);
     let settings = |color_bits, num_groups| Settings { color_bits, num_groups };
-    let merge = Layering::VisibilityMerge;
-    let cloud = frame("builtin:cloud@32", [40, 40], 4, merge);
+    let cloud = frame("builtin:cloud@32", [40, 40], 4);
     let empty = LayeredFrame::empty(cloud.header);
     let shells = "builtin:shells@32";
     let exact = settings(10, 1);
     for (name, frame, settings) in [
         ("exact-2-cloud-two-groups", cloud, settings(10, 2)),
-        ("exact-2-cubus-one-group", frame("builtin:cubus@32", [48, 40], 4, merge), settings(10, 1)),
-        ("exact-2-shells-8-bit", frame(shells, [33, 130], 2, Layering::EqualTransmittance), settings(8, 2)),
-        ("exact-2-shells-long-lists", frame(shells, [24, 24], 16, Layering::EqualLength), settings(10, 2)),
+        ("exact-2-cubus-one-group", frame("builtin:cubus@32", [48, 40], 4), settings(10, 1)),
+        ("exact-2-shells-8-bit", frame(shells, [33, 130], 2), settings(8, 2)),
+        ("exact-2-shells-long-lists", frame(shells, [24, 24], 16), settings(10, 2)),
         ("exact-2-empty", empty, settings(10, 2)),
-        ("exact-2-shells-mip-parallel", frame_of(Mode::Mip, true, 1, 0.5, shells, [30, 24], 4, merge), exact),
-        ("exact-2-own-bands", frame(shells, [40, 260], 4, merge), settings(10, 2)),
+        ("exact-2-shells-mip-parallel", frame_of(Mode::Mip, true, 1, 0.5, shells, [30, 24], 4), exact),
+        ("exact-2-own-bands", frame(shells, [40, 260], 4), settings(10, 2)),
     ] {
         let path = path(name);
         if !path.exists() {
@@ -201,23 +199,23 @@ fn make_missing_vectors() {
         }
     }
     let mut references = References::default();
-    let turned = |id, azimuth| frame_at(id, azimuth, shells, [90, 70], 8, merge);
+    let turned = |id, azimuth| frame_at(id, azimuth, shells, [90, 70], 8);
     for ((name, before, _), (frame, quality, is_split)) in BLOCKS.into_iter().zip([
         (turned(11, 0.5), 60, false),
         (turned(12, 0.52), 60, false),
         (turned(13, 0.52), 60, false),
-        (frame_at(14, 0.5, "builtin:cloud@32", [64, 64], 12, merge), 90, true),
-        (frame_at(15, 0.5, "builtin:cubus@32", [50, 81], 4, Layering::EqualTransmittance), 10, false),
-        (frame_at(16, 0.5, shells, [40, 260], 8, merge), 40, false),
-        (frame_at(17, 0.52, shells, [40, 260], 8, merge), 40, true),
-        (frame_of(Mode::Composite, true, 20, 0.5, shells, [48, 40], 8, merge), 60, false),
+        (frame_at(14, 0.5, "builtin:cloud@32", [64, 64], 12), 90, true),
+        (frame_at(15, 0.5, "builtin:cubus@32", [50, 81], 4), 10, false),
+        (frame_at(16, 0.5, shells, [40, 260], 8), 40, false),
+        (frame_at(17, 0.52, shells, [40, 260], 8), 40, true),
+        (frame_of(Mode::Composite, true, 20, 0.5, shells, [48, 40], 8), 60, false),
         (turned(21, 0.5), 70, true),
         (turned(22, 0.51), 70, false),
-        (frame_at(23, 0.5, "builtin:cloud@32", [61, 75], 8, merge), 20, false),
+        (frame_at(23, 0.5, "builtin:cloud@32", [61, 75], 8), 20, false),
         (turned(31, 0.5), 50, false),
         (turned(32, 0.51), 70, true),
         (turned(33, 0.51), 70, false),
-        (frame_at(34, 0.5, "builtin:cloud@32", [40, 260], 8, merge), 30, true),
+        (frame_at(34, 0.5, "builtin:cloud@32", [40, 260], 8), 30, true),
         // Behind it are those that are written no more.
     ]) {
         let path = path(name);

@@ -21,7 +21,7 @@ use isinglass_client::{
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::combine::combine;
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::lens::raycast_mean;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::raycast;
@@ -283,7 +283,7 @@ impl StillSource {
             k: 8,
             mode: Default::default(),
         };
-        let frame: LayeredFrame = generate(&self.scene, header, Layering::default());
+        let frame: LayeredFrame = generate(&self.scene, header);
         let times = Life::default();
         Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
     }

@@ -4,12 +4,8 @@ use std::path::Path;
 
 use isinglass_core::codec::CodecError;
 use isinglass_core::image_error::ImageErrorError;
-use isinglass_core::kernels::layering::all_samples::AllSamplesError;
-use isinglass_core::mode::Mode;
 use isinglass_formats::FormatError;
 use isinglass_gpu::GpuError;
-
-use crate::rivals::Method;
 
 /// Why there is no result.
 #[derive(Debug, thiserror::Error)]
@@ -24,9 +20,6 @@ pub enum BenchError {
     /// A frame cannot be encoded or decoded.
     #[error("{0}")]
     Codec(CodecError),
-    /// Not every sample can be kept.
-    #[error("{0}")]
-    AllSamples(AllSamplesError),
     /// Pictures cannot be compared.
     #[error("{0}")]
     Compare(ImageErrorError),
@@ -37,14 +30,6 @@ pub enum BenchError {
         found: String,
         /// What there is.
         expected: String,
-    },
-    /// A method that knows nothing but the composite mode.
-    #[error("--method {method}: composites with over, expected layers in mode {mode}")]
-    Mode {
-        /// The method.
-        method: Method,
-        /// The mode.
-        mode: Mode,
     },
     /// Nothing is left to measure.
     #[error("no scene to measure: {0}")]
@@ -65,22 +50,6 @@ pub enum BenchError {
         /// What is wrong.
         cause: String,
     },
-    /// The codec of somebody else did not do it.
-    #[error("{codec}: {cause}")]
-    Rival {
-        /// Its name.
-        codec: &'static str,
-        /// What is wrong.
-        cause: String,
-    },
-    /// A codec that there is not.
-    #[error("unknown codec {found:?}, expected one of {expected}")]
-    UnknownCodec {
-        /// What was asked for.
-        found: String,
-        /// What there is.
-        expected: String,
-    },
     /// The demonstration could not be played.
     #[error("demo: {0}")]
     Demo(String),
@@ -89,7 +58,7 @@ pub enum BenchError {
 impl BenchError {
     /// Whether something was asked for that there is not.
     pub fn is_usage(&self) -> bool {
-        matches!(self, Self::UnknownScene { .. } | Self::UnknownCodec { .. } | Self::Mode { .. })
+        matches!(self, Self::UnknownScene { .. })
     }
 
     /// For `map_err` on anything that touches `path`.
@@ -108,10 +77,4 @@ macro_rules! from {
     };
 }
 
-from!(
-    Format(FormatError),
-    Gpu(GpuError),
-    Codec(CodecError),
-    Compare(ImageErrorError),
-    AllSamples(AllSamplesError)
-);
+from!(Format(FormatError), Gpu(GpuError), Codec(CodecError), Compare(ImageErrorError));

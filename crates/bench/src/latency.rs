@@ -1,50 +1,32 @@
-//! The headless demonstration over a table of methods, camera speeds and round-trip times.
+//! The headless demonstration over a table of contenders, camera speeds and round-trip times.
 
 use std::fmt;
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::time::Duration;
 
 use isinglass_client::Foresight;
 use isinglass_net::LinkModel;
 use serde::Serialize;
 
-use crate::choices::{MethodChoice, Rule};
-use crate::demo::{DemoOptions, Report, run_headless};
+use crate::demo::{DemoOptions, Report, Rival, run_headless};
 use crate::error::BenchError;
 use crate::progress::note;
 use crate::scenes::SceneSource;
-use crate::subject::{Subject, SubjectConditions, each_scene};
+use crate::subject::{Failures, Subject, SubjectConditions, each_scene};
 
-/// `METHOD[@RULE][:no-prediction]`: a method, the rule by which the server makes its frames, and whether frames are
-/// asked for from where the camera will be.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LatencyMethod {
-    /// Method and rule. Without one the demonstration's rule is taken.
-    pub choice: MethodChoice,
-    /// Whether prediction is switched off, as the papers have none.
+/// What is played.
+#[derive(Clone, Debug, Default)]
+pub struct Contender {
+    /// A laboratory's way in place of the product's.
+    pub rival: Option<Rival>,
+    /// Whether prediction is switched off: then frames are asked for from where the camera is.
     pub never_predicts: bool,
 }
 
-impl fmt::Display for LatencyMethod {
+impl fmt::Display for Contender {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.choice, if self.never_predicts { NO_PREDICTION } else { "" })
-    }
-}
-
-impl FromStr for LatencyMethod {
-    type Err = String;
-
-    fn from_str(s: &str) -> Result<Self, String> {
-        let (choice, never_predicts) = match s.strip_suffix(NO_PREDICTION) {
-            Some(choice) => (choice, true),
-            None => (s, false),
-        };
-        let choice: MethodChoice = choice.parse()?;
-        if choice.rule == Some(Rule::AllSamples) {
-            return Err(format!("'{s}': no server sends {}, expected a rule for frames", Rule::AllSamples));
-        }
-        Ok(Self { choice, never_predicts })
+        let name = self.rival.as_ref().map_or("layers", |rival| &rival.name);
+        write!(f, "{name}{}", if self.never_predicts { ":no-prediction" } else { "" })
     }
 }
 
@@ -53,8 +35,8 @@ impl FromStr for LatencyMethod {
 pub struct LatencyOptions {
     /// The scenes, see [`crate::scenes::select`].
     pub scenes: Vec<SceneSource>,
-    /// Methods.
-    pub methods: Vec<LatencyMethod>,
+    /// What is played, one after the other.
+    pub contenders: Vec<Contender>,
     /// Speeds of the camera.
     pub degrees_per_second: Vec<f32>,
     /// Round-trip times.
@@ -98,18 +80,17 @@ pub struct LatencyRow {
 
 /// Measures, in real time.
 pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
-    options.methods.iter().try_for_each(|m| m.choice.method.check_mode(options.demo.mode))?;
-    let lists = [options.scenes.len(), options.methods.len(), options.degrees_per_second.len()];
+    let lists = [options.scenes.len(), options.contenders.len(), options.degrees_per_second.len()];
     let num_runs = lists.iter().product::<usize>() * options.rtts.len();
     let mut rows = Vec::with_capacity(num_runs);
-    let failures = each_scene(&options.scenes, |scene| {
+    let failures: Failures<BenchError> = each_scene(&options.scenes, |scene| {
         for &rtt in &options.rtts {
             for &degrees_per_second in &options.degrees_per_second {
-                for &method in &options.methods {
+                for contender in &options.contenders {
                     let rtt_ms = rtt.as_secs_f64() * 1e3;
-                    let name = format!("{}-{rtt_ms}ms-{degrees_per_second}-{method}", scene.name);
+                    let name = format!("{}-{rtt_ms}ms-{degrees_per_second}-{contender}", scene.name);
                     note(&format!("{}/{num_runs}: {name}", rows.len() + 1));
-                    let demo = demo_of(&options.demo, scene, method, degrees_per_second, rtt);
+                    let demo = demo_of(&options.demo, scene, contender, degrees_per_second, rtt);
                     let out = options.out.as_ref().map(|out| out.join(name.replace([':', '/', '@'], "-")));
                     let report = run_headless(&demo, out.as_deref())?.report;
                     rows.push(LatencyRow { scene: scene.name.clone(), report });
@@ -148,22 +129,17 @@ fn subject_of(options: &LatencyOptions) -> Subject {
 fn demo_of(
     demo: &DemoOptions,
     scene: &SceneSource,
-    method: LatencyMethod,
+    contender: &Contender,
     degrees_per_second: f32,
     rtt: Duration,
 ) -> DemoOptions {
-    let layering = match method.choice.rule {
-        Some(Rule::Layering(layering)) => layering,
-        _ => demo.layering,
-    };
-    let predicts = demo.foresight.predicts && !method.never_predicts;
+    let predicts = demo.foresight.predicts && !contender.never_predicts;
     DemoOptions {
         source: scene.volume.source.clone(),
         raw: scene.volume.raw,
         selection: scene.volume.selection,
         spacing: scene.volume.spacing,
-        layering,
-        method: method.choice.method,
+        rival: contender.rival.clone(),
         foresight: Foresight { predicts, ..demo.foresight },
         degrees_per_second,
         link: LinkModel { rtt, ..demo.link.clone() },
@@ -213,32 +189,23 @@ pub fn table(report: &LatencyReport) -> String {
     text
 }
 
-const NO_PREDICTION: &str = ":no-prediction";
-
 #[cfg(test)]
 mod tests {
-    use isinglass_core::kernels::layering::Layering;
-
     use super::*;
-    use crate::rivals::Method;
 
     #[test]
-    fn a_method_is_played_as_it_is_named() {
-        let demo = |method: &str| {
-            let method: LatencyMethod = method.parse().unwrap();
+    fn a_contender_is_played_as_it_is_named() {
+        let demo = |never_predicts| {
             let scene = SceneSource::new("a", "builtin:cubus@16");
-            demo_of(&DemoOptions::default(), &scene, method, 60.0, Duration::from_millis(100))
+            let contender = Contender { rival: None, never_predicts };
+            (contender.to_string(), demo_of(&DemoOptions::default(), &scene, &contender, 60.0, RTT))
         };
-        let ours = demo("layers");
-        assert_eq!((ours.method, ours.layering), (Method::Layers, Layering::default()));
-        assert!(ours.foresight.predicts && !demo("layers:no-prediction").foresight.predicts);
-        assert_eq!((ours.degrees_per_second, ours.link.rtt), (60.0, Duration::from_millis(100)));
-        assert_eq!(ours.source, "builtin:cubus@16");
-        let warp = demo("point-warp@single-depth:exit:no-prediction");
-        assert_eq!((warp.method, warp.layering.name()), (Method::PointWarp, "single-depth:exit"));
-        assert!(!warp.foresight.predicts && warp.foresight.keeps);
-        for bad in ["layers@all-samples", "warp", "layers:yes"] {
-            assert!(bad.parse::<LatencyMethod>().is_err(), "{bad}");
-        }
+        let (name, ours) = demo(false);
+        assert!(name == "layers" && ours.foresight.predicts);
+        assert_eq!((ours.degrees_per_second, ours.link.rtt, &*ours.source), (60.0, RTT, "builtin:cubus@16"));
+        let (name, late) = demo(true);
+        assert!(name == "layers:no-prediction" && !late.foresight.predicts && late.foresight.keeps);
     }
+
+    const RTT: Duration = Duration::from_millis(100);
 }

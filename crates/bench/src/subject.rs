@@ -6,13 +6,12 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::mode::{Isos, Mode};
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{Selection, open};
 use serde::Serialize;
 
 use crate::error::BenchError;
 use crate::progress::note;
-use crate::quality::march_settings;
 use crate::scenes::{OpenedScene, SceneSource, scene_of};
 use crate::view::Orbit;
 
@@ -43,33 +42,30 @@ pub struct Subject {
 
 impl Subject {
     /// Opens one of the scenes.
-    pub(crate) fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
+    pub fn open(&self, source: &SceneSource) -> Result<OpenedScene, BenchError> {
         self.open_scene(source, self.open_volume(source)?)
     }
 
     /// Reads or makes the voxels of one of the scenes.
-    pub(crate) fn open_volume(&self, source: &SceneSource) -> Result<Arc<Volume>, BenchError> {
+    pub fn open_volume(&self, source: &SceneSource) -> Result<Arc<Volume>, BenchError> {
         Ok(Arc::new(open(&source.volume.source, &source.volume.options())?))
     }
 
     /// Makes them ready.
-    pub(crate) fn open_scene(
-        &self,
-        source: &SceneSource,
-        volume: Arc<Volume>,
-    ) -> Result<OpenedScene, BenchError> {
+    pub fn open_scene(&self, source: &SceneSource, volume: Arc<Volume>) -> Result<OpenedScene, BenchError> {
         let (clip, mode, isos) = (self.clip, self.mode, self.isos);
-        let settings = MarchSettings { clip, mode, isos, ..march_settings(self.shaded) };
+        let settings =
+            MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, Lighting::default()) };
         Ok(scene_of(volume, &source.volume.source, self.transfer.as_deref(), settings)?)
     }
 
     /// The generating camera's place around a volume, upright as that is for `render` and the viewer.
-    pub(crate) fn orbit(&self, volume: &Volume) -> Orbit {
+    pub fn orbit(&self, volume: &Volume) -> Orbit {
         self.orbit.upright(volume.info.orientation.as_deref())
     }
 
     /// What holds for all of its rows.
-    pub(crate) fn conditions(&self, threads: usize, failed: Vec<String>) -> SubjectConditions {
+    pub fn conditions(&self, threads: usize, failed: Vec<String>) -> SubjectConditions {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii, .. } = self.orbit;
         SubjectConditions {
@@ -93,11 +89,11 @@ impl Subject {
 
 /// Measures scene by scene, and returns what failed: a scene that cannot be measured to its end costs its own rows, not
 /// the hours of others.
-pub(crate) fn each_scene(
+pub fn each_scene<E: std::fmt::Display>(
     scenes: &[SceneSource],
-    mut measure: impl FnMut(&SceneSource) -> Result<(), BenchError>,
-) -> Failures {
-    let mut failures = Failures::default();
+    mut measure: impl FnMut(&SceneSource) -> Result<(), E>,
+) -> Failures<E> {
+    let mut failures = Failures(Vec::new());
     for source in scenes {
         if let Err(error) = measure(source) {
             let line = match error.to_string() {
@@ -113,16 +109,23 @@ pub(crate) fn each_scene(
 }
 
 /// Scenes that were not measured to their end: a line about each, and why.
-#[derive(Debug, Default)]
-pub(crate) struct Failures(Vec<(String, BenchError)>);
+#[derive(Debug)]
+pub struct Failures<E>(Vec<(String, E)>);
 
-impl Failures {
-    pub(crate) fn append(&mut self, mut others: Self) {
+impl<E> Default for Failures<E> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<E> Failures<E> {
+    /// Adds those of other runs.
+    pub fn append(&mut self, mut others: Self) {
         self.0.append(&mut others.0);
     }
 
     /// A line each for the report; the first error if there is nothing to report.
-    pub(crate) fn lines(mut self, is_nothing_measured: bool) -> Result<Vec<String>, BenchError> {
+    pub fn lines(mut self, is_nothing_measured: bool) -> Result<Vec<String>, E> {
         if is_nothing_measured && !self.0.is_empty() {
             return Err(self.0.swap_remove(0).1);
         }

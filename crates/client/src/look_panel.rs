@@ -2,7 +2,6 @@
 
 use egui::{Align2, RichText, Ui, vec2};
 use glam::Vec3;
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
@@ -109,15 +108,6 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
     egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         row(ui, "shading", "by gradients, with a light fixed in the world", |ui| {
             ui.checkbox(&mut look.shaded, "")
-        });
-        row(ui, "layering", "which segments a frame holds", |ui| {
-            let combo = egui::ComboBox::from_id_salt("layering").selected_text(look.layering.name());
-            let choices = |ui: &mut Ui| {
-                for layering in Layering::ALL {
-                    ui.selectable_value(&mut look.layering, layering, layering.name());
-                }
-            };
-            combo.show_ui(ui, choices).response
         });
         row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
             let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);

@@ -1,9 +1,8 @@
-//! What a viewer may choose about the picture: mode, classification, shading and the layering rule.
+//! What a viewer may choose about the picture: mode, classification, shading and list lengths.
 
 use serde::{Deserialize, Serialize};
 
 use crate::clip::{Clip, ClipError};
-use crate::kernels::layering::Layering;
 use crate::kernels::march::MarchSettings;
 use crate::layer::MAX_K;
 use crate::mode::{Isos, Mode};
@@ -19,9 +18,7 @@ pub struct Look {
     pub shaded: bool,
     /// Where the light is, and the shade of matter.
     pub lighting: Lighting,
-    /// What becomes of the samples of a march.
-    pub layering: Layering,
-    /// Longest list, or with a budget the mean of those that are not empty, 1 to [`MAX_K`].
+    /// Mean length of lists that are not empty, 1 to [`MAX_K`].
     pub k: u8,
     /// What of the volume is looked at.
     pub clip: Clip,
@@ -58,9 +55,9 @@ pub enum LookError {
 impl Look {
     /// A transfer function with everything else as it is unless somebody chooses.
     pub fn new(transfer: TransferFunction) -> Self {
-        let (layering, lighting) = (Layering::default(), Lighting::default());
-        let (clip, mode, isos) = (Clip::default(), Mode::default(), Isos::default());
-        Self { transfer, shaded: true, lighting, layering, k: DEFAULT_K, clip, mode, isos }
+        let (lighting, clip) = (Lighting::default(), Clip::default());
+        let (mode, isos) = (Mode::default(), Isos::default());
+        Self { transfer, shaded: true, lighting, k: DEFAULT_K, clip, mode, isos }
     }
 
     /// Checks what the type cannot say.
@@ -80,9 +77,9 @@ impl Look {
         Ok(self.transfer.validate()?)
     }
 
-    /// Whether a volume is marched alike under both: they differ in what becomes of the samples alone.
+    /// Whether a volume is marched alike under both: they differ in the length of lists alone.
     pub fn marches_like(&self, other: &Self) -> bool {
-        Self { layering: other.layering, k: other.k, ..self.clone() } == *other
+        Self { k: other.k, ..self.clone() } == *other
     }
 
     /// How a volume is marched under this look.

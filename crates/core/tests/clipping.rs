@@ -12,7 +12,6 @@ use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::kernels::combine::{combine, combine_clipped};
-use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render, render_through};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::LayeredFrame;
@@ -69,11 +68,11 @@ fn a_clip_at_the_whole_box_changes_no_bit() {
     let boxed = Clip { bounds: Some(bounds), plane: None };
     for camera in cameras(0.4, 40, &bounds) {
         let truth = render(&scene, &camera);
-        let frame = frame_of(&scene, camera, 8, Layering::default());
+        let frame = frame_of(&scene, camera, 8);
         let turned = cameras(0.9, 40, &bounds)[0];
         for clip in [boxed, whole] {
             assert_eq!(render(&clipped(&scene, clip), &camera), truth);
-            assert_eq!(frame_of(&clipped(&scene, clip), camera, 8, Layering::default()), frame);
+            assert_eq!(frame_of(&clipped(&scene, clip), camera, 8), frame);
             for seen in [camera, turned] {
                 assert_eq!(cast(&frame, &bounds, &seen, clip), cast(&frame, &bounds, &seen, Clip::default()));
             }
@@ -154,14 +153,6 @@ fn half_a_sphere_is_the_closed_form() {
 /// that can be seen.
 #[test]
 fn a_clipped_frame_cut_again_is_the_rendering_at_its_own_pose() {
-    let rules = [
-        Layering::VisibilityMerge,
-        Layering::EqualTransmittance,
-        Layering::EqualLength,
-        Layering::Homogeneity,
-        Layering::Slabs,
-        Layering::SingleDepth(Representative::Mean),
-    ];
     for builtin in Builtin::ALL {
         let scene = scene(builtin);
         let bounds = scene.volume.bounds();
@@ -170,11 +161,9 @@ fn a_clipped_frame_cut_again_is_the_rendering_at_its_own_pose() {
             for camera in cameras(0.5, 48, &bounds) {
                 let truth = render(&cut, &camera);
                 assert!(max_difference(&truth, &render(&scene, &camera)) > 30, "something is cut away");
-                for layering in rules {
-                    let frame = frame_of(&cut, camera, 8, layering);
-                    let difference = max_difference(&cast(&frame, &bounds, &camera, clip), &truth);
-                    assert!(difference <= 1, "{} {layering} {clip:?}: {difference}/255", builtin.name());
-                }
+                let frame = frame_of(&cut, camera, 8);
+                let difference = max_difference(&cast(&frame, &bounds, &camera, clip), &truth);
+                assert!(difference <= 1, "{} {clip:?}: {difference}/255", builtin.name());
             }
         }
     }
@@ -190,7 +179,7 @@ fn a_whole_frame_is_cut_at_once() {
             let (cut, region) = (clipped(&scene, clip), clip.region(&bounds));
             for (old, new) in [(0.5, 0.5), (0.5, 0.7)] {
                 for (old, new) in cameras(old, 64, &bounds).iter().zip(&cameras(new, 48, &bounds)) {
-                    let frame = frame_of(&scene, *old, 8, Layering::default());
+                    let frame = frame_of(&scene, *old, 8);
                     let (found, truth) = (cast(&frame, &bounds, new, clip), render(&cut, new));
                     // The margin of a few depth units, and what rounding adds.
                     let least = region.grown(1e-3 * bounds.radius());
@@ -221,7 +210,7 @@ fn cut_rays_match_brute_force_and_empty_space_changes_nothing() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     for old in cameras(0.3, 28, &bounds) {
-        let frame = frame_of(&scene, old, 8, Layering::default());
+        let frame = frame_of(&scene, old, 8);
         let caster = Raycaster::new(&frame, &bounds);
         for clip in clips(&bounds) {
             for new in [0.475, 2.0].into_iter().flat_map(|azimuth| cameras(azimuth, 17, &bounds)) {
@@ -259,7 +248,7 @@ fn several_frames_are_cut_as_one() {
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.2, 0.9 * bounds.radius());
         Camera::new(pose, Intrinsics::perspective(48, 40, 0.7), &bounds)
     };
-    let frames = [near(0.0), near(0.6)].map(|camera| frame_of(&scene, camera, 8, Layering::default()));
+    let frames = [near(0.0), near(0.6)].map(|camera| frame_of(&scene, camera, 8));
     let frames = frames.each_ref();
     let display = near(0.4);
     for clip in clips(&bounds) {

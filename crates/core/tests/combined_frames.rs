@@ -9,7 +9,6 @@ mod frames;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::combine::{MAX_FRAMES, choose, combine};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::render;
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::LayeredFrame;
@@ -47,8 +46,7 @@ fn one_frame_alone_is_cast_as_ever_and_the_own_pose_is_the_newest_frame_s_alone(
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let (here, there) = (near(0.0, Vec3::ZERO, &bounds), near(20.0, Vec3::ZERO, &bounds));
-    let (newest, older) =
-        (frame_of(&scene, here, 8, Layering::default()), frame_of(&scene, there, 8, Layering::default()));
+    let (newest, older) = (frame_of(&scene, here, 8), frame_of(&scene, there, 8));
     for camera in [here, there, near(150.0, Vec3::X, &bounds)] {
         assert_eq!(combine(&[&newest], &bounds, &camera), raycast(&newest, &bounds, &camera));
     }
@@ -76,10 +74,7 @@ fn what_the_newest_frame_does_not_see_comes_from_the_kept_ones() {
     ] {
         let [newest, kept, display] = [newest, kept, display].map(|(az, pan)| near(az, pan, &bounds));
         assert_eq!(choose(&display, &newest, &[kept], &bounds), [0]);
-        let (newest, kept) = (
-            frame_of(&scene, newest, 8, Layering::default()),
-            frame_of(&scene, kept, 8, Layering::default()),
-        );
+        let (newest, kept) = (frame_of(&scene, newest, 8), frame_of(&scene, kept, 8));
         let truth = render(&scene, &display);
         let alone = raycast(&newest, &bounds, &display);
         let together = combine(&[&newest, &kept], &bounds, &display);
@@ -107,8 +102,8 @@ fn no_seam_shows_where_one_frame_ends() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let width = bounds.radius() * 0.2;
-    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8, Layering::default());
-    let mut kept = frame_of(&scene, near(0.0, Vec3::NEG_X * width, &bounds), 8, Layering::default());
+    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8);
+    let mut kept = frame_of(&scene, near(0.0, Vec3::NEG_X * width, &bounds), 8);
     for i in 0..kept.num_segments() {
         let mut s = kept.segment(i);
         s.c *= 2.0;
@@ -136,8 +131,8 @@ fn no_seam_shows_where_one_frame_ends() {
 fn as_the_camera_leaves_the_newest_frame_nothing_jumps() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
-    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8, Layering::default());
-    let kept = frame_of(&scene, near(25.0, Vec3::ZERO, &bounds), 8, Layering::default());
+    let newest = frame_of(&scene, near(0.0, Vec3::ZERO, &bounds), 8);
+    let kept = frame_of(&scene, near(25.0, Vec3::ZERO, &bounds), 8);
     let at = |az: f32| combine(&[&newest, &kept], &bounds, &near(az, Vec3::ZERO, &bounds));
     let everywhere = |_: usize, _: usize| true;
     let mut before = at(0.0);
@@ -180,8 +175,7 @@ fn odd_cameras_are_survived() {
             Camera::new(pose, PICTURE, &bounds)
         })
         .to_vec();
-    let frames: Vec<LayeredFrame> =
-        cameras.iter().map(|c| frame_of(&scene, *c, 8, Layering::default())).collect();
+    let frames: Vec<LayeredFrame> = cameras.iter().map(|c| frame_of(&scene, *c, 8)).collect();
     for camera in &cameras {
         for first in 0..frames.len() {
             let mut order: Vec<&LayeredFrame> = frames.iter().collect();

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::image_error::compare;
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::lens::{
     Exposure, View, disc_point, mean_picture, pose_between, raycast_mean, render_mean,
 };
@@ -57,7 +57,7 @@ fn camera_at(azimuth: f32, bounds: &Aabb) -> Camera {
 
 fn frame_of(scene: &Scene, camera: Camera) -> LayeredFrame {
     let header = FrameHeader::alone(camera, 12);
-    generate(scene, header, Layering::VisibilityMerge)
+    generate(scene, header)
 }
 
 fn pinhole(focus_depth: f32) -> Exposure {

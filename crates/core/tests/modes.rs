@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, Shading, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, key_from_slot};
@@ -263,10 +263,10 @@ fn skipping_empty_bricks_changes_nothing() {
     assert_eq!(scene.occupancy.fraction(), 0.0);
 }
 
-fn frame_of(mode: Mode, k: u8, layering: Layering) -> (Scene, Camera, LayeredFrame) {
+fn frame_of(mode: Mode, k: u8) -> (Scene, Camera, LayeredFrame) {
     let scene = Scene::new(noise(), &ramp(180.0), settings(mode));
     let camera = camera(&scene, 0.4);
-    let frame = generate(&scene, FrameHeader::alone(camera, k), layering);
+    let frame = generate(&scene, FrameHeader::alone(camera, k));
     frame.validate().unwrap();
     assert_eq!(frame.header.mode, mode);
     (scene, camera, frame)
@@ -276,7 +276,7 @@ fn frame_of(mode: Mode, k: u8, layering: Layering) -> (Scene, Camera, LayeredFra
 fn lists_hold_their_budget_and_the_greatest_key_once() {
     for mode in [Mode::Mip, Mode::MinIp, Mode::Average] {
         for k in [1u8, 4, 16] {
-            let (.., frame) = frame_of(mode, k, Layering::VisibilityMerge);
+            let (.., frame) = frame_of(mode, k);
             let filled = frame.offsets.windows(2).filter(|w| w[1] > w[0]).count();
             let mean = frame.num_segments() as f32 / filled as f32;
             // The sample is a sixteenth of the rays.
@@ -295,7 +295,7 @@ fn lists_hold_their_budget_and_the_greatest_key_once() {
 #[test]
 fn novel_views_are_those_of_tiny_steps() {
     for mode in [Mode::Mip, Mode::Average] {
-        let (scene, own, frame) = frame_of(mode, 6, Layering::VisibilityMerge);
+        let (scene, own, frame) = frame_of(mode, 6);
         let bounds = scene.volume.bounds();
         let caster = Raycaster::new(&frame, &bounds);
         let options = CastOptions { reconstruction: Reconstruction::Nearest, ..CastOptions::default() };
@@ -354,7 +354,7 @@ fn samples_of_a_homogeneous_body_have_its_mean() {
     let scene = Scene::new(Arc::new(Field::Constant(0.8).volume(24)), &ramp(2.0), settings(Mode::Average));
     let bounds = scene.volume.bounds();
     let own = camera(&scene, 0.4);
-    let frame = generate(&scene, FrameHeader::alone(own, 4), Layering::default());
+    let frame = generate(&scene, FrameHeader::alone(own, 4));
     let caster = Raycaster::new(&frame, &bounds);
     for num_samples in [0, 1, 7] {
         let options = CastOptions { num_samples, ..CastOptions::default() };

@@ -12,7 +12,6 @@ use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::combine::combine;
-use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::lens::{View, render_mean};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
@@ -122,32 +121,21 @@ fn sizes_do_not_depend_on_depth_and_the_middle_is_as_in_the_perspective() {
 
 #[test]
 fn own_pose_is_the_rendering() {
-    let rules = [
-        Layering::VisibilityMerge,
-        Layering::EqualTransmittance,
-        Layering::EqualLength,
-        Layering::Homogeneity,
-        Layering::Slabs,
-        Layering::SingleDepth(Representative::Mean),
-    ];
     for builtin in Builtin::ALL {
         let scene = scene(builtin);
         let bounds = scene.volume.bounds();
         for (azimuth, distance) in [(0.3, 5.0), (4.0, 0.6)] {
             let camera = parallel(azimuth, distance, 48, &bounds);
             let truth = render(&scene, &camera);
-            for layering in rules {
-                let frame = frame_of(&scene, camera, 8, layering);
-                let at = format!("{} {layering} azimuth {azimuth}", builtin.name());
-                assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
-                assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
-                // A frame with a margin around the same picture is as exact.
-                let wide = Camera { intrinsics: camera.intrinsics.with_margin(16), ..camera };
-                let wide = raycast(&frame_of(&scene, wide, 8, layering), &bounds, &camera);
-                assert!(max_difference(&wide, &truth) <= 1, "with a margin: {at}");
-            }
+            let frame = frame_of(&scene, camera, 8);
+            let at = format!("{} azimuth {azimuth}", builtin.name());
+            assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
+            assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
+            // A frame with a margin around the same picture is as exact.
+            let wide = Camera { intrinsics: camera.intrinsics.with_margin(16), ..camera };
+            let wide = raycast(&frame_of(&scene, wide, 8), &bounds, &camera);
+            assert!(max_difference(&wide, &truth) <= 1, "with a margin: {at}");
             // Negative control: a tenth to the side is not the rendering.
-            let frame = frame_of(&scene, camera, 8, Layering::default());
             let mut beside = camera;
             beside.pose.eye += camera.pose.world_from_view * Vec3::X * 0.1 * distance;
             assert!(max_difference(&raycast(&frame, &bounds, &beside), &truth) > 8);
@@ -177,7 +165,7 @@ fn frames_of_one_projection_are_cast_right_into_the_other() {
             parallel(0.3, 0.7, 28, &bounds),
             perspective(0.3, 4.0, 28, &bounds),
         ] {
-            let frame = frame_of(&scene, old, 8, Layering::default());
+            let frame = frame_of(&scene, old, 8);
             let caster = Raycaster::new(&frame, &bounds);
             let is_old_parallel = old.intrinsics.projection.is_orthographic();
             for new in
@@ -204,7 +192,7 @@ fn frames_of_one_projection_are_cast_right_into_the_other() {
                 parallel(0.35, 4.0, 48, &bounds)
             };
             if old.intrinsics == perspective(0.3, 4.0, 28, &bounds).intrinsics {
-                let fine = frame_of(&scene, perspective(0.3, 4.0, 96, &bounds), 8, Layering::default());
+                let fine = frame_of(&scene, perspective(0.3, 4.0, 96, &bounds), 8);
                 let truth = render(&scene, &new);
                 let before = render(&scene, &perspective(0.3, 4.0, 48, &bounds));
                 let found = raycast(&fine, &bounds, &new);
@@ -223,7 +211,7 @@ fn frames_of_both_projections_are_one_picture() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let (newest, older) = (parallel(0.0, 1.2, 48, &bounds), perspective(0.2, 4.0, 96, &bounds));
-    let frames = [newest, older].map(|camera| frame_of(&scene, camera, 8, Layering::default()));
+    let frames = [newest, older].map(|camera| frame_of(&scene, camera, 8));
     let frames = frames.each_ref();
     let own = combine(&frames, &bounds, &newest);
     assert_eq!(own, raycast(frames[0], &bounds, &newest), "the newest sees all of its own picture");

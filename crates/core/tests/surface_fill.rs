@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::{Clip, Plane};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::FrameHeader;
@@ -63,7 +63,7 @@ fn share_off(scene: &Scene, degrees: f32) -> f32 {
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.1, bounds.radius() * intrinsics.fit_distance());
         Camera::new(pose, intrinsics, &bounds)
     };
-    let frame = generate(scene, FrameHeader::alone(camera(0.0), 8), Layering::VisibilityMerge);
+    let frame = generate(scene, FrameHeader::alone(camera(0.0), 8));
     let (to, srgb) = (camera(degrees.to_radians()), |p: &Picture| p.to_srgb8([0.0; 3]));
     let (seen, truth) = (srgb(&raycast(&frame, &bounds, &to)), srgb(&render(scene, &to)));
     // Half of white: a pixel that matter covers or not, not one whose shade differs.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::budget::Budget;
-use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::layering::{self, FrameMaker};
 use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
 use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster};
@@ -15,7 +15,7 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::wanted::Wanted;
+use isinglass_core::wanted::{ALWAYS, Wanted};
 
 use crate::device::Gpu;
 use crate::error::GpuError;
@@ -71,6 +71,8 @@ pub enum Backend {
     Gpu(Gpu),
     /// On the CPU: the twins of core.
     Cpu,
+    /// On the CPU, with layered frames by a rule that a laboratory brings.
+    Rule(FrameMaker),
 }
 
 impl Backend {
@@ -103,7 +105,7 @@ impl Backend {
 
     /// This, or where its device is gone one that was opened anew; the CPU if there is none of the kind.
     pub fn reopened(&self) -> Self {
-        let Self::Gpu(gone) = self else { return Self::Cpu };
+        let Self::Gpu(gone) = self else { return self.clone() };
         if !gone.is_lost() {
             return self.clone();
         }
@@ -121,7 +123,7 @@ impl Backend {
     pub fn description(&self) -> String {
         match self {
             Self::Gpu(gpu) => format!("gpu: {}", gpu.info()),
-            Self::Cpu => "cpu".into(),
+            Self::Cpu | Self::Rule(_) => "cpu".into(),
         }
     }
 
@@ -130,6 +132,7 @@ impl Backend {
         Ok(match self {
             Self::Gpu(gpu) => Renderer::Gpu(Box::new(GpuRenderer::new(gpu, scene)?)),
             Self::Cpu => Renderer::on_cpu(scene),
+            Self::Rule(maker) => Renderer::Cpu(Box::new(CpuRenderer::new(scene, Some(maker.clone())))),
         })
     }
 
@@ -138,8 +141,8 @@ impl Backend {
     pub fn raycast(&self, frame: &LayeredFrame, bounds: &Aabb, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(gpu) => GpuReprojector::new(gpu, frame, bounds)?.raycast(camera),
-            Self::Cpu if !camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu => Ok(raycast::raycast(frame, bounds, camera)),
+            _ if !camera.is_valid() => Err(GpuError::Camera),
+            _ => Ok(raycast::raycast(frame, bounds, camera)),
         }
     }
 
@@ -164,7 +167,7 @@ impl Backend {
     pub fn reprojector(&self, frame: Arc<LayeredFrame>, bounds: &Aabb) -> Result<Reprojector, GpuError> {
         Ok(match self {
             Self::Gpu(gpu) => Reprojector::Gpu(Box::new(GpuReprojector::new(gpu, &frame, bounds)?)),
-            Self::Cpu => Reprojector::Cpu(Box::new(Raycaster::new(&frame, bounds))),
+            _ => Reprojector::Cpu(Box::new(Raycaster::new(&frame, bounds))),
         })
     }
 }
@@ -181,12 +184,26 @@ pub enum Renderer {
 pub struct CpuRenderer {
     scene: Scene,
     budget: Budget,
+    maker: Option<FrameMaker>,
+}
+
+impl CpuRenderer {
+    fn new(scene: Scene, maker: Option<FrameMaker>) -> Self {
+        Self { scene, budget: Budget::default(), maker }
+    }
+
+    fn generate_while(&mut self, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
+        match &self.maker {
+            Some(maker) => maker(&self.scene, header, wanted),
+            None => layering::generate_while(&self.scene, header, &mut self.budget, wanted),
+        }
+    }
 }
 
 impl Renderer {
     /// A renderer of one scene on the CPU, which cannot fail.
     pub fn on_cpu(scene: Scene) -> Self {
-        Self::Cpu(Box::new(CpuRenderer { scene, budget: Budget::default() }))
+        Self::Cpu(Box::new(CpuRenderer::new(scene, None)))
     }
 
     /// What is drawn.
@@ -202,7 +219,7 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.set_scene(scene),
             Self::Cpu(renderer) => {
-                **renderer = CpuRenderer { scene, budget: Budget::default() };
+                **renderer = CpuRenderer::new(scene, renderer.maker.take());
                 Ok(())
             }
         }
@@ -251,12 +268,15 @@ impl Renderer {
         }
     }
 
-    /// A layered frame by a rule, with `header.k` segments a list: see [`layering::generate`].
-    pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+    /// A layered frame with `header.k` segments a list on average: see [`layering::generate`].
+    pub fn generate(&mut self, header: FrameHeader) -> Result<LayeredFrame, GpuError> {
         match self {
-            Self::Gpu(renderer) => renderer.generate(header, layering),
+            Self::Gpu(renderer) => renderer.generate(header),
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(renderer) => Ok(layering::generate(&renderer.scene, header, layering)),
+            Self::Cpu(renderer) => {
+                renderer.budget.forget();
+                Ok(renderer.generate_while(header, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header)))
+            }
         }
     }
 
@@ -265,16 +285,12 @@ impl Renderer {
     pub fn generate_while(
         &mut self,
         header: FrameHeader,
-        layering: Layering,
         wanted: Wanted<'_>,
     ) -> Result<Option<LayeredFrame>, GpuError> {
         match self {
-            Self::Gpu(renderer) => renderer.generate_while(header, layering, wanted),
+            Self::Gpu(renderer) => renderer.generate_while(header, wanted),
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
-            Self::Cpu(renderer) => {
-                let CpuRenderer { scene, budget } = &mut **renderer;
-                Ok(layering::generate_while(scene, header, layering, budget, wanted))
-            }
+            Self::Cpu(renderer) => Ok(renderer.generate_while(header, wanted)),
         }
     }
 }

@@ -7,9 +7,8 @@
 
 use std::time::{Duration, Instant};
 
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::layering::budget::{
-    Budget, FIRST_LEAST, FIRST_RATIO, NUM_THRESHOLDS, THRESHOLD_GREATEST, sample_stride,
+    Budget, FIRST_LEAST, FIRST_RATIO, NUM_THRESHOLDS, THRESHOLD_GREATEST, longest_list, sample_stride,
 };
 use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
 use isinglass_core::wanted::Wanted;
@@ -25,7 +24,6 @@ use crate::shaders::Kernel;
 pub(crate) struct FrameTarget {
     width: u32,
     height: u32,
-    layering: Layering,
     k: u8,
     max_steps: u32,
     /// Segments that the planes hold.
@@ -53,27 +51,21 @@ struct BandOnGpu {
 
 impl FrameTarget {
     /// For frames of a scene whose rays have no more than `max_steps`.
-    pub(crate) fn new(
-        gpu: &Gpu,
-        header: &FrameHeader,
-        layering: Layering,
-        max_steps: u32,
-    ) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, header: &FrameHeader, max_steps: u32) -> Result<Self, GpuError> {
         if !header.camera.is_valid() {
             return Err(GpuError::Camera);
         }
         let (width, height) = (header.camera.intrinsics.width, header.camera.intrinsics.height);
         let k = clamp_k(header.k);
         let num_pixels = u64::from(width) * u64::from(height);
-        let longest = layering.longest_list(k);
+        let longest = longest_list(k.into()) as u8;
         // A budget that is counted on some rays may be missed by some.
         let slack = if longest == k { 0 } else { num_pixels * u64::from(k) / 8 + SLACK_SEGMENTS };
         let capacity = (num_pixels * u64::from(k) + slack).min(num_pixels * u64::from(longest));
         let plane_bytes = capacity * 4;
         gpu.check_binding("plane of segments in bytes", plane_bytes)?;
         let slot_bytes_per_pixel = u32::from(longest) * 12;
-        let max_steps_of_rule = max_steps.saturating_mul(marches_at_most(layering));
-        let max_pixels = gpu.max_dispatch_pixels(max_steps_of_rule);
+        let max_pixels = gpu.max_dispatch_pixels(max_steps);
         let slot_limit = if gpu.info().is_software { SLOT_BYTES_OF_SOFTWARE } else { SLOT_BYTES };
         let max_pixels = max_pixels.min(slot_limit / slot_bytes_per_pixel);
         let band_pixels = rows_per_band(width, height, max_pixels) * width;
@@ -114,7 +106,6 @@ impl FrameTarget {
         Ok(Self {
             width,
             height,
-            layering,
             k,
             max_steps,
             capacity: capacity as usize,
@@ -129,11 +120,10 @@ impl FrameTarget {
         })
     }
 
-    /// Whether this is for frames by this rule with this header's size and K, and rays of so many steps.
-    pub(crate) fn fits(&self, header: &FrameHeader, layering: Layering, max_steps: u32) -> bool {
+    /// Whether this is for frames with this header's size and K, and rays of so many steps.
+    pub(crate) fn fits(&self, header: &FrameHeader, max_steps: u32) -> bool {
         let i = header.camera.intrinsics;
-        (self.width, self.height, self.k, self.layering, self.max_steps)
-            == (i.width, i.height, clamp_k(header.k), layering, max_steps)
+        (self.width, self.height, self.k, self.max_steps) == (i.width, i.height, clamp_k(header.k), max_steps)
     }
 
     /// The frame, by the threshold that `budget` knows or one that is counted; none if it is no longer wanted.
@@ -150,10 +140,9 @@ impl FrameTarget {
         }
         let started = Instant::now();
         let asked = FrameHeader { k: self.k, ..header };
-        let header = FrameHeader { k: self.layering.longest_list(self.k), ..header };
+        let header = FrameHeader { k: longest_list(self.k.into()) as u8, ..header };
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&Basis::of(&header.camera)));
-        let has_budget = self.layering == Layering::VisibilityMerge;
-        let mut threshold = if has_budget { budget.threshold(&asked, reach) } else { Some(0.0) };
+        let mut threshold = budget.threshold(&asked, reach);
         let num_offsets = header.camera.intrinsics.num_pixels() + 1;
         loop {
             self.write_budget(gpu, threshold);
@@ -190,9 +179,7 @@ impl FrameTarget {
             if total <= self.capacity {
                 self.read_planes(gpu, &mut frame, total)?;
                 self.took = started.elapsed();
-                if has_budget {
-                    budget.note(&asked, used, &frame);
-                }
+                budget.note(&asked, used, &frame);
                 return Ok(Some(frame));
             }
             // The rays that were counted have missed what most meet.
@@ -231,14 +218,14 @@ impl FrameTarget {
         words[2] = FIRST_LEAST.to_bits();
         words[3] = FIRST_RATIO.to_bits();
         words[4] = u32::from(self.k);
-        words[5] = u32::from(self.layering.longest_list(self.k));
+        words[5] = longest_list(self.k.into()) as u32;
         gpu.queue().write_buffer(&self.budget, 0, bytemuck::cast_slice(&words));
     }
 
     /// Counts some rays at several thresholds, twice, and chooses one.
     fn count(&self, gpu: &Gpu, scene: &SceneOnGpu, encoder: &mut wgpu::CommandEncoder) {
         let Some(BandOnGpu { generate, .. }) = self.bands.first() else { return };
-        let kernel = Kernel::generate(scene.kind, scene.mode, self.layering, self.k);
+        let kernel = Kernel::Generate(scene.kind, scene.mode);
         let [count, choose] = ["count", "choose"].map(|entry| gpu.pipeline(kernel, entry));
         let stride = sample_stride(self.width, self.height);
         let groups = |side: u32, of: u32| side.div_ceil(stride).div_ceil(of);
@@ -263,7 +250,7 @@ impl FrameTarget {
         mut encoder: wgpu::CommandEncoder,
         wanted: Wanted<'_>,
     ) -> Result<Option<wgpu::CommandEncoder>, GpuError> {
-        let march = gpu.pipeline(Kernel::generate(scene.kind, scene.mode, self.layering, self.k), "generate");
+        let march = gpu.pipeline(Kernel::Generate(scene.kind, scene.mode), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
         let is_slow = gpu.info().is_software || self.took > SLOW_FRAME;
@@ -293,11 +280,6 @@ impl FrameTarget {
         }
         Ok(Some(encoder))
     }
-}
-
-/// Marches of a ray, so that a dispatch of a rule with many takes no longer than that of another.
-fn marches_at_most(layering: Layering) -> u32 {
-    if layering == Layering::Homogeneity { 25 } else { 1 }
 }
 
 fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {

@@ -4,7 +4,6 @@
 use std::ops::Range;
 
 use isinglass_core::camera::Camera;
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
@@ -92,9 +91,9 @@ impl GpuRenderer {
     }
 
     /// See [`isinglass_core::kernels::layering::generate`].
-    pub fn generate(&mut self, header: FrameHeader, layering: Layering) -> Result<LayeredFrame, GpuError> {
+    pub fn generate(&mut self, header: FrameHeader) -> Result<LayeredFrame, GpuError> {
         self.budget.forget();
-        Ok(self.generate_while(header, layering, ALWAYS)?.unwrap_or_else(|| LayeredFrame::empty(header)))
+        Ok(self.generate_while(header, ALWAYS)?.unwrap_or_else(|| LayeredFrame::empty(header)))
     }
 
     /// The same for one frame after another; `None` when the frame is no longer wanted, which is asked between passes where
@@ -102,17 +101,15 @@ impl GpuRenderer {
     pub fn generate_while(
         &mut self,
         header: FrameHeader,
-        layering: Layering,
         wanted: Wanted<'_>,
     ) -> Result<Option<LayeredFrame>, GpuError> {
         let Self { gpu, on_gpu, frame, scene, budget, .. } = self;
         gpu.attempt("generating a layered frame", || {
             let mode = on_gpu.mode;
-            let layering = layering.in_mode(mode);
             let steps = on_gpu.max_steps;
-            let target = match frame.take().filter(|target| target.fits(&header, layering, steps)) {
+            let target = match frame.take().filter(|target| target.fits(&header, steps)) {
                 Some(target) => frame.insert(target),
-                None => frame.insert(FrameTarget::new(gpu, &header, layering, steps)?),
+                None => frame.insert(FrameTarget::new(gpu, &header, steps)?),
             };
             let reach = scene.volume.bounds().radius();
             target.generate(gpu, on_gpu, FrameHeader { mode, ..header }, (budget, reach), wanted)

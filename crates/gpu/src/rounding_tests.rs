@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::layering::{Layering, generate};
+use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction};
 use isinglass_core::layer::FrameHeader;
@@ -68,7 +68,7 @@ fn difference_from_twin(changes: Changes) -> Option<u8> {
     let parallel = own.to_orthographic((bounds.center() - own.pose.eye).dot(own.pose.forward()), &bounds);
     let mut greatest = 0;
     for own in [own, parallel] {
-        let frame = generate(&scene, FrameHeader::alone(own, 8), Layering::EqualTransmittance);
+        let frame = generate(&scene, FrameHeader::alone(own, 8));
         let mut reprojector = GpuReprojector::new(&gpu, &frame, &bounds).unwrap();
         let caster = Raycaster::new(&frame, &bounds);
         for degrees in [25.0, 25.1, 27.0, 35.0, 115.0] {

@@ -3,9 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::raycast::Reconstruction;
-use isinglass_core::layer::MAX_K;
 use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
@@ -117,10 +115,7 @@ fn all_kernels() -> Vec<Kernel> {
         for mode in Mode::ALL {
             let extents = [Extent::Opaque, Extent::Through];
             kernels.extend(extents.map(|extent| Kernel::Render(kind, mode, extent)));
-            for layering in Layering::ALL {
-                // K is a number in the text: the ends of its range stand for all of it.
-                kernels.extend([1, 2, MAX_K as u8].map(|k| Kernel::Generate(kind, mode, layering, k)));
-            }
+            kernels.push(Kernel::Generate(kind, mode));
         }
     }
     kernels
@@ -184,7 +179,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 28] = [
+const TWINS: [&str; 22] = [
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
@@ -207,16 +202,10 @@ const TWINS: [&str; 28] = [
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/stream.rs"),
     include_str!("../../core/src/kernels/layering/budget.rs"),
-    include_str!("../../core/src/kernels/layering/equal_transmittance.rs"),
-    include_str!("../../core/src/kernels/layering/cuts.rs"),
-    include_str!("../../core/src/kernels/layering/equal_length.rs"),
-    include_str!("../../core/src/kernels/layering/homogeneity.rs"),
-    include_str!("../../core/src/kernels/layering/single_depth.rs"),
-    include_str!("../../core/src/kernels/layering/slabs.rs"),
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 21] = [
+const SHADER_ONLY: [&str; 19] = [
     "LANES",
     "PIECE_WORDS",
     "IS_MEAN",
@@ -225,9 +214,7 @@ const SHADER_ONLY: [&str; 21] = [
     "X_GREATEST",
     "NO_STEP",
     "UNBOUNDED",
-    "K",
     "STOP_AT",
-    "REPRESENTATIVE",
     "BLOCK",
     "HALF_NORMAL_MIN",
     "HALF_SUBNORMAL",
@@ -345,10 +332,6 @@ fn shared_constants_have_the_values_of_the_twins() {
                 "two values of {name} in core"
             );
         }
-    }
-    // The numbers of the representatives are those of the enum.
-    for representative in Representative::ALL {
-        twin.insert(format!("{representative:?}").to_uppercase(), f64::from(representative as u32));
     }
     for compositing in [Compositing::Over, Compositing::Greatest, Compositing::Mean] {
         twin.insert(format!("BY_{compositing:?}").to_uppercase(), f64::from(compositing as u32));

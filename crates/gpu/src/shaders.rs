@@ -1,8 +1,6 @@
 //! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
 
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
-use isinglass_core::layer::MAX_K;
 use isinglass_core::mode::{Compositing, Mode};
 
 /// How the voxels are stored, as far as a shader can tell.
@@ -81,9 +79,8 @@ impl Purpose {
 pub(crate) enum Kernel {
     /// Entry point `render`.
     Render(TexelKind, Mode, Extent),
-    /// Entry point `generate`: mode, rule and K, see [`Kernel::generate`]. With [`Layering::VisibilityMerge`], the one rule of
-    /// projections, also `count` and `choose`.
-    Generate(TexelKind, Mode, Layering, u8),
+    /// Entry points `generate`, `count` and `choose`. K is read from a buffer: drivers take seconds to compile a kernel.
+    Generate(TexelKind, Mode),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
     /// Entry point `empty_space`.
@@ -97,13 +94,6 @@ pub(crate) enum Kernel {
 }
 
 impl Kernel {
-    /// That of a rule in a mode, with lists of `k` segments. Where K is read from a buffer it is the same for every K: drivers
-    /// take seconds to compile one.
-    pub(crate) fn generate(kind: TexelKind, mode: Mode, layering: Layering, k: u8) -> Self {
-        let k = if layering == Layering::VisibilityMerge { MAX_K as u8 } else { k };
-        Self::Generate(kind, mode, layering, k)
-    }
-
     /// What a pipeline sets in the text: all of its `override` constants.
     pub(crate) fn constants(self) -> Vec<(&'static str, f64)> {
         match self {
@@ -131,38 +121,17 @@ impl Kernel {
                 let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
                 return [&march[..], &[extent, seen, RENDER]].concat().concat();
             }
-            Self::Generate(kind, mode, layering, k) => {
+            Self::Generate(kind, mode) => {
                 let [generated, takes] = mode_parts(mode);
                 let crossings = if mode == Mode::Iso { SURFACES } else { "" };
-                let k = usize::from(k).clamp(1, MAX_K);
-                let header = match layering {
-                    Layering::VisibilityMerge => {
-                        let is_mean = mode == Mode::Average;
-                        format!(
-                            "const IS_MEAN: bool = {is_mean};\nfn longest_list() -> u32 {{ return budget.longest; }}\n"
-                        )
-                    }
-                    Layering::SingleDepth(r) => {
-                        format!("{}const REPRESENTATIVE: u32 = {}u;\n", fixed_k(k), r as u32)
-                    }
-                    _ => fixed_k(k),
-                };
-                let rule: &[&str] = match layering {
-                    Layering::VisibilityMerge if mode == Mode::Average => {
-                        &[BUDGET, STREAM, PROJECTION, PROJECTION_MEAN]
-                    }
-                    Layering::VisibilityMerge if mode.is_projection() => {
-                        &[BUDGET, STREAM, PROJECTION, PROJECTION_KEYS]
-                    }
-                    Layering::VisibilityMerge => &[BUDGET, STREAM, VISIBILITY_MERGE, UNITED_OVER],
-                    Layering::EqualTransmittance => &[EQUAL_TRANSMITTANCE, UNITED_OVER],
-                    Layering::EqualLength => &[CUTS, EQUAL_LENGTH, UNITED_OVER],
-                    Layering::Homogeneity => &[HOMOGENEITY, UNITED_OVER],
-                    Layering::SingleDepth(_) => &[SINGLE_DEPTH, UNITED_OVER],
-                    Layering::Slabs => &[CUTS, SLABS, UNITED_OVER],
+                let is_mean = format!("const IS_MEAN: bool = {};\n", mode == Mode::Average);
+                let list: &[&str] = match mode {
+                    Mode::Composite | Mode::Iso => &[VISIBILITY_MERGE, UNITED_OVER],
+                    Mode::Mip | Mode::MinIp => &[PROJECTION, PROJECTION_KEYS],
+                    Mode::Average => &[PROJECTION, PROJECTION_MEAN],
                 };
                 let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
-                return [&march[..], &[&header, GENERATE], rule].concat().concat();
+                return [&march[..], &[&is_mean, BUDGET, GENERATE, STREAM], list].concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
@@ -185,11 +154,6 @@ impl Kernel {
         };
         parts.concat()
     }
-}
-
-/// The greatest length of a list, as the text of a kernel.
-fn fixed_k(k: usize) -> String {
-    format!("const K: u32 = {k}u;\nfn longest_list() -> u32 {{ return K; }}\n")
 }
 
 /// What a march makes of two samples in a mode: generated lines, and the part.
@@ -264,12 +228,6 @@ const RENDER: &str = include_str!("../../../shaders/render.wgsl");
 const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
 const UNITED_OVER: &str = include_str!("../../../shaders/layering/united_over.wgsl");
 const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");
-const EQUAL_TRANSMITTANCE: &str = include_str!("../../../shaders/layering/equal_transmittance.wgsl");
-const CUTS: &str = include_str!("../../../shaders/layering/cuts.wgsl");
-const EQUAL_LENGTH: &str = include_str!("../../../shaders/layering/equal_length.wgsl");
-const HOMOGENEITY: &str = include_str!("../../../shaders/layering/homogeneity.wgsl");
-const SINGLE_DEPTH: &str = include_str!("../../../shaders/layering/single_depth.wgsl");
-const SLABS: &str = include_str!("../../../shaders/layering/slabs.wgsl");
 const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
 const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::kernels::layering::{self, Layering};
+use isinglass_core::kernels::layering;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
@@ -48,14 +48,14 @@ fn a_lost_device_is_an_error() {
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
     let header = FrameHeader::alone(camera, 4);
-    let frame = layering::generate(&scene, header, Layering::VisibilityMerge);
+    let frame = layering::generate(&scene, header);
     let mut renderer = GpuRenderer::new(&gpu, scene.clone()).unwrap();
     let mut reprojector = GpuReprojector::new(&gpu, &frame, &bounds).unwrap();
     assert!(renderer.render(&camera).is_ok());
 
     gpu.device().destroy();
     assert!(renderer.render(&camera).is_err());
-    assert!(renderer.generate(header, Layering::EqualTransmittance).is_err());
+    assert!(renderer.generate(header).is_err());
     assert!(reprojector.raycast(&camera).is_err());
     assert!(reprojector.set_frame(&frame, &bounds).is_err());
     let error = GpuRenderer::new(&gpu, scene).err().unwrap();

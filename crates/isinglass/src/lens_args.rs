@@ -112,11 +112,6 @@ impl LensArgs {
 }
 
 impl Plan {
-    /// Whether it is nothing but the camera's own view.
-    pub(crate) fn is_plain(&self) -> bool {
-        matches!(&self.eyes[..], [views] if views.len() == 1)
-    }
-
     /// Draws the pictures of all eyes. `mean` gives the mean of a few views.
     pub(crate) fn draw<E>(
         &self,

@@ -13,7 +13,7 @@ use isinglass_gpu::{Backend, BackendChoice};
 use isinglass_server::{RunningServer, ServeOptions, Timing};
 use tokio::runtime::Runtime;
 
-use crate::args::{LayeringArgs, LookArgs};
+use crate::args::{ListArgs, LookArgs};
 use crate::library::FileLoader;
 use crate::memory;
 use crate::state_args::Seen;
@@ -33,7 +33,7 @@ pub(crate) struct FirstLook {
     pub(crate) seen: Seen,
     pub(crate) look: LookArgs,
     pub(crate) lighting: Lighting,
-    pub(crate) layering: LayeringArgs,
+    pub(crate) lists: ListArgs,
 }
 
 impl Locals {
@@ -63,8 +63,8 @@ impl LocalServers for Locals {
         let loader = FileLoader::new(request, transfer).map_err(one_line)?;
         let opened = loader.opened(Arc::new(volume), outline).map_err(one_line)?;
         let look = match named {
-            Some(FirstLook { seen, look, lighting, layering, .. }) => {
-                seen.look_at(&opened, look, *lighting, layering).map_err(one_line)?
+            Some(FirstLook { seen, look, lighting, lists, .. }) => {
+                seen.look_at(&opened, look, *lighting, lists).map_err(one_line)?
             }
             None => Look::new(opened.transfer),
         };

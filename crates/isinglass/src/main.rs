@@ -87,9 +87,7 @@ mod tests {
         let mut commands = vec![command()];
         while let Some(command) = commands.pop() {
             commands.extend(command.get_subcommands().cloned());
-            for of_all in
-                ["volume", "scenes", "state", "output", "size", "json", "backend", "tf", "layering", "k"]
-            {
+            for of_all in ["volume", "scenes", "state", "output", "size", "json", "backend", "tf", "k"] {
                 let Some(arg) = command.get_arguments().find(|a| a.get_id() == of_all) else { continue };
                 assert_eq!(arg.get_help_heading(), None, "{} {of_all}", command.get_name());
                 num_flags += 1;

@@ -6,7 +6,6 @@ use anyhow::{Context, Result};
 use clap::Args;
 use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals::Method;
 use isinglass_bench::scenes::OpenedScene;
 use isinglass_bench::view::Orbit;
 use isinglass_client::Bindings;
@@ -22,7 +21,7 @@ use isinglass_formats::{
 };
 use isinglass_net::{Link, LinkError, state_of_link};
 
-use crate::args::{LayeringArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume, orthographic};
+use crate::args::{ListArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume, orthographic};
 use crate::given::Given;
 use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
@@ -104,9 +103,6 @@ impl Seen {
         if self.state.view.stereo.is_some_and(|s| s != StereoPicture::Off) && !has_two_eyes {
             note("note: the state is of two eyes, and one is drawn; see --stereo");
         }
-        if let Some(method) = self.state.view.method.as_deref().filter(|m| *m != Method::Layers.name()) {
-            note(&format!("note: the state's picture is by {method}, and the volume itself is drawn"));
-        }
     }
 
     /// The volume that was named, or else the state's.
@@ -135,10 +131,10 @@ impl Seen {
         volume: &VolumeArgs,
         look: &LookArgs,
         lighting: Lighting,
-        layering: &LayeringArgs,
+        lists: &ListArgs,
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
-        let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
+        let wanted = self.look(opened.transfer.clone(), look, lighting, lists)?;
         self.note_oddities(&opened.scene.volume, &wanted);
         if self.state.look.is_some() {
             opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
@@ -153,11 +149,11 @@ impl Seen {
         volume: &VolumeArgs,
         look: &LookArgs,
         lighting: Lighting,
-        layering: &LayeringArgs,
+        lists: &ListArgs,
         memory: &MemoryArgs,
     ) -> Result<(OpenedFile, Look)> {
         let opened = open_to_serve(&self.volume(volume)?, look, memory)?;
-        let wanted = self.look_at(&opened, look, lighting, layering)?;
+        let wanted = self.look_at(&opened, look, lighting, lists)?;
         Ok((opened, wanted))
     }
 
@@ -167,9 +163,9 @@ impl Seen {
         opened: &OpenedFile,
         look: &LookArgs,
         lighting: Lighting,
-        layering: &LayeringArgs,
+        lists: &ListArgs,
     ) -> Result<Look> {
-        let wanted = self.look(opened.transfer.clone(), look, lighting, layering)?;
+        let wanted = self.look(opened.transfer.clone(), look, lighting, lists)?;
         self.note_oddities(&opened.volume, &wanted);
         Ok(wanted)
     }
@@ -193,9 +189,9 @@ impl Seen {
         transfer: TransferFunction,
         look: &LookArgs,
         lighting: Lighting,
-        layering: &LayeringArgs,
+        lists: &ListArgs,
     ) -> Result<Look> {
-        let of_flags = Look { lighting, ..look.look(transfer, layering)? };
+        let of_flags = Look { lighting, ..look.look(transfer, lists)? };
         Ok(match self.state.look.clone() {
             Some(saved) => self.merged(saved, of_flags),
             None => of_flags,
@@ -205,7 +201,7 @@ impl Seen {
     /// The state's look with those fields of `flags` that were given.
     fn merged(&self, saved: Look, flags: Look) -> Look {
         // Whoever adds a field says here which flag sets it.
-        let Look { transfer, shaded, lighting, layering, k, clip, mode, isos } = flags;
+        let Look { transfer, shaded, lighting, k, clip, mode, isos } = flags;
         let mut look = saved;
         let has = |field| {
             debug_assert!(OF_LOOK.contains(&field), "{field}");
@@ -232,9 +228,6 @@ impl Seen {
         if has("light") {
             let Lighting { azimuth_degrees, elevation_degrees, .. } = lighting;
             look.lighting = Lighting { azimuth_degrees, elevation_degrees, ..look.lighting };
-        }
-        if has("layering") {
-            look.layering = layering;
         }
         if has("k") {
             look.k = k;
@@ -318,7 +311,6 @@ impl Seen {
             state.camera = state.camera.map(|c| SavedCamera { fov_degrees: fov_degrees.into(), ..c });
         }
         state.camera = state.camera.filter(|_| !has("orbit"));
-        state.view.method = state.view.method.filter(|_| !has("method"));
         state.view.orthographic = state.view.orthographic.filter(|_| !has("orthographic"));
         state.view = window.view(state.view, |field| self.given.has(field));
         ((of_state.unwrap_or(size), of_state.is_some()), state)
@@ -338,7 +330,7 @@ fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
 }
 
 /// The fields of the flags that say how a volume looks.
-const OF_LOOK: [&str; 13] = [
+const OF_LOOK: [&str; 12] = [
     "tf",
     "shading",
     "mode",
@@ -350,6 +342,5 @@ const OF_LOOK: [&str; 13] = [
     "shadows",
     "softness",
     "light",
-    "layering",
     "k",
 ];

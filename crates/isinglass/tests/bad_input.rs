@@ -49,8 +49,6 @@ fn bad_usage_is_code_2() {
         ("layers nothing.nrrd -o a.iglf --turn 2", &["--turn", "--codec blocks"]),
         ("layers builtin:cloud@8 -o a.iglf --quality 20", &["--quality", "--codec blocks"]),
         ("layers builtin:cloud@8 -o a.iglf --bytes 900", &["--bytes", "--codec blocks"]),
-        ("bench codec cloud --seen-at 0,11", &["0 to 10 degrees, or all"]),
-        ("layers builtin:cloud@8 -o a.iglf --layering best", &["best", "visibility-merge"]),
         ("info a.raw --dims 1,2,0 --dtype uint8", &["1,2,0"]),
         ("info a.raw --dims 1,2,3", &["--dtype"]),
         ("info a.raw --dims 1,2,3 --dtype word", &["word", "uint8"]),
@@ -64,19 +62,11 @@ fn bad_usage_is_code_2() {
         ("reproject a.iglf -o a.TIFF", &[".png", ".tiff"]),
         ("view isinglass://localhost:4433", &["token"]),
         ("serve builtin:cloud@8 --listen nowhere", &["nowhere"]),
-        ("bench quality --k 0", &["1 to 32"]),
-        ("bench quality --method warp", &["warp", "point-warp"]),
-        ("bench quality --method warp@slabs", &["warp", "point-warp"]),
-        ("bench quality --method layers@best", &["best", "homogeneity", "all-samples"]),
-        ("bench quality --layering visibility-merge,best", &["best", "visibility-merge", "all-samples"]),
-        ("bench quality --reconstruction best", &["best", "mixed, nearest"]),
-        ("bench quality --frame-size 0x4", &["0x4", "WxH"]),
-        ("bench quality --angles 5,steep", &["steep", "degrees"]),
-        ("bench speed --layering all-samples", &["all-samples", "visibility-merge"]),
-        ("bench speed --target-fps 0", &["1 to 1000"]),
+        ("bench speed --k 0", &["1 to 32"]),
+        ("bench speed --frame-size 0x4", &["0x4", "WxH"]),
+        ("bench speed --angles 5,steep", &["steep", "degrees"]),
+        ("bench latency --prediction maybe", &["maybe", "on, off"]),
         ("bench speed --repeats 0", &["1..=1000"]),
-        ("bench latency --method layers@all-samples", &["all-samples"]),
-        ("bench latency --method layers:late", &["layers:late", "point-warp"]),
         ("bench latency --speed 1000", &["1000", "360"]),
         ("bench codecs", &["codecs"]),
     ] {
@@ -162,23 +152,14 @@ fn bad_pictures_and_tables_are_code_1() {
     ] {
         bench.fails(&format!("compare out.png {other}"), 1, words);
     }
-    for table in ["quality", "speed", "latency"] {
+    for table in ["speed", "latency"] {
         bench.fails(&format!("bench {table} bonzai -o table.json"), 2, &["bonzai", "bonsai", "mouse_brain"]);
     }
-    bench.fails("bench speed cloud --method layers@all-samples -o table.json", 1, &["layers@all-samples"]);
-    bench.fails("bench quality bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
+    bench.fails("bench speed bonsai", 1, &["bonsai", "ISINGLASS_DATA"]);
     bench.fails("demo builtin:cloud@8 --headless --out out.png --backend cpu", 1, &["out.png", "folder"]);
     bench.fails("demo builtin:cloud@8 --headless --loss 1.5", 2, &["loss", "1.5"]);
     bench.fails("demo builtin:cloud@64 --headless --max-memory 1kB", 1, &["memory", "1000"]);
     bench.fails("reproject out.png -o b.png", 1, &["out.png", "PNG", "a layered frame"]);
-    for line in [
-        "demo builtin:cloud@8 --headless --layering slabs --method",
-        "bench quality builtin:cloud@8 --method",
-        "bench speed builtin:cloud@8 --method",
-        "bench latency builtin:cloud@8 --method",
-    ] {
-        bench.fails(&format!("{line} slabs-mesh --mode mip"), 2, &["slabs-mesh", "expected layers"]);
-    }
     if cfg!(unix) {
         bench.fails("layers builtin:cloud@8 --backend cpu -o /dev/null", 1, &["/dev/null", "regular file"]);
         bench.ok("render builtin:cloud@8 --backend cpu --size 8x8 -o /dev/null");
@@ -201,7 +182,7 @@ fn nothing_that_is_read_is_written_over() {
         ("layers scan.nrrd --size 8x8 -o ./scan.nrrd", "scan.nrrd"),
         ("layers scan.nrrd --size 8x8 --tf state.toml -o state.toml", "state.toml"),
         ("reproject a.iglf -o a.iglf", "a.iglf"),
-        ("bench quality scan.nrrd -o scan.nrrd", "scan.nrrd"),
+        ("bench speed scan.nrrd -o scan.nrrd", "scan.nrrd"),
     ] {
         let before = std::fs::read(bench.path(file)).unwrap();
         bench.fails(line, 2, &[file, "two files"]);
@@ -239,8 +220,6 @@ fn a_damaged_frame_is_an_error_or_a_picture() {
     // Every cut, and at least the changes in the magic number and headers.
     assert!(failures > 24, "{failures}");
     bench.fails("reproject out.png -o b.png", 1, &["out.png"]);
-    let rival = "reproject a.iglf --method point-warp --stereo 0.1 -o b.png";
-    bench.fails(rival, 1, &["point-warp", "expected layers"]);
     bench.write("longer.iglf", [&good[..], b"more"].concat());
     bench.fails("reproject longer.iglf -o b.png", 1, &["longer.iglf", "end of the file"]);
 }

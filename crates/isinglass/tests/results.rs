@@ -34,22 +34,18 @@ fn a_picture_equals_itself_and_no_other() {
 fn a_stored_frame_gives_back_the_picture_it_was_made_for() {
     let bench = Bench::new();
     for volume in ["cloud", "cubus", "shells"] {
-        for layering in ["visibility-merge", "equal-transmittance"] {
-            let from = "--orbit 25,-15";
-            bench.ok(&format!("render builtin:{volume}@48 {from} -o a.png {RENDER}"));
-            let facts = bench.json(&format!(
-                "layers builtin:{volume}@48 {from} -o a.iglf --layering {layering} --k 6 --json {RENDER}"
-            ));
-            assert_has(&facts, "output size backend tf layering k segments bytes generate_ms");
-            for view in ["", from] {
-                bench.ok(&format!("reproject a.iglf {view} -o b.png --backend cpu"));
-                let error = bench.json("compare a.png b.png --json");
-                assert!(error["dssim"].as_f64() <= Some(0.001), "{volume} {layering}: {error}");
-            }
-            bench.ok("reproject a.iglf --orbit 55,-15 -o b.png --backend cpu");
+        let from = "--orbit 25,-15";
+        bench.ok(&format!("render builtin:{volume}@48 {from} -o a.png {RENDER}"));
+        let facts = bench.json(&format!("layers builtin:{volume}@48 {from} -o a.iglf --k 6 --json {RENDER}"));
+        assert_has(&facts, "output size backend tf k segments bytes generate_ms");
+        for view in ["", from] {
+            bench.ok(&format!("reproject a.iglf {view} -o b.png --backend cpu"));
             let error = bench.json("compare a.png b.png --json");
-            assert!(error["dssim"].as_f64() > Some(0.001), "{volume} {layering}: {error}");
+            assert!(error["dssim"].as_f64() <= Some(0.001), "{volume}: {error}");
         }
+        bench.ok("reproject a.iglf --orbit 55,-15 -o b.png --backend cpu");
+        let error = bench.json("compare a.png b.png --json");
+        assert!(error["dssim"].as_f64() > Some(0.001), "{volume}: {error}");
     }
     let facts = bench.json("info a.iglf --json");
     assert_has(&facts, "size fov_deg eye near far k lists segments segments_mean bytes bytes_per_segment");
@@ -114,18 +110,6 @@ fn clips_and_parallel_rays_are_the_same_in_a_picture_and_in_a_frame() {
     bench.ok(&format!("reproject a.iglf {cut} -o b.png --backend cpu"));
     let apart = |b: &str| bench.json(&format!("compare a.png {b} --json"))["dssim"].as_f64().unwrap();
     assert!(apart("b.png") < 0.1 * apart("whole.png"), "{} {}", apart("b.png"), apart("whole.png"));
-    let method = format!("reproject a.iglf {cut} --method point-warp -o c.png --backend cpu");
-    bench.fails(&method, 1, &["point-warp", "--clip-plane", "layers"]);
-    // Tables are made of what is left, and say so.
-    let table = |flags: &str| {
-        let of = "bench quality builtin:shells@24 --size 32x32 --angles 0 --layering equal-length --wire off";
-        bench.json(&format!("{of} --backend cpu {flags} --json"))
-    };
-    let (whole, left) = (table(""), table(cut));
-    let bytes = |table: &Value| table["rows"][0]["bytes"].as_u64().unwrap();
-    let dssim_of = |table: &Value| table["rows"][0]["dssim"].as_f64().unwrap();
-    assert!(whole["conditions"]["clip"]["plane"].is_null() && !left["conditions"]["clip"]["plane"].is_null());
-    assert!(bytes(&left) != bytes(&whole) && dssim_of(&left) < 1e-3, "{left}");
     // From one projection into the other: nearer to its rendering than what it was made of.
     bench.ok(&format!("render builtin:shells@48 --orthographic -o flat.png {RENDER}"));
     bench.ok(&format!("layers builtin:shells@48 -o a.iglf {RENDER}"));
@@ -154,12 +138,6 @@ fn a_stored_frame_of_any_mode_gives_back_its_picture() {
         let error = bench.json("compare a.png b.png --json");
         assert!(error["max_abs_255"].as_u64() <= Some(1), "{mode}: {error}");
     }
-    bench.ok(&format!("layers {volume} -o a.iglf --mode mip {RENDER}"));
-    bench.fails(
-        "reproject a.iglf --method point-warp -o c.png --backend cpu",
-        2,
-        &["point-warp", "mip", "layers"],
-    );
     bench.fails(
         &format!("layers {volume} -o c.iglf --mode mip --codec blocks {RENDER}"),
         2,
@@ -257,127 +235,31 @@ fn background_and_shading_can_be_chosen() {
 }
 
 #[test]
-fn quality_tells_rules_and_turns_apart() {
-    let bench = Bench::new();
-    let report = bench.json(
-        "bench quality builtin:cubus@48 --size 64x64 --backend cpu --k 8 --angles 0,10 --json -o table.json \
-         --layering visibility-merge,equal-transmittance --method layers,point-warp",
-    );
-    assert_eq!(keys(&report), ["conditions", "rows"]);
-    assert_has(&report["conditions"], "version size fov_deg orbit_deg backend shading");
-    let rows = report["rows"].as_array().unwrap();
-    // Two rules by two methods at two turns, and the last image at one.
-    assert_eq!(rows.len(), 9);
-    let dssim = |method: &str, angle: f64| {
-        let row = rows.iter().find(|r| r["method"] == method && r["angle_deg"] == angle).unwrap();
-        assert_has(
-            row,
-            "scene method k angle_deg dssim dssim_object psnr_db generate_ms novel_view_ms bytes segments_mean",
-        );
-        row["dssim"].as_f64().unwrap()
-    };
-    assert!(dssim("visibility-merge", 0.0) <= 1e-3 && dssim("equal-transmittance", 0.0) <= 1e-3);
-    assert!(dssim("visibility-merge", 10.0) > dssim("visibility-merge", 0.0));
-    assert!(dssim("visibility-merge", 10.0) < dssim("last-image", 10.0));
-    assert!(dssim("point-warp", 0.0) <= 1e-3);
-    assert!(dssim("visibility-merge", 10.0) < dssim("point-warp", 10.0));
-    assert_eq!(bench.files(), ["table.json"]);
-    let written: Value = serde_json::from_slice(&std::fs::read(bench.path("table.json")).unwrap()).unwrap();
-    assert_eq!(written, report);
-}
-
-/// Each list in the order of its names; rules of one list length once; all samples without a codec.
-#[test]
-fn quality_has_a_row_for_each_choice() {
-    let bench = Bench::new();
-    let report = bench.json(
-        "bench quality builtin:cubus@24 --size 32x32 --frame-size 48x48 --backend cpu --k 2,4 --angles 10 --json --wire off \
-         --layering visibility-merge,all-samples --method layers,point-warp@single-depth --reconstruction mixed,nearest",
-    );
-    let rows = report["rows"].as_array().unwrap();
-    let text = |row: &Value, field: &str| row[field].as_str().unwrap_or("-").to_owned();
-    let of = |row: &Value| {
-        (text(row, "method"), text(row, "layering"), text(row, "reconstruction"), row["k"].as_u64().unwrap())
-    };
-    let expected = [
-        ("last-image", "-", "-", 0),
-        ("visibility-merge", "visibility-merge", "mixed", 2),
-        ("visibility-merge", "visibility-merge", "nearest", 2),
-        ("visibility-merge", "visibility-merge", "mixed", 4),
-        ("visibility-merge", "visibility-merge", "nearest", 4),
-        ("all-samples", "all-samples", "mixed", 255),
-        ("all-samples", "all-samples", "nearest", 255),
-        ("point-warp", "single-depth", "-", 1),
-    ];
-    let expected = expected.map(|(m, l, r, k)| (m.to_owned(), l.to_owned(), r.to_owned(), k));
-    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), expected);
-    assert_eq!(report["conditions"]["frame_size"], serde_json::json!([48, 48]));
-    let segments = |i: usize| rows[i]["segments_total"].as_u64().unwrap();
-    assert!(segments(1) < segments(3) && segments(3) < segments(5));
-    assert_ne!(rows[1]["dssim"], rows[2]["dssim"], "lists are read in two ways");
-    for row in &rows[1..] {
-        assert!(row["dssim_wire"].is_null() && row["ssim"].as_f64().unwrap() > 0.0);
-        assert_eq!(row["bytes"].is_null(), row["method"] == "all-samples");
-    }
-}
-
-#[test]
 fn speed_has_a_row_for_each_choice() {
     let bench = Bench::new();
     let report = bench.json(
         "bench speed builtin:cloud@16 builtin:shells@16 --size 32x32 --frame-size 32x32,48x48 --repeats 1 --backend cpu \
-         --layering visibility-merge,homogeneity --k 2,4 --angles 5,30 --method layers,slabs-mesh@slabs --json",
+         --k 2,4 --angles 5,30 --json",
     );
     assert_eq!(keys(&report), ["conditions", "preparations", "rows"]);
     let rows = report["rows"].as_array().unwrap();
-    // Two scenes, sizes, list lengths and turns, of three methods.
-    assert_eq!(rows.len(), 2 * 2 * 2 * 2 * 3);
+    // Two scenes, sizes, list lengths and turns.
+    assert_eq!(rows.len(), 2 * 2 * 2 * 2);
     for row in rows {
         assert_has(
             row,
-            "scene dims backend method layering k frame_size angle_deg render_ms render_through_ms generate_ms encode_ms \
-             decode_ms prepare_ms novel_view_ms fps render_fps view_over_render generate_over_through empty_share ssim \
+            "scene dims backend k frame_size angle_deg render_ms render_through_ms generate_ms encode_ms \
+             decode_ms prepare_ms novel_view_ms novel_view_no_grid_ms grid_gain fps render_fps view_over_render generate_over_through empty_share ssim \
              dssim dssim_object psnr_db bytes segments_mean segments_total",
         );
         for ratio in ["view_over_render", "generate_over_through", "fps", "ssim"] {
             assert!(row[ratio].as_f64().is_some_and(|r| r > 0.0), "{ratio}: {row}");
         }
-        let is_cast = row["method"] != "slabs-mesh";
-        assert_eq!(row["reconstruction"] == "mixed", is_cast);
-        assert_eq!(row["novel_view_no_grid_ms"].is_f64() && row["grid_gain"].is_f64(), is_cast);
         assert!(
             row["render_gpu_ms"].is_null() && row["novel_view_gpu_ms"].is_null(),
             "the CPU has no such clock"
         );
     }
-}
-
-/// A row for each setting and turn, with the fields of the other tables.
-#[test]
-fn codec_has_a_row_for_each_setting_and_turn() {
-    let bench = Bench::new();
-    let report = bench.json(
-        "bench codec builtin:shells@24 --size 48x48 --backend cpu --k 4 --angles 0,10 --codec exact,raw-zstd --json",
-    );
-    let rows = report["rows"].as_array().unwrap();
-    for row in rows {
-        assert_has(
-            row,
-            "scene method k angle_deg dssim dssim_object psnr_db generate_ms novel_view_ms bytes segments_mean lists \
-             settings encode_ms is_on_front",
-        );
-    }
-    let of = |method: &str, angle: f64| {
-        let of = rows.iter().filter(|r| r["method"] == method && r["angle_deg"] == angle);
-        of.collect::<Vec<_>>()
-    };
-    assert!(of("exact", 0.0).len() > 1 && of("exact", 0.0).len() == of("exact", 10.0).len());
-    let (still, turned) = (of("raw-zstd", 0.0)[0], of("raw-zstd", 10.0)[0]);
-    assert_eq!(still["bytes"], turned["bytes"]);
-    assert!(still["dssim"].as_f64() < turned["dssim"].as_f64());
-    // What is larger and no better is not on the front.
-    let num_on_front = |angle| of("exact", angle).iter().filter(|r| r["is_on_front"] == true).count();
-    assert!(num_on_front(0.0) > 0 && num_on_front(0.0) < of("exact", 0.0).len());
 }
 
 /// A volume whose header is as it should be and whose values are not all there.
@@ -386,12 +268,7 @@ fn a_scene_that_fails_leaves_the_rows_of_others() {
     let bench = Bench::new();
     let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: gzip\n\n";
     std::fs::write(bench.path("torn.nrrd"), [header.as_bytes(), b"\x1f\x8b no more"].concat()).unwrap();
-    for table in [
-        "quality --angles 5 --k 2",
-        "speed --repeats 1 --k 2",
-        "codec --angles 0 --codec raw-zstd --k 2",
-        "latency --rtt 20ms --speed 90 --compared 2",
-    ] {
+    for table in ["speed --repeats 1 --k 2", "latency --rtt 20ms --speed 90 --compared 2"] {
         let common = "--size 24x24 --backend cpu --json -o table.json";
         let output = bench.run(&format!("bench {table} torn.nrrd builtin:cloud@16 {common}"));
         assert_eq!(output.status.code(), Some(1), "{table}");
@@ -411,58 +288,18 @@ fn a_scene_that_fails_leaves_the_rows_of_others() {
     }
 }
 
-/// A rate that anything holds gives up nothing; one that nothing holds gives up all that there is.
-#[test]
-fn a_frame_rate_is_paid_for_with_the_picture() {
-    let bench = Bench::new();
-    let report = bench.json(
-        "bench speed builtin:shells@32 --size 192x192 --repeats 1 --backend cpu --k 8 --angles 20 --target-fps 1,1000 --json",
-    );
-    let targets = report["targets"].as_array().unwrap();
-    assert_eq!(targets.len(), 4);
-    for row in targets {
-        assert_has(
-            row,
-            "scene backend method k angle_deg target_fps by scale num_samples novel_view_ms fps ssim ssim_truth",
-        );
-    }
-    for row in &targets[..2] {
-        assert_eq!((row["scale"].as_f64(), row["num_samples"].as_u64()), (Some(1.0), Some(0)), "{row}");
-        assert_eq!(row["ssim"].as_f64(), Some(1.0));
-    }
-    assert_eq!(
-        targets.iter().map(|t| t["by"].as_str().unwrap()).collect::<Vec<_>>(),
-        ["samples", "control", "samples", "control"]
-    );
-    for row in &targets[2..] {
-        let gave_up = row["scale"].as_f64() < Some(1.0) || row["num_samples"].as_u64() > Some(0);
-        assert!(gave_up && row["ssim"].as_f64() < Some(1.0), "{row}");
-    }
-}
-
-/// Every method at every speed and delay, as it is named.
+/// With prediction and without, at every speed and delay.
 #[test]
 fn latency_has_a_row_for_each_choice() {
     let bench = Bench::new();
     let report = bench.json(
         "bench latency builtin:cloud@16 --size 32x32 --backend cpu --rtt 20ms --speed 90 --compared 4 --json \
-         --method layers,point-warp@single-depth:no-prediction",
+         --prediction on,off",
     );
     let rows = report["rows"].as_array().unwrap();
-    let of = |row: &Value| {
-        let text = |field: &str| row[field].as_str().unwrap().to_owned();
-        (
-            text("method"),
-            text("layering"),
-            row["predict"].as_bool().unwrap(),
-            row["degrees_per_second"].as_f64(),
-        )
-    };
-    let expected = [
-        ("visibility-merge".to_owned(), "visibility-merge".to_owned(), true, Some(90.0)),
-        ("point-warp".to_owned(), "single-depth".to_owned(), false, Some(90.0)),
-    ];
-    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), expected);
+    let of = |row: &Value| (row["predict"].as_bool().unwrap(), row["degrees_per_second"].as_f64());
+    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), [(true, Some(90.0)), (false, Some(90.0))]);
+    assert!(rows.iter().all(|row| row["method"] == "layers"));
     assert_has(&rows[0], "scene k rtt_ms dssim_shown_mean dssim_last_image_mean frames_shown");
 }
 
@@ -471,7 +308,7 @@ fn latency_has_a_row_for_each_choice() {
 #[test]
 fn an_interrupted_table_leaves_nothing() {
     let bench = Bench::new();
-    for table in ["quality --angles 1,2,3,4", "speed --repeats 1000", "latency --rtt 20ms"] {
+    for table in ["speed --repeats 1000", "latency --rtt 20ms"] {
         let line =
             format!("bench {table} builtin:shells@64 --size 256x256 --backend cpu --json -o table.json");
         let mut command = bench.command(&line);
@@ -523,7 +360,6 @@ fn the_headless_demo_reports_what_was_shown() {
         "jitter_ms",
         "k",
         "kept_frames",
-        "layering",
         "loss",
         "method",
         "novel_view_ms",

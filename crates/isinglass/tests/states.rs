@@ -8,7 +8,6 @@ mod common;
 use glam::{Quat, Vec3};
 use isinglass_client::camera_controls::{CameraControls, InitialOrbit};
 use isinglass_core::camera::Intrinsics;
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::look::Look;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::{
@@ -37,12 +36,7 @@ fn state() -> SavedState {
         range: [lo, hi],
         ..SavedVolume::default()
     };
-    let look = Look {
-        shaded: false,
-        k: 5,
-        layering: Layering::EqualTransmittance,
-        ..Look::new(preset("shells").unwrap())
-    };
+    let look = Look { shaded: false, k: 5, ..Look::new(preset("shells").unwrap()) };
     SavedState {
         volume: Some(saved),
         camera: Some(SavedCamera::of(controls.center(), controls.placement(), intrinsics)),
@@ -88,7 +82,7 @@ fn a_state_renders_to_the_byte_what_its_flags_would() {
 fn a_state_makes_the_layered_frame_that_its_flags_would() {
     let bench = Bench::new();
     bench.write("seen.toml", state().to_toml());
-    bench.ok(&format!("layers {VOLUME} {FLAGS} --layering equal-transmittance --k 5 -o flags.iglf"));
+    bench.ok(&format!("layers {VOLUME} {FLAGS} --k 5 -o flags.iglf"));
     bench.ok("layers --state seen.toml --backend cpu -o state.iglf");
     assert!(bytes(&bench, "flags.iglf") == bytes(&bench, "state.iglf"));
     bench.ok("layers --state seen.toml --k 6 --backend cpu -o other.iglf");

@@ -263,9 +263,8 @@ impl Studio {
     fn generate(&mut self, order: &Order) -> Result<Generated, GenerateError> {
         let started = Instant::now();
         self.prepare(order.scene, &order.look, None)?;
-        let layering = order.look.layering;
         let (renderer, wanted) = (&mut self.renderer, || order.wish.holds());
-        let work = || renderer.generate_while(order.header, layering, &wanted);
+        let work = || renderer.generate_while(order.header, &wanted);
         let frame = self.after_work.run(Work::Generate, work)?;
         let frame = frame.ok_or(GenerateError::GivenUp)?;
         let is_draft = !self.is_final();

@@ -315,7 +315,7 @@ impl Viewer {
     }
 
     async fn set_look(&mut self, look: Look) -> bool {
-        tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
+        tracing::info!(transfer = look.transfer.name, k = look.k, "new look");
         let is_draft = !self.present.lights.is_fine(&look);
         self.look = Arc::new(look);
         self.stop_refining();

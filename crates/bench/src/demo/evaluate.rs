@@ -12,7 +12,6 @@ use super::play::Played;
 use crate::error::BenchError;
 use crate::output::Rgb8;
 use crate::progress::Progress;
-use crate::rivals::Method;
 
 /// What the compared pictures showed.
 #[derive(Clone, Debug, Default)]
@@ -63,17 +62,24 @@ pub(crate) fn evaluate(
     for (number, (tick, frame)) in kept.into_iter().enumerate() {
         let frame = &frame.frame;
         let rgb = |picture| Rgb8::of(&picture, [0; 3]);
-        let shown = rgb(match options.method {
+        let shown = rgb(match options.rival.as_ref().and_then(|rival| rival.show.as_ref()) {
             // Only the ray cast can go from one frame into another.
-            Method::Layers if !tick.older.is_empty() => {
+            None if !tick.older.is_empty() => {
                 let frames: Vec<&LayeredFrame> =
                     std::iter::once(frame).chain(tick.older.iter().map(|f| &f.frame)).collect();
                 backend.combine(&frames, &bounds, &tick.camera)?
             }
-            method => {
-                let mut views = method.prepare(backend, Arc::new(frame.clone()), &bounds)?;
+            None => {
+                let mut caster = backend.reprojector(Arc::new(frame.clone()), &bounds)?;
                 let started = Instant::now();
-                let picture = views.view(&tick.camera)?;
+                let picture = caster.raycast(&tick.camera)?;
+                evaluation.view_ms.push(started.elapsed().as_secs_f64() * 1e3);
+                picture
+            }
+            Some(show) => {
+                let mut views = show(frame, &bounds);
+                let started = Instant::now();
+                let picture = views(&tick.camera);
                 evaluation.view_ms.push(started.elapsed().as_secs_f64() * 1e3);
                 picture
             }

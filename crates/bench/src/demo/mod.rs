@@ -11,16 +11,20 @@ mod report;
 mod script;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::Vec3;
 use isinglass_client::{CameraPath, Foresight};
-use isinglass_core::camera::Intrinsics;
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::clip::Clip;
-use isinglass_core::kernels::layering::Layering;
+use isinglass_core::kernels::layering::FrameMaker;
 use isinglass_core::kernels::march::MarchSettings;
+use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::picture::Picture;
 use isinglass_core::session::rate::Plan;
+use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
@@ -28,11 +32,30 @@ use isinglass_net::{Link, LinkModel};
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 
 use crate::error::BenchError;
-use crate::rivals::Method;
 use crate::scenes::{OpenedScene, open_scene};
 use crate::view::Orbit;
 
 pub use report::Report;
+
+/// Another way of frames and pictures, which a laboratory brings.
+#[derive(Clone)]
+pub struct Rival {
+    /// What reports call it.
+    pub name: String,
+    /// How the server makes frames; none: as the product does.
+    pub make: Option<FrameMaker>,
+    /// How frames become pictures; none: they are cast.
+    pub show: Option<PictureMaker>,
+}
+
+/// Makes pictures of a frame, of a volume in a box, from any camera.
+pub type PictureMaker = Arc<dyn Fn(&LayeredFrame, &Aabb) -> Box<dyn FnMut(&Camera) -> Picture> + Send + Sync>;
+
+impl std::fmt::Debug for Rival {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name)
+    }
+}
 
 /// What to play.
 #[derive(Clone, Debug)]
@@ -59,12 +82,10 @@ pub struct DemoOptions {
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
     pub isos: Isos,
-    /// Layering rule.
-    pub layering: Layering,
-    /// Segments a pixel: on average or at most, as the rule has it.
+    /// Segments a pixel, on average.
     pub k: u8,
-    /// How the pictures shown are made of frames.
-    pub method: Method,
+    /// What is played in place of the product; none: the product.
+    pub rival: Option<Rival>,
     /// Where the camera begins.
     pub orbit: Orbit,
     /// A path to play in place of the orbit.
@@ -103,9 +124,8 @@ impl Default for DemoOptions {
             lighting: Lighting::default(),
             mode: Mode::default(),
             isos: Isos::default(),
-            layering: Layering::default(),
             k: 8,
-            method: Method::default(),
+            rival: None,
             orbit: Orbit::default(),
             path: None,
             foresight: Foresight::default(),
@@ -133,7 +153,6 @@ pub struct Outcome {
 /// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
 /// which is made if it is not there; without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
-    options.method.check_mode(options.mode)?;
     let (opened, options) = options.open()?;
     let options = &options;
     let backend = Backend::open(options.backend)?;
@@ -155,7 +174,9 @@ fn run_opened(
     backend: &Backend,
     out: Option<&Path>,
 ) -> Result<Outcome, BenchError> {
-    let played = serve_and_play(options, &opened, backend)?;
+    let maker = options.rival.as_ref().and_then(|rival| rival.make.clone());
+    let server_backend = maker.map_or_else(|| backend.clone(), Backend::Rule);
+    let played = serve_and_play(options, &opened, &server_backend)?;
     let evaluation = evaluate::evaluate(backend, opened.scene, options, &played)?;
     let report = Report::of(options, backend, &played, &evaluation);
     let files = match out {
@@ -178,14 +199,16 @@ fn serve_and_play(
 }
 
 /// A server of this process, and the link of its one viewer.
-pub(crate) struct Host {
+pub struct Host {
     runtime: tokio::runtime::Runtime,
     pub(crate) server: RunningServer,
-    pub(crate) link: Link,
+    /// For one viewer.
+    pub link: Link,
 }
 
 impl Host {
-    pub(crate) fn start(
+    /// Serves what was opened on the loopback interface.
+    pub fn start(
         options: &DemoOptions,
         opened: &OpenedScene,
         backend: &Backend,
@@ -214,19 +237,19 @@ impl Host {
         Ok(Self { runtime, server, link })
     }
 
-    pub(crate) fn close(self) {
+    /// Tells the viewer, and waits.
+    pub fn close(self) {
         self.runtime.block_on(self.server.close());
     }
 }
 
 impl DemoOptions {
     /// The look that the server begins with.
-    pub(crate) fn look(&self, opened: &OpenedScene) -> Look {
+    pub fn look(&self, opened: &OpenedScene) -> Look {
         Look {
             shaded: self.shaded,
             clip: self.clip,
             lighting: self.lighting,
-            layering: self.layering,
             k: self.k,
             mode: self.mode,
             isos: self.isos,
@@ -235,7 +258,7 @@ impl DemoOptions {
     }
 
     /// The volume made ready, and these options with the orbit as the volume wants it.
-    pub(crate) fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
+    pub fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
         let &Self { raw, selection, spacing, max_bytes, clip, mode, isos, .. } = self;
         let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
         let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, self.lighting) };

@@ -26,11 +26,9 @@ pub struct Report {
     pub part: Selection,
     /// Columns and rows of the pictures.
     pub size: [u32; 2],
-    /// Layering rule, or the rival method that made the pictures.
-    pub method: &'static str,
-    /// Rule of the frames.
-    pub layering: &'static str,
-    /// K of the rule.
+    /// What made the pictures: `layers`, or a rival.
+    pub method: String,
+    /// Mean length of lists that was asked for.
     pub k: u8,
     /// How frames were coded.
     pub codec: &'static str,
@@ -108,8 +106,7 @@ impl Report {
             source: options.source.clone(),
             part: options.selection,
             size: [options.intrinsics.width, options.intrinsics.height],
-            method: options.method.name_with(options.layering),
-            layering: options.layering.in_mode(options.mode).name(),
+            method: options.rival.as_ref().map_or_else(|| "layers".to_owned(), |rival| rival.name.clone()),
             k: options.k,
             codec: options.plan.mode.name(),
             quality: options.plan.quality,

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::layer::FrameHeader;
 use isinglass_gpu::{Backend, GpuError};
 use serde::Serialize;
@@ -32,13 +31,12 @@ pub(super) fn measure(
     let Backend::Gpu(gpu) = backend else { return Ok(None) };
     let bounds = opened.scene.volume.bounds();
     let mut renderer = backend.renderer(opened.scene)?;
-    let layering: Layering = demo.layering;
     let (mut generate, mut through, mut view) = (Vec::new(), Vec::new(), Vec::new());
     for turn in 0..TURNS {
         let camera = |degrees: f32| demo.orbit.turned(degrees).camera(demo.intrinsics, &bounds);
         let at = camera(turn as f32 * STEP_DEGREES);
         let header = FrameHeader { mode: demo.mode, ..FrameHeader::alone(at, demo.k) };
-        let (frame, time) = gpu.timed::<_, GpuError>(|| renderer.generate(header, layering))?;
+        let (frame, time) = gpu.timed::<_, GpuError>(|| renderer.generate(header))?;
         let Some(time) = time else { return Ok(None) };
         generate.push(time);
         through.extend(gpu.timed::<_, GpuError>(|| renderer.render_through(&at))?.1);

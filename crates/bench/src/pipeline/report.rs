@@ -15,8 +15,6 @@ pub struct PipelineReport {
     pub source: String,
     /// Columns and rows of the picture.
     pub size: [u32; 2],
-    /// Layering rule.
-    pub layering: &'static str,
     /// Its k.
     pub k: u8,
     /// Coding of frames.
@@ -120,7 +118,6 @@ pub(super) fn report(
     PipelineReport {
         source: demo.source.clone(),
         size: [demo.intrinsics.width, demo.intrinsics.height],
-        layering: demo.layering.name(),
         k: demo.k,
         codec: demo.plan.mode.name(),
         backend: backend.description(),
@@ -178,11 +175,10 @@ fn stages(lives: &[&Life]) -> Vec<StageRow> {
 /// A table for people.
 pub fn table(r: &PipelineReport) -> String {
     let mut text = format!(
-        "{} at {}x{}, {} k {}, codec {}, {}, {} threads\nround trip {:.0} ms{}{}, display {:.0} Hz, camera {:.0}°/s, {:.1} s; first whole picture after {:.1} s\n\n",
+        "{} at {}x{}, k {}, codec {}, {}, {} threads\nround trip {:.0} ms{}{}, display {:.0} Hz, camera {:.0}°/s, {:.1} s; first whole picture after {:.1} s\n\n",
         r.source,
         r.size[0],
         r.size[1],
-        r.layering,
         r.k,
         r.codec,
         r.backend,

@@ -1,24 +1,18 @@
-//! How long each stage of a frame's life takes, side by side: full renderings, frames by each rule and K, coding, and
-//! novel views at each turn, with the empty-space grid and without.
+//! How long each stage of a frame's life takes, side by side: full renderings, frames of each K, coding, and novel views
+//! at each turn, with the empty-space grid and without.
 //!
 //! Everything about one scene on one backend is a list of tasks, which are run in turns: a round is one run of each, so
 //! that a machine that is busy now and then is busy for all of them alike. The first round does not count; of the
 //! others the least time does, as whatever disturbs only adds to it.
 
-mod targets;
 mod tasks;
 
-use isinglass_core::kernels::layering::Layering;
-use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_gpu::{Backend, BackendChoice};
 use serde::Serialize;
 
-use crate::choices::MethodChoice;
 use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::subject::{Failures, Subject, SubjectConditions, each_scene};
-
-pub use targets::TargetRow;
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -27,18 +21,10 @@ pub struct SpeedOptions {
     pub subject: Subject,
     /// Backends to compare.
     pub backends: Vec<BackendChoice>,
-    /// Layering rules.
-    pub layerings: Vec<Layering>,
-    /// How frames become pictures.
-    pub methods: Vec<MethodChoice>,
-    /// How the ray cast reads lists.
-    pub reconstructions: Vec<Reconstruction>,
     /// Frame sizes: columns and rows of lists.
     pub frame_sizes: Vec<[u32; 2]>,
     /// Rounds of which the least time counts, after one that does not.
     pub repeats: u32,
-    /// Frame rates to be held by a coarser cast.
-    pub target_fps: Vec<f32>,
 }
 
 /// The whole result.
@@ -46,13 +32,10 @@ pub struct SpeedOptions {
 pub struct SpeedReport {
     /// What holds for all rows.
     pub conditions: SpeedConditions,
-    /// One for each scene, backend, frame size, method, K, way of reading lists and turn.
+    /// One for each scene, backend, frame size, K and turn.
     pub rows: Vec<SpeedRow>,
     /// How long each volume took to be ready.
     pub preparations: Vec<Preparation>,
-    /// What is left of the picture at a frame rate, where rates were asked for.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub targets: Vec<TargetRow>,
 }
 
 /// How long a volume took to be ready on a backend, seconds.
@@ -98,15 +81,7 @@ pub struct SpeedRow {
     pub dims: [u32; 3],
     /// Where the kernels ran.
     pub backend: String,
-    /// Where the novel view was made: rival methods run on the CPU.
-    pub view_backend: String,
-    /// Layering rule, or the rival method that drew the novel view.
-    pub method: String,
-    /// Rule of the frame.
-    pub layering: &'static str,
-    /// How lists were read; none for what does not ray-cast.
-    pub reconstruction: Option<&'static str>,
-    /// K of the rule.
+    /// Mean length of lists that was asked for.
     pub k: u8,
     /// Columns and rows of lists.
     pub frame_size: [u32; 2],
@@ -130,12 +105,12 @@ pub struct SpeedRow {
     pub decode_ms: f64,
     /// Making it ready for views, once.
     pub prepare_ms: f64,
-    /// Casting it, or drawing it by another method.
+    /// Casting it.
     pub novel_view_ms: f64,
     /// The same on the device.
     pub novel_view_gpu_ms: Option<f64>,
     /// Casting it without the empty-space grid.
-    pub novel_view_no_grid_ms: Option<f64>,
+    pub novel_view_no_grid_ms: f64,
     /// The same on the device.
     pub novel_view_no_grid_gpu_ms: Option<f64>,
     /// Novel views a second.
@@ -147,7 +122,7 @@ pub struct SpeedRow {
     /// Making the frame in units of the full rendering that does not stop.
     pub generate_over_through: f64,
     /// What the grid saves, as a share of the view without it.
-    pub grid_gain: Option<f64>,
+    pub grid_gain: f64,
     /// Share of the grid's cells that hold nothing.
     pub empty_share: f32,
     /// SSIM of the novel view against the full rendering.
@@ -168,13 +143,13 @@ pub struct SpeedRow {
 
 /// Measures.
 pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
-    let (mut rows, mut targets, mut preparations) = (Vec::new(), Vec::new(), Vec::new());
-    let mut failures = Failures::default();
+    let (mut rows, mut preparations) = (Vec::new(), Vec::new());
+    let mut failures: Failures<BenchError> = Failures::default();
     let num_runs = options.backends.len() * options.subject.scenes.len();
     for &choice in &options.backends {
         let backend = Backend::open(choice)?;
         failures.append(each_scene(&options.subject.scenes, |source| {
-            // A step for each round and one for the preparation, and one for the targets.
+            // A step for each round, one for the preparation and one for the pictures.
             let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
             progress.begin(&format!("{} on {}", source.name, backend.description()));
             let (mut tasks, preparation) = tasks::Tasks::open(&backend, options, source)?;
@@ -184,8 +159,6 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
                 tasks.run_round(round > 0)?;
             }
             tasks.rows(source, &mut rows)?;
-            progress.advance(1, &format!("{} on {}, frame rates", source.name, choice));
-            targets::measure(&mut tasks, source, &mut targets)?;
             progress.finish();
             if num_runs > 1 {
                 crate::progress::note(&format!("measured {} on {choice}", source.name));
@@ -198,16 +171,14 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
         repeats: options.repeats,
         statistic: "least of the rounds; all tasks of a scene and backend take turns",
     };
-    Ok(SpeedReport { conditions, rows, preparations, targets })
+    Ok(SpeedReport { conditions, rows, preparations })
 }
 
 /// A table for people. Times on the device where it has a clock.
 pub fn table(report: &SpeedReport) -> String {
     let mut text = format!(
-        "{:<18} {:<21} {:<7} {:>2} {:>9} {:>5} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>6} {:>6} {:>7} {:>6} {:>9}  {}\n",
+        "{:<18} {:>2} {:>9} {:>5} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>6} {:>6} {:>7} {:>6} {:>9}  {}\n",
         "scene",
-        "method",
-        "lists",
         "k",
         "frame",
         "turn",
@@ -227,12 +198,9 @@ pub fn table(report: &SpeedReport) -> String {
         "ms, on"
     );
     for r in &report.rows {
-        let no_grid = r.novel_view_no_grid_gpu_ms.or(r.novel_view_no_grid_ms);
         text += &format!(
-            "{:<18} {:<21} {:<7} {:>2} {:>9} {:>4.0}° {:>8.2} {:>8.2} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>7.2} {:>8} {:>6.3} {:>6.2} {:>7.1} {:>6.4} {:>9}  {}\n",
+            "{:<18} {:>2} {:>9} {:>4.0}° {:>8.2} {:>8.2} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>7.2} {:>8.2} {:>6.3} {:>6.2} {:>7.1} {:>6.4} {:>9}  {}\n",
             r.scene,
-            r.method,
-            r.reconstruction.unwrap_or("-"),
             r.k,
             format!("{}x{}", r.frame_size[0], r.frame_size[1]),
             r.angle_deg,
@@ -243,17 +211,13 @@ pub fn table(report: &SpeedReport) -> String {
             r.decode_ms,
             r.prepare_ms,
             r.novel_view_gpu_ms.unwrap_or(r.novel_view_ms),
-            no_grid.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2}")),
+            r.novel_view_no_grid_gpu_ms.unwrap_or(r.novel_view_no_grid_ms),
             r.view_over_render,
             r.generate_over_through,
             r.fps,
             r.ssim,
             r.bytes,
-            if r.view_backend == r.backend {
-                r.backend.clone()
-            } else {
-                format!("{}; view: {}", r.backend, r.view_backend)
-            }
+            r.backend
         );
     }
     text += "\nready after, s:\n";
@@ -271,10 +235,6 @@ pub fn table(report: &SpeedReport) -> String {
             p.upload_seconds,
             p.backend
         );
-    }
-    if !report.targets.is_empty() {
-        text += "\n";
-        text += &targets::table(&report.targets);
     }
     text
 }

@@ -13,57 +13,35 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::{Bricks, Histogram};
-use isinglass_gpu::{Backend, Renderer};
+use isinglass_core::wanted::ALWAYS;
+use isinglass_gpu::{Backend, Renderer, Reprojector};
 
 use super::{Preparation, SpeedOptions, SpeedRow};
-use crate::choices::{Rule, methods_by_rule, reconstruction_name};
 use crate::error::BenchError;
-use crate::quality::black_srgb8;
-use crate::rivals::{Method, Views};
 use crate::scenes::SceneSource;
 use crate::view::Orbit;
 
 /// Everything that takes turns.
 pub(super) struct Tasks<'a> {
-    pub(super) backend: &'a Backend,
-    pub(super) options: &'a SpeedOptions,
+    backend: &'a Backend,
+    options: &'a SpeedOptions,
     bounds: Aabb,
     dims: [u32; 3],
     orbit: Orbit,
     renderer: Renderer,
     /// Turned cameras, as many as angles.
-    pub(super) turned: Vec<Camera>,
-    pub(super) frames: Vec<MadeFrame>,
-    views: Vec<FrameViews>,
+    turned: Vec<Camera>,
+    frames: Vec<MadeFrame>,
     tasks: Vec<Task>,
     least: BTreeMap<Task, Time>,
 }
 
-/// A frame of a rule, K and size.
-pub(super) struct MadeFrame {
-    pub(super) rule: Rule,
+/// A frame of one K and size, ready to be cast.
+struct MadeFrame {
     header: FrameHeader,
     encoded: codec::EncodedFrame,
     frame: Arc<LayeredFrame>,
-}
-
-impl MadeFrame {
-    pub(super) fn k(&self) -> u8 {
-        self.header.k
-    }
-
-    /// Columns and rows of lists.
-    pub(super) fn size(&self) -> [u32; 2] {
-        let intrinsics = self.header.camera.intrinsics;
-        [intrinsics.width, intrinsics.height]
-    }
-}
-
-/// A frame kept ready by a method.
-struct FrameViews {
-    frame: usize,
-    method: Method,
-    views: Views,
+    caster: Reprojector,
 }
 
 /// Indices into the lists of [`Tasks`].
@@ -77,15 +55,15 @@ enum Task {
     Encode(usize),
     Decode(usize),
     Prepare(usize),
-    /// Views, turn, way of reading lists, and whether the grid is used.
-    View(usize, usize, usize, bool),
+    /// Frame, turn, and whether the grid is used.
+    View(usize, usize, bool),
 }
 
 /// Milliseconds: with the way to memory, and on the device by its own clock.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Time {
-    pub(super) wall: f64,
-    pub(super) gpu: Option<f64>,
+struct Time {
+    wall: f64,
+    gpu: Option<f64>,
 }
 
 impl Time {
@@ -95,7 +73,7 @@ impl Time {
     }
 
     /// The device's own, where it has one.
-    pub(super) fn best(self) -> f64 {
+    fn best(self) -> f64 {
         self.gpu.unwrap_or(self.wall)
     }
 }
@@ -135,22 +113,15 @@ impl<'a> Tasks<'a> {
         };
         let turned = |&angle: &f32| orbit.turned(angle).camera(subject.intrinsics, &bounds);
         let turned: Vec<Camera> = subject.angles_degrees.iter().map(turned).collect();
-        let (mut frames, mut views) = (Vec::new(), Vec::new());
-        let rules: Vec<Rule> = options.layerings.iter().map(|&l| Rule::Layering(l)).collect();
+        let mut frames = Vec::new();
         for &[width, height] in &options.frame_sizes {
             let camera = orbit.camera(Intrinsics { width, height, ..subject.intrinsics }, &bounds);
-            for (rule, methods) in methods_by_rule(&rules, &options.methods, subject.mode) {
-                for k in rule.ks(&subject.ks) {
-                    let header = FrameHeader::alone(camera, k);
-                    let frame = rule.generate(&mut renderer, header)?;
-                    let encoded = codec::encode(&frame, &codec::Settings::default())?;
-                    let frame = Arc::new(decode(&encoded)?);
-                    for &method in &methods {
-                        let frame_views = method.prepare(backend, frame.clone(), &bounds)?;
-                        views.push(FrameViews { frame: frames.len(), method, views: frame_views });
-                    }
-                    frames.push(MadeFrame { rule, header, encoded, frame });
-                }
+            for &k in &subject.ks {
+                let header = FrameHeader::alone(camera, k);
+                let encoded = codec::encode(&renderer.generate(header)?, &codec::Settings::default())?;
+                let frame = Arc::new(decode(&encoded)?);
+                let caster = backend.reprojector(frame.clone(), &bounds)?;
+                frames.push(MadeFrame { header, encoded, frame, caster });
             }
         }
         let mut opened = Self {
@@ -162,7 +133,6 @@ impl<'a> Tasks<'a> {
             renderer,
             turned,
             frames,
-            views,
             tasks: Vec::new(),
             least: BTreeMap::new(),
         };
@@ -173,33 +143,20 @@ impl<'a> Tasks<'a> {
     fn all(&self) -> Vec<Task> {
         let mut tasks: Vec<Task> = (0..self.turned.len()).map(Task::Render).collect();
         tasks.extend(self.options.frame_sizes.iter().map(|&size| Task::Through(size)));
-        for frame in 0..self.frames.len() {
-            tasks.extend([Task::Generate(frame), Task::Encode(frame), Task::Decode(frame)]);
-        }
-        for (i, views) in self.views.iter().enumerate() {
-            tasks.push(Task::Prepare(i));
+        for i in 0..self.frames.len() {
+            tasks.extend([Task::Generate(i), Task::Encode(i), Task::Decode(i), Task::Prepare(i)]);
             for angle in 0..self.turned.len() {
-                for reading in 0..self.num_readings(views.method) {
-                    tasks.push(Task::View(i, angle, reading, true));
-                    if views.method == Method::Layers {
-                        tasks.push(Task::View(i, angle, reading, false));
-                    }
-                }
+                tasks.extend([Task::View(i, angle, true), Task::View(i, angle, false)]);
             }
         }
         tasks
-    }
-
-    fn num_readings(&self, method: Method) -> usize {
-        // Only the ray cast reads lists in more than one way.
-        if method == Method::Layers { self.options.reconstructions.len() } else { 1 }
     }
 
     /// Runs every task once.
     pub(super) fn run_round(&mut self, counts: bool) -> Result<(), BenchError> {
         for task in self.tasks.clone() {
             let mut time = self.run(task)?;
-            // Going from one rule to the next makes new buffers on the GPU, which a server does not do for each frame. What
+            // Going from one K to the next makes new buffers on the GPU, which a server does not do for each frame. What
             // frames are compared with has as many tries.
             if counts
                 && matches!((task, self.backend), (Task::Generate(_) | Task::Through(_), Backend::Gpu(_)))
@@ -216,7 +173,7 @@ impl<'a> Tasks<'a> {
 
     fn run(&mut self, task: Task) -> Result<Time, BenchError> {
         let backend = self.backend;
-        let Self { renderer, orbit, turned, frames, views, options, bounds, .. } = self;
+        let Self { renderer, orbit, turned, frames, options, bounds, .. } = self;
         match task {
             Task::Render(angle) => timed(backend, || Ok(renderer.render(&turned[angle])?)),
             Task::Through([width, height]) => {
@@ -224,59 +181,26 @@ impl<'a> Tasks<'a> {
                 let camera = orbit.camera(intrinsics, bounds);
                 timed(backend, || Ok(renderer.render_through(&camera)?))
             }
-            Task::Generate(i) => {
-                let MadeFrame { rule, header, .. } = frames[i];
-                timed(backend, || rule.generate_next(renderer, header))
-            }
+            Task::Generate(i) => timed(backend, || Ok(renderer.generate_while(frames[i].header, ALWAYS)?)),
             Task::Encode(i) => {
                 timed(backend, || Ok(codec::encode(&frames[i].frame, &codec::Settings::default())?))
             }
             Task::Decode(i) => timed(backend, || decode(&frames[i].encoded)),
-            Task::Prepare(i) => {
-                let FrameViews { frame, method, .. } = views[i];
-                timed(backend, || method.prepare(backend, frames[frame].frame.clone(), bounds))
-            }
-            Task::View(i, angle, reading, skips_empty_space) => {
-                let cast = CastOptions {
-                    reconstruction: options.reconstructions.get(reading).copied().unwrap_or_default(),
-                    skips_empty_space,
-                    ..CastOptions::default()
-                };
-                timed(views[i].method.backend(backend), || views[i].views.view_with(&turned[angle], &cast))
+            Task::Prepare(i) => timed(backend, || Ok(backend.reprojector(frames[i].frame.clone(), bounds)?)),
+            Task::View(i, angle, skips_empty_space) => {
+                let cast = CastOptions { skips_empty_space, ..CastOptions::default() };
+                timed(backend, || Ok(frames[i].caster.raycast_with(&turned[angle], &cast)?))
             }
         }
     }
 
-    /// A view of a frame, with the time that it took.
-    pub(super) fn cast(
-        &mut self,
-        frame: usize,
-        camera: &Camera,
-        options: &CastOptions,
-    ) -> Result<Option<(Picture, Time)>, BenchError> {
-        let is_cast = |v: &&mut FrameViews| v.frame == frame && v.method == Method::Layers;
-        let Some(views) = self.views.iter_mut().find(is_cast) else { return Ok(None) };
-        let mut picture = None;
-        let time = timed(self.backend, || {
-            picture = Some(views.views.view_with(camera, options)?);
-            Ok(())
-        })?;
-        Ok(picture.map(|picture| (picture, time)))
-    }
-
-    /// The full rendering from a turned camera.
-    pub(super) fn truth(&mut self, angle: usize) -> Result<Picture, BenchError> {
-        Ok(self.renderer.render(&self.turned[angle])?)
-    }
-
     /// All rows, after the rounds.
     pub(super) fn rows(&mut self, source: &SceneSource, rows: &mut Vec<SpeedRow>) -> Result<(), BenchError> {
-        let truths = (0..self.turned.len()).map(|a| self.truth(a)).collect::<Result<Vec<_>, _>>()?;
-        for i in 0..self.views.len() {
-            for reading in 0..self.num_readings(self.views[i].method) {
-                for (angle, truth) in truths.iter().enumerate() {
-                    rows.push(self.row(source, i, reading, angle, truth)?);
-                }
+        let truths: Vec<Picture> =
+            self.turned.iter().map(|camera| self.renderer.render(camera)).collect::<Result<_, _>>()?;
+        for i in 0..self.frames.len() {
+            for (angle, truth) in truths.iter().enumerate() {
+                rows.push(self.row(source, i, angle, truth)?);
             }
         }
         Ok(())
@@ -286,33 +210,26 @@ impl<'a> Tasks<'a> {
         &mut self,
         source: &SceneSource,
         i: usize,
-        reading: usize,
         angle: usize,
         truth: &Picture,
     ) -> Result<SpeedRow, BenchError> {
-        let FrameViews { frame: of, method, .. } = self.views[i];
-        let reconstruction = (method == Method::Layers).then(|| self.options.reconstructions[reading]);
-        let cast = CastOptions { reconstruction: reconstruction.unwrap_or_default(), ..Default::default() };
-        let shown = self.views[i].views.view_with(&self.turned[angle], &cast)?;
+        let shown = self.frames[i].caster.raycast(&self.turned[angle])?;
         let error = error_between(&shown, truth)?;
-        let made = &self.frames[of];
-        let frame_size = made.size();
+        let made = &self.frames[i];
+        let Intrinsics { width, height, .. } = made.header.camera.intrinsics;
+        let frame_size = [width, height];
         // Every task has run; an infinite time would show a mistake.
         let time =
             |task: Task| self.least.get(&task).copied().unwrap_or(Time { wall: f64::INFINITY, gpu: None });
         let (render, through) = (time(Task::Render(angle)), time(Task::Through(frame_size)));
-        let generate = time(Task::Generate(of));
-        let view = time(Task::View(i, angle, reading, true));
-        let no_grid = (method == Method::Layers).then(|| time(Task::View(i, angle, reading, false)));
+        let generate = time(Task::Generate(i));
+        let view = time(Task::View(i, angle, true));
+        let no_grid = time(Task::View(i, angle, false));
         Ok(SpeedRow {
             scene: source.name.clone(),
             dims: self.dims,
             backend: self.backend.description(),
-            view_backend: method.backend(self.backend).description(),
-            method: method.name_on(made.rule).to_owned(),
-            layering: made.rule.name(),
-            reconstruction: reconstruction.map(reconstruction_name),
-            k: made.k(),
+            k: made.header.k,
             frame_size,
             angle_deg: self.options.subject.angles_degrees[angle],
             render_ms: render.wall,
@@ -321,18 +238,18 @@ impl<'a> Tasks<'a> {
             render_through_gpu_ms: through.gpu,
             generate_ms: generate.wall,
             generate_gpu_ms: generate.gpu,
-            encode_ms: time(Task::Encode(of)).wall,
-            decode_ms: time(Task::Decode(of)).wall,
+            encode_ms: time(Task::Encode(i)).wall,
+            decode_ms: time(Task::Decode(i)).wall,
             prepare_ms: time(Task::Prepare(i)).wall,
             novel_view_ms: view.wall,
             novel_view_gpu_ms: view.gpu,
-            novel_view_no_grid_ms: no_grid.map(|t| t.wall),
-            novel_view_no_grid_gpu_ms: no_grid.and_then(|t| t.gpu),
+            novel_view_no_grid_ms: no_grid.wall,
+            novel_view_no_grid_gpu_ms: no_grid.gpu,
             fps: 1e3 / view.best(),
             render_fps: 1e3 / render.best(),
             view_over_render: ratio(view, render),
             generate_over_through: ratio(generate, through),
-            grid_gain: no_grid.map(|t| 1.0 - ratio(view, t)),
+            grid_gain: 1.0 - ratio(view, no_grid),
             empty_share: EmptySpace::new(&made.frame).empty_share(),
             ssim: error.ssim,
             dssim: error.dssim,
@@ -351,9 +268,9 @@ fn ratio(of: Time, to: Time) -> f64 {
 }
 
 /// Two pictures of one size on black.
-pub(super) fn error_between(a: &Picture, b: &Picture) -> Result<ImageError, BenchError> {
+fn error_between(a: &Picture, b: &Picture) -> Result<ImageError, BenchError> {
     let (width, height) = (a.width as usize, a.height as usize);
-    Ok(compare(&black_srgb8(a), &black_srgb8(b), width, height, [0; 3])?)
+    Ok(compare(&a.to_srgb8([0.0; 3]), &b.to_srgb8([0.0; 3]), width, height, [0; 3])?)
 }
 
 fn decode(encoded: &codec::EncodedFrame) -> Result<LayeredFrame, BenchError> {
@@ -370,7 +287,7 @@ fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> 
     };
     let (wall, gpu) = match backend {
         Backend::Gpu(gpu) => gpu.timed(run)?,
-        Backend::Cpu => (run()?, None),
+        Backend::Cpu | Backend::Rule(_) => (run()?, None),
     };
     Ok(Time { wall, gpu: gpu.map(|t| t.as_secs_f64() * 1e3) })
 }

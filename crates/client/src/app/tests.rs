@@ -93,7 +93,7 @@ impl HereSource {
             k: self.look.1.k,
             mode: Default::default(),
         };
-        let frame = generate(&self.scene, header, self.look.1.layering);
+        let frame = generate(&self.scene, header);
         let times = Life::default();
         self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times }));
     }

@@ -120,7 +120,7 @@ mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics, Pose};
     use crate::codec::tests::{soft, soft_scene};
-    use crate::kernels::layering::{Layering, generate};
+    use crate::kernels::layering::generate;
     use crate::kernels::march::{MarchSettings, Scene};
     use crate::layer::FrameHeader;
     use crate::mode::Mode;
@@ -135,7 +135,7 @@ mod tests {
         let intrinsics = Intrinsics::perspective(96, 80, 0.6);
         let distance = bounds.radius() * intrinsics.fit_distance();
         let camera = Camera::new(Pose::orbit(glam::Vec3::ZERO, 0.5, 0.3, distance), intrinsics, &bounds);
-        generate(scene, FrameHeader::alone(camera, 12), Layering::VisibilityMerge)
+        generate(scene, FrameHeader::alone(camera, 12))
     }
 
     #[test]

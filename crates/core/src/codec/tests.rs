@@ -6,7 +6,7 @@ use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::image_error;
-use crate::kernels::layering::{Layering, generate};
+use crate::kernels::layering::generate;
 use crate::kernels::march::{MarchSettings, Scene};
 use crate::layer::{Over, Segment, TAU_MAX};
 use crate::space::Aabb;
@@ -118,7 +118,7 @@ pub(super) fn soft_scene(builtin: Builtin) -> Scene {
 }
 
 fn marched_frame(builtin: Builtin, size: u32) -> LayeredFrame {
-    generate(&soft_scene(builtin), header(size, size, 8), Layering::VisibilityMerge)
+    generate(&soft_scene(builtin), header(size, size, 8))
 }
 
 fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {

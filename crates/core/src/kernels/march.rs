@@ -263,6 +263,7 @@ pub trait Sink {
 }
 
 /// Calls `$body` with `$texels` bound to the typed voxels of `$scene`.
+#[macro_export]
 macro_rules! with_texels {
     ($scene:expr, $texels:ident => $body:expr) => {
         match $scene.volume.voxels() {
@@ -281,7 +282,7 @@ macro_rules! with_texels {
         }
     };
 }
-pub(crate) use with_texels;
+pub use with_texels;
 
 /// A scene with typed voxels and what is constant over all rays.
 pub struct Marcher<'a, T> {

@@ -512,7 +512,7 @@ mod tests {
     use super::*;
     use crate::camera::{Intrinsics, Pose};
 
-    use crate::kernels::layering::{Layering, generate};
+    use crate::kernels::layering::generate;
     use crate::kernels::march::{MarchSettings, Scene};
     use crate::layer::FrameHeader;
     use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
@@ -534,7 +534,7 @@ mod tests {
             Camera::new(Pose::orbit(Vec3::ZERO, azimuth, 0.2, 4.0), intrinsics, &bounds)
         };
         let header = FrameHeader::alone(camera(0.3), 6);
-        let mut caster = Raycaster::new(&generate(&scene, header, Layering::VisibilityMerge), &bounds);
+        let mut caster = Raycaster::new(&generate(&scene, header), &bounds);
         let options = CastOptions::default();
         let (mut num_out_of_reach, mut pictures) = (0, Vec::new());
         for azimuth in [0.3, 0.4, 0.8, 2.0] {

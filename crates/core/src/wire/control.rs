@@ -411,7 +411,6 @@ pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 mod tests {
     use super::*;
     use crate::ids::ProbeId;
-    use crate::kernels::layering::Layering;
     use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
     use crate::wire::ProbedVoxel;
 
@@ -423,7 +422,7 @@ mod tests {
             unit_length: UnitLength::Radius(0.1),
             points: vec![p(0.0), p(1.0)],
         };
-        Look { layering: Layering::EqualTransmittance, ..Look::new(transfer) }
+        Look { k: 5, ..Look::new(transfer) }
     }
 
     fn messages() -> Vec<ServerMessage> {

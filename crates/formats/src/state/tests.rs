@@ -1,5 +1,4 @@
 use isinglass_core::clip::{Clip, Plane};
-use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 
@@ -36,7 +35,6 @@ fn state(seed: u32) -> SavedState {
             [seed as usize % 3],
         points: (0..=7).map(point).collect(),
     };
-    let layering = Layering::ALL[seed as usize % Layering::ALL.len()];
     let rotation = Quat::from_rotation_y(odd(seed)) * Quat::from_rotation_x(odd(seed + 1));
     let intrinsics = Intrinsics::perspective(1100, 761, (20.0 + odd(seed) * 90.0).to_radians());
     let eye = Vec3::new(odd(seed + 2), -odd(seed + 3), 1e5 * odd(seed + 4));
@@ -64,13 +62,7 @@ fn state(seed: u32) -> SavedState {
             method: Some("layers".into()),
             ..SavedView::default()
         },
-        look: Some(Look {
-            shaded: seed.is_multiple_of(2),
-            k: 9,
-            layering,
-            clip: clip(seed),
-            ..Look::new(transfer)
-        }),
+        look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),
     }
 }
 
@@ -114,7 +106,6 @@ fn it_is_text_that_a_person_can_read() {
         "stereo = \"red-cyan\"",
         "[look]",
         "k = 9",
-        "layering = \"equal-length\"",
         "[look.transfer]",
         "domain = { percentiles = [0.1, 99.9] }",
     ] {
@@ -123,9 +114,6 @@ fn it_is_text_that_a_person_can_read() {
     assert!(is_state(text.as_bytes()));
     let preset = crate::transfer_to_toml(&crate::preset("ct").unwrap());
     assert!(!is_state(preset.as_bytes()) && !is_state(b"NRRD0004"));
-    let depths = Layering::SingleDepth(Representative::Peak);
-    let state = SavedState { look: Some(Look { layering: depths, ..state(0).look.unwrap() }), ..state(0) };
-    assert!(state.to_toml().contains("layering = { single-depth = \"peak\" }"), "{}", state.to_toml());
 }
 
 #[test]

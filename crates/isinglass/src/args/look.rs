@@ -2,7 +2,6 @@
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::mode::{Isos, Mode as RenderMode};
@@ -77,28 +76,24 @@ impl LookArgs {
     }
 
     /// What is asked for, of a volume whose transfer function is `transfer`.
-    pub(crate) fn look(&self, transfer: TransferFunction, layering: &LayeringArgs) -> Result<Look> {
-        let LayeringArgs { layering, k } = *layering;
+    pub(crate) fn look(&self, transfer: TransferFunction, lists: &ListArgs) -> Result<Look> {
+        let &ListArgs { k } = lists;
         let (mode, isos) = self.mode()?;
         let clip = self.clip.clip();
-        Ok(Look { shaded: self.is_shaded(), layering, k, clip, mode, isos, ..Look::new(transfer) })
+        Ok(Look { shaded: self.is_shaded(), k, clip, mode, isos, ..Look::new(transfer) })
     }
 }
 
-/// Which segments a layered frame holds.
+/// How many segments a layered frame holds.
 #[derive(Args, Clone, Debug)]
-pub(crate) struct LayeringArgs {
-    /// Rule: visibility-merge, equal-transmittance, equal-length, homogeneity, slabs, single-depth or single-depth:D, D
-    /// being mean, entry, exit, midpoint, peak, gradient or threshold
-    #[arg(long, value_name = "RULE", default_value_t = Layering::default())]
-    pub(crate) layering: Layering,
-    /// Segments a pixel: on average with visibility-merge, at most with other rules
+pub(crate) struct ListArgs {
+    /// Segments a pixel, on average over those that see anything
     #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
     pub(crate) k: u8,
 }
 
-impl Default for LayeringArgs {
+impl Default for ListArgs {
     fn default() -> Self {
-        Self { layering: Layering::default(), k: DEFAULT_K }
+        Self { k: DEFAULT_K }
     }
 }

@@ -1,18 +1,18 @@
 //! Arguments that several commands share.
 
+mod backend;
 mod coding;
 mod link;
 mod look;
-mod method;
 mod motion;
 mod parse;
 mod view;
 mod volume;
 
+pub(crate) use backend::BackendArgs;
 pub(crate) use coding::{CodecArgs, CodecChoice, PlanArgs};
 pub(crate) use link::LinkArgs;
-pub(crate) use look::{LayeringArgs, LookArgs, Switch};
-pub(crate) use method::{BackendArgs, MethodArgs};
+pub(crate) use look::{ListArgs, LookArgs, Switch};
 pub(crate) use motion::{ForesightArgs, PathArgs};
 pub(crate) use parse::{
     not_an_input, parse_background, parse_duration, parse_fov, parse_k, parse_mbit, parse_output,

@@ -7,7 +7,6 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals::{self, Method};
 use isinglass_bench::view::Orbit;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_formats::SavedState;
@@ -15,8 +14,8 @@ use isinglass_net::LinkModel;
 use isinglass_server::{ServeOptions, Timing};
 
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, MethodArgs, PartArgs, PathArgs, PlanArgs,
-    RawArgs, VolumeArgs, parse_duration, parse_fov, parse_rate, parse_size,
+    BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
+    VolumeArgs, parse_duration, parse_fov, parse_rate, parse_size,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -64,9 +63,7 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = parse_rate)]
     rate: f32,
     #[command(flatten)]
-    layering: LayeringArgs,
-    #[command(flatten)]
-    method: MethodArgs,
+    lists: ListArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -132,9 +129,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         lighting: args.light.lighting(),
         mode,
         isos,
-        layering: args.layering.layering,
-        k: args.layering.k,
-        method: args.method.method,
+        k: args.lists.k,
         is_orthographic: args.orthographic,
         orbit: args.orbit,
         path: args.path.read()?,
@@ -153,9 +148,6 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         (options.intrinsics.width, options.intrinsics.height) = (width, height);
     }
     options.intrinsics = options.intrinsics.with_fov_y(args.fov.to_radians());
-    if args.orthographic && args.method.method != Method::Layers {
-        bail!("--method {}: goes between perspective views only, expected layers", args.method.method);
-    }
     let out = args.out.unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
     if out.exists() && !out.is_dir() {
         bail!("{}: found a file, expected a folder for the report", out.display());
@@ -171,7 +163,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
     let volume_source = Some(volume.volume_source()?);
     let (opened, look) =
-        seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.layering, &args.memory)?;
+        seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);
     let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window);
     // The server has the look already, with what flags say.
@@ -206,8 +198,6 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             initial_orbit: initial_orbit(&args.orbit),
             fov_y: args.fov.to_radians(),
             is_orthographic: args.orthographic,
-            novel_views: rivals::for_viewer(),
-            novel_view: args.method.method.name(),
             foresight: args.foresight.foresight(),
             refresh_hz: args.window.refresh,
             ..WindowOptions::default()

@@ -13,7 +13,7 @@ use isinglass_formats::iglf::{self, Origin};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, CodecArgs, CodecChoice, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input,
+    BackendArgs, CodecArgs, CodecChoice, ListArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input,
     parse_output, usage_error,
 };
 use crate::given::Given;
@@ -35,7 +35,7 @@ pub(crate) struct LayersArgs {
     #[command(flatten)]
     view: ViewArgs,
     #[command(flatten)]
-    layering: LayeringArgs,
+    lists: ListArgs,
     #[command(flatten)]
     codec: CodecArgs,
     #[command(flatten)]
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     args.codec.check()?;
     let seen = args.state.read(given)?;
     not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
-    let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.layering)?;
+    let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.lists)?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let left = (!is_askew).then(|| opened.scene.region().bounds);
     let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
     let start = Instant::now();
-    let frame = renderer.generate(FrameHeader::alone(camera, look.k), look.layering)?;
+    let frame = renderer.generate(FrameHeader::alone(camera, look.k))?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
@@ -85,7 +85,6 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             "backend": backend.description(),
             "tf": opened.transfer.name,
             "mode": frame.header.mode.name(),
-            "layering": look.layering.in_mode(look.mode).name(),
             "k": look.k,
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),

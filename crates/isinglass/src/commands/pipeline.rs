@@ -12,7 +12,7 @@ use isinglass_core::camera::Intrinsics;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LinkArgs, LookArgs, PartArgs, PlanArgs, RawArgs, not_an_input,
+    BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PlanArgs, RawArgs, not_an_input,
     parse_duration, parse_fov, parse_output, parse_rate, parse_size,
 };
 use crate::light_args::LightArgs;
@@ -46,7 +46,7 @@ pub(super) struct PipelineArgs {
     #[arg(long, value_name = "HZ", default_value_t = 60.0, value_parser = parse_rate)]
     refresh: f32,
     #[command(flatten)]
-    layering: LayeringArgs,
+    lists: ListArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -92,8 +92,7 @@ pub(super) fn run(args: PipelineArgs) -> Result<()> {
         lighting: args.light.lighting(),
         mode,
         isos,
-        layering: args.layering.layering,
-        k: args.layering.k,
+        k: args.lists.k,
         orbit: args.orbit,
         foresight: args.foresight.foresight(),
         intrinsics: Intrinsics::perspective(width, height, args.fov.to_radians()),

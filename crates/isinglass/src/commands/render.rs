@@ -11,7 +11,7 @@ use isinglass_bench::view::Orbit;
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, LayeringArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input, parse_background, parse_picture,
+    BackendArgs, ListArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input, parse_background, parse_picture,
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     }
     seen.note_what_is_not_drawn(args.lens.has_two_eyes());
     let lighting = args.light.lighting();
-    let (opened, _) = seen.open(&args.volume, &args.look, lighting, &LayeringArgs::default())?;
+    let (opened, _) = seen.open(&args.volume, &args.look, lighting, &ListArgs::default())?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();

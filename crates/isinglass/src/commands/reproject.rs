@@ -4,21 +4,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals::{Method, Views};
 use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_core::camera::Camera;
-use isinglass_core::clip::Clip;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::mode::Mode;
 use isinglass_formats::iglf::{self, Origin, StoredFrame};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, MethodArgs, not_an_input, orthographic, parse_background, parse_fov, parse_picture,
-    parse_size,
+    BackendArgs, not_an_input, orthographic, parse_background, parse_fov, parse_picture, parse_size,
 };
 use crate::clip_args::ClipArgs;
 use crate::lens_args::LensArgs;
@@ -49,8 +46,6 @@ pub(crate) struct ReprojectArgs {
     #[arg(long, value_name = "#RRGGBB", value_parser = parse_background, default_value = "#000000")]
     background: [u8; 3],
     #[command(flatten)]
-    method: MethodArgs,
-    #[command(flatten)]
     backend: BackendArgs,
     /// Tell what was done as JSON
     #[arg(long)]
@@ -80,22 +75,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     let camera =
         if args.orthographic { orthographic(&camera, &sphere_box_from_header(&header)) } else { camera };
     let plan = args.lens.plan(&camera, &sphere_box_from_header(&header), orientation.as_deref(), 0.0)?;
-    let method = args.method.method;
-    if method != Method::Layers && !plan.is_plain() {
-        bail!(
-            "--method {}: makes plain views only, expected layers with a lens, shutter or two eyes",
-            method
-        );
-    }
-    let is_parallel = |camera: &Camera| camera.intrinsics.projection.is_orthographic();
-    if method != Method::Layers && (is_parallel(&camera) || is_parallel(&header.camera)) {
-        bail!("--method {method}: goes between perspective views only, expected layers with parallel rays");
-    }
-    method.check_mode(header.mode)?;
     let clip = args.clip.clip();
-    if method != Method::Layers && clip != Clip::default() {
-        bail!("--method {method}: shows whole frames, expected layers with --clip-box or --clip-plane");
-    }
     let backend = args.backend.open()?;
     let options = CastOptions { clip, ..CastOptions::default() };
     let start = Instant::now();
@@ -105,11 +85,8 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         );
     }
     let bounds = bounds.unwrap_or_else(|| bounds_from_header(&header));
-    let mut views = method.prepare(&backend, Arc::new(frame), &bounds)?;
-    let pictures = match &mut views {
-        Views::Layers(reprojector) => plan.draw(|views| reprojector.raycast_mean_with(views, &options))?,
-        rival => vec![rival.view(&camera)?],
-    };
+    let mut reprojector = backend.reprojector(Arc::new(frame), &bounds)?;
+    let pictures = plan.draw(|views| reprojector.raycast_mean_with(views, &options))?;
     let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
     let picture = plan.compose(&pictures, args.background);
     picture.write(&args.output)?;
@@ -117,10 +94,9 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
         print_json(&json!({
             "output": args.output.display().to_string(),
             "size": [picture.width, picture.height],
-            "method": method.name(),
             "mode": header.mode.name(),
             "lens": plan.json,
-            "backend": method.backend(&backend).description(),
+            "backend": backend.description(),
             "novel_view_ms": novel_view_ms,
         }))?;
     }

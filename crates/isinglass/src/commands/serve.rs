@@ -10,7 +10,7 @@ use isinglass_net::Link;
 use isinglass_server::{Attendance, ServeOptions, Timing};
 use serde_json::json;
 
-use crate::args::{BackendArgs, LayeringArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
+use crate::args::{BackendArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
@@ -31,7 +31,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     viewers: u32,
     #[command(flatten)]
-    layering: LayeringArgs,
+    lists: ListArgs,
     /// Send each viewer no more than so many megabits a second, in frames as good as that allows [default: what its link
     /// carries]
     #[arg(long, value_name = "MBIT", value_parser = parse_mbit)]
@@ -61,7 +61,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     let seen = args.state.read(given)?;
     let source = seen.volume(&args.volume)?.source()?.to_owned();
     let (opened, look) =
-        seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.layering, &args.memory)?;
+        seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     // Who follows the link sees the state at once.
     let state = seen.for_link(&look);
     let backend = args.backend.open()?;

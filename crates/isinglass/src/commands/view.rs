@@ -9,7 +9,6 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::output::write_whole;
 use isinglass_bench::progress::note;
-use isinglass_bench::rivals;
 use isinglass_bench::view::Orbit;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
 use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer};
@@ -17,8 +16,8 @@ use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
 use super::demo::initial_orbit;
 use crate::args::{
-    BackendArgs, ForesightArgs, LayeringArgs, LookArgs, MethodArgs, PartArgs, RawArgs, VolumeArgs, parse_fov,
-    parse_output, parse_size,
+    BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
+    parse_size,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -48,8 +47,6 @@ pub(crate) struct ViewerArgs {
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     #[command(flatten)]
-    method: MethodArgs,
-    #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
     memory: MemoryArgs,
@@ -57,7 +54,7 @@ pub(crate) struct ViewerArgs {
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     record: Option<PathBuf>,
     #[command(flatten)]
-    layering: LayeringArgs,
+    lists: ListArgs,
     // Last: what follows would be listed under their headings.
     #[command(flatten)]
     look: LookArgs,
@@ -128,8 +125,6 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         initial_orbit: initial_orbit(&args.orbit),
         fov_y: args.fov.to_radians(),
         is_orthographic: args.orthographic,
-        novel_views: rivals::for_viewer(),
-        novel_view: args.method.method.name(),
         foresight: args.foresight.foresight(),
         refresh_hz: args.window.refresh,
         recorder: recorder.clone(),
@@ -164,7 +159,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                 seen,
                 look: args.look,
                 lighting: args.light.lighting(),
-                layering: args.layering,
+                lists: args.lists,
             };
             // The server of the volume has the look already, with what flags say.
             let state = window.state.map(|state| SavedState { look: None, ..state });

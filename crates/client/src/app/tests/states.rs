@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use isinglass_core::ids::LoadId;
-use isinglass_core::kernels::layering::Layering;
 use isinglass_core::wire::{LoadState, Part};
 use isinglass_formats::{SavedState, VolumeSource, read_state};
 
@@ -27,7 +26,7 @@ fn changed() -> Harness<'static, ViewerApp<HereSource>> {
         press(&mut w, Modifiers::NONE, key);
     }
     let transfer = isinglass_formats::preset("cubus").unwrap();
-    let look = Look { shaded: false, k: 5, layering: Layering::EqualTransmittance, ..Look::new(transfer) };
+    let look = Look { shaded: false, k: 5, ..Look::new(transfer) };
     let app = w.state_mut();
     app.viewing.set_look(Duration::ZERO, look);
     app.aids.background = [1, 200, 3];

@@ -9,7 +9,7 @@ use crate::codec::{
 };
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::image_error;
-use crate::kernels::layering::{Layering, generate};
+use crate::kernels::layering::generate;
 use crate::kernels::march::Scene;
 use crate::kernels::raycast::{CastOptions, Raycaster};
 use crate::space::Aabb;
@@ -27,7 +27,7 @@ fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> Lay
         k: 12,
         mode: Default::default(),
     };
-    generate(scene, header, Layering::VisibilityMerge)
+    generate(scene, header)
 }
 
 fn camera(intrinsics: Intrinsics, degrees: f32) -> Camera {

@@ -10,9 +10,9 @@
 
 use rayon::prelude::*;
 
-use super::Listing;
 use super::visibility_merge::Counter;
-use crate::camera::{Camera, Pose};
+use super::{Listing, projection};
+use crate::camera::Pose;
 use crate::kernels::march::{Marcher, Scene, Texels};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::Mode;
@@ -90,14 +90,9 @@ pub fn second_least(counts: &Counts, k: usize) -> f32 {
     FIRST_LEAST * FIRST_RATIO.powi(i as i32)
 }
 
-/// The threshold of a frame whose rays are counted.
-pub(super) fn count<T: Texels>(
-    scene: &Scene,
-    marcher: &Marcher<'_, T>,
-    camera: &Camera,
-    k: usize,
-    counts_of_ray: impl Fn(&Listing<'_, T>, &[f32; NUM_THRESHOLDS]) -> [u32; NUM_THRESHOLDS] + Sync,
-) -> f32 {
+/// The threshold of a frame whose rays are counted. `asked.k` is K.
+pub(super) fn count<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, asked: &FrameHeader) -> f32 {
+    let (camera, k) = (&asked.camera, usize::from(asked.k));
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let stride = sample_stride(width, height);
     let basis = camera.basis();
@@ -107,8 +102,8 @@ pub(super) fn count<T: Texels>(
         let row = |&y: &u32| {
             let mut counts = Counts::default();
             for x in sampled(width, stride) {
-                let of = Listing::new(scene, marcher, &basis, camera.near, (x, y));
-                if let Some(num_segments) = of.map(|of| counts_of_ray(&of, &thresholds)) {
+                if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
+                    let num_segments = of.counts(longest_list(k), &thresholds);
                     let num_lists = u32::from(num_segments[0] > 0);
                     counts = counts.sum(Counts { num_lists, num_segments });
                 }
@@ -121,15 +116,16 @@ pub(super) fn count<T: Texels>(
     threshold_from_counts(&count_at(least, SECOND_RATIO), least, SECOND_RATIO, k)
 }
 
-/// The counts of one ray of matter.
-pub(super) fn counts_of_matter<T: Texels>(
-    of: &Listing<'_, T>,
-    longest: usize,
-    thresholds: &[f32; NUM_THRESHOLDS],
-) -> [u32; NUM_THRESHOLDS] {
-    let mut counter = Counter::new(thresholds, longest, &of.lattice);
-    of.marcher.march(&of.ray, of.lattice, &mut counter);
-    counter.finish()
+impl<T: Texels> Listing<'_, T> {
+    /// Segments of the ray at each threshold.
+    fn counts(&self, longest: usize, thresholds: &[f32; NUM_THRESHOLDS]) -> [u32; NUM_THRESHOLDS] {
+        if self.scene.settings.mode.is_projection() {
+            return projection::counts(self, longest, thresholds);
+        }
+        let mut counter = Counter::new(thresholds, longest, &self.lattice);
+        self.march(&mut counter);
+        counter.finish()
+    }
 }
 
 /// What a renderer remembers from frame to frame.
@@ -210,7 +206,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::camera::Intrinsics;
+    use crate::camera::{Camera, Intrinsics};
     use crate::space::Aabb;
 
     #[test]

@@ -46,12 +46,7 @@ pub(super) fn list(
 }
 
 /// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than [`MIN_UNITS`] is made so thick.
-pub(super) fn segment_behind(
-    camera: &Camera,
-    segment: &OpenSegment,
-    s_per_depth: f32,
-    last_back: u16,
-) -> Segment {
+pub fn segment_behind(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_back: u16) -> Segment {
     let front = units(camera, segment.s0 / s_per_depth).max(last_back);
     let back = units(camera, segment.s1 / s_per_depth).max(front.saturating_add(MIN_UNITS));
     Segment { front, back, c: segment.c, tau: segment.tau.min(TAU_MAX) }
@@ -79,4 +74,4 @@ fn unite(compositing: Compositing, segment: &mut OpenSegment, behind: &OpenSegme
 /// Least thickness of a segment in depth units. Single precision finds where a ray crosses a depth to about 1/200 of
 /// a unit, so the part of such a segment that a ray crosses is known to 1/1000; the units are 1/16384 of the volume's
 /// diameter, far below any parallax.
-pub(super) const MIN_UNITS: u16 = 4;
+pub const MIN_UNITS: u16 = 4;

@@ -1,123 +1,36 @@
-//! Rules that turn the steps of a march into the segments of a layered frame: one file each.
+//! Layered frames from a march: the steps of each ray become the segments of its list.
 //!
-//! Every rule sees the same steps of the same lattice; only what becomes of them differs. Projections have a rule of their
-//! own ([`projection`]), whichever is chosen.
+//! [`visibility_merge`] makes the lists of modes that composite with *over*, [`projection`] those of projections. Both are
+//! [`stream`]s under one [`budget`]. A laboratory may bring a [`Rule`] of its own, which sees the same steps.
 
-pub mod all_samples;
 pub mod budget;
-mod close;
-pub mod cuts;
-pub mod equal_length;
-pub mod equal_transmittance;
-pub mod homogeneity;
-#[cfg(test)]
-mod laws;
+pub mod close;
 pub mod projection;
-pub mod single_depth;
-pub mod slabs;
 mod stream;
 mod visibility_merge;
 
-pub use single_depth::Representative;
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use self::budget::Budget;
-use super::march::{Lattice, Marcher, Scene, Step, Texels, with_texels};
-use super::raycast::opacity;
+use super::march::{Lattice, Marcher, Scene, Sink, Step, Texels, with_texels};
 use crate::camera::{Basis, Intrinsics};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
-use crate::mode::Mode;
 use crate::space::Ray;
 use crate::wanted::{ALWAYS, Wanted};
 
-/// The rules by name.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Layering {
-    /// One march, merged up to an error that the whole frame shares; K segments a list on average, more where they matter
-    /// (ours).
-    #[default]
-    VisibilityMerge,
-    /// Cuts at equal shares of the accumulated opacity; two marches (Lochmann 2016).
-    EqualTransmittance,
-    /// Cuts at equal distances from the first to the last content; two marches (Brady 1997).
-    EqualLength,
-    /// Segments of like colour, by a threshold that is found ray by ray; many marches (Frey 2013, Gupta 2022).
-    Homogeneity,
-    /// The whole ray at one depth (Zellmann 2012).
-    SingleDepth(Representative),
-    /// Slabs of equal view depth, the same for every ray (Mueller 1999).
-    Slabs,
+/// How the steps of a ray become a list, where it is not by this module's own way.
+pub trait Rule: Sync {
+    /// Makes of `list`, which is empty, that of a ray: at most `k` segments.
+    fn list<T: Texels>(&self, ray: &Listing<'_, T>, k: usize, list: &mut SegmentList);
 }
 
-impl Layering {
-    /// Every rule.
-    pub const ALL: [Self; 12] = [
-        Self::VisibilityMerge,
-        Self::EqualTransmittance,
-        Self::EqualLength,
-        Self::Homogeneity,
-        Self::Slabs,
-        Self::SingleDepth(Representative::Mean),
-        Self::SingleDepth(Representative::Entry),
-        Self::SingleDepth(Representative::Exit),
-        Self::SingleDepth(Representative::Midpoint),
-        Self::SingleDepth(Representative::Peak),
-        Self::SingleDepth(Representative::Gradient),
-        Self::SingleDepth(Representative::Threshold),
-    ];
-
-    /// The name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::VisibilityMerge => "visibility-merge",
-            Self::EqualTransmittance => "equal-transmittance",
-            Self::EqualLength => "equal-length",
-            Self::Homogeneity => "homogeneity",
-            Self::Slabs => "slabs",
-            Self::SingleDepth(Representative::Mean) => "single-depth",
-            Self::SingleDepth(Representative::Entry) => "single-depth:entry",
-            Self::SingleDepth(Representative::Exit) => "single-depth:exit",
-            Self::SingleDepth(Representative::Midpoint) => "single-depth:midpoint",
-            Self::SingleDepth(Representative::Peak) => "single-depth:peak",
-            Self::SingleDepth(Representative::Gradient) => "single-depth:gradient",
-            Self::SingleDepth(Representative::Threshold) => "single-depth:threshold",
-        }
-    }
-}
-
-impl Layering {
-    /// The longest list that occurs in a frame for `k`.
-    pub fn longest_list(self, k: u8) -> u8 {
-        let k = usize::from(k).clamp(1, MAX_K);
-        let longest = if self == Self::VisibilityMerge { budget::longest_list(k) } else { k };
-        longest as u8
-    }
-
-    /// The rule that stands for this one in a mode: projections have one.
-    pub fn in_mode(self, mode: Mode) -> Self {
-        if mode.is_projection() { Self::VisibilityMerge } else { self }
-    }
-}
-
-impl std::fmt::Display for Layering {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl std::str::FromStr for Layering {
-    type Err = String;
-
-    fn from_str(s: &str) -> Result<Self, String> {
-        // The default in full, beside the others of its kind.
-        let name = if s == "single-depth:mean" { "single-depth" } else { s };
-        Self::ALL.into_iter().find(|l| l.name() == name).ok_or_else(|| {
-            format!("unknown layering '{s}', expected one of {}", Self::ALL.map(Self::name).join(", "))
-        })
-    }
-}
+/// Makes a frame of a scene in place of [`generate_while`].
+pub type FrameMaker = Arc<dyn Fn(&Scene, FrameHeader, Wanted<'_>) -> Option<LayeredFrame> + Send + Sync>;
 
 /// A segment while it is made: a step that may span many.
 pub type OpenSegment = Step;
@@ -140,27 +53,17 @@ impl SegmentList {
 }
 
 /// Adds a piece to the back of an open segment.
-fn append(open: &mut OpenSegment, piece: &Step) {
+pub fn append(open: &mut OpenSegment, piece: &Step) {
     open.c += piece.c * (1.0 - open.alpha);
     open.alpha += piece.alpha * (1.0 - open.alpha);
     open.tau += piece.tau;
     open.s1 = piece.s1;
 }
 
-/// The two parts of a step that is cut, as a homogeneous medium, behind the share `part` of its length.
-fn split(step: &Step, part: f32) -> (Step, Step) {
-    let s_cut = step.s0 + (step.s1 - step.s0) * part;
-    let piece = |s0, s1, tau| {
-        let alpha = opacity(tau);
-        Step { s0, s1, c: step.c * (alpha / step.alpha.max(ALPHA_LEAST)), tau, alpha }
-    };
-    (piece(step.s0, s_cut, step.tau * part), piece(s_cut, step.s1, step.tau * (1.0 - part)))
-}
-
-/// Generates a layered frame by the rule `layering` with `header.k` segments a list: on average for
-/// [`Layering::VisibilityMerge`], else at most. The header of the frame has the longest list that can occur.
-pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> LayeredFrame {
-    let frame = generate_while(scene, header, layering, &mut Budget::default(), ALWAYS);
+/// Generates a layered frame with `header.k` segments a list on average. The header of the frame has the longest list that
+/// can occur.
+pub fn generate(scene: &Scene, header: FrameHeader) -> LayeredFrame {
+    let frame = generate_while(scene, header, &mut Budget::default(), ALWAYS);
     frame.unwrap_or_else(|| LayeredFrame::empty(header))
 }
 
@@ -169,12 +72,27 @@ pub fn generate(scene: &Scene, header: FrameHeader, layering: Layering) -> Layer
 pub fn generate_while(
     scene: &Scene,
     header: FrameHeader,
-    layering: Layering,
     budget: &mut Budget,
     wanted: Wanted<'_>,
 ) -> Option<LayeredFrame> {
     with_texels!(scene, texels => {
-        generate_with(scene, &Marcher::new(scene, texels), header, layering, budget, wanted)
+        generate_with(scene, &Marcher::new(scene, texels), header, budget, wanted)
+    })
+}
+
+/// Generates a layered frame by a rule of a laboratory, with at most `header.k` segments a list. The mode of the scene must
+/// composite with *over*.
+pub fn generate_by(
+    scene: &Scene,
+    header: FrameHeader,
+    rule: &impl Rule,
+    wanted: Wanted<'_>,
+) -> Option<LayeredFrame> {
+    let header = FrameHeader { k: clamp_k(header.k), mode: scene.settings.mode, ..header };
+    with_texels!(scene, texels => {
+        gather_lists(scene, &Marcher::new(scene, texels), header, wanted, |of, list| {
+            rule.list(of, header.k.into(), list);
+        })
     })
 }
 
@@ -182,49 +100,52 @@ fn generate_with<T: Texels>(
     scene: &Scene,
     marcher: &Marcher<'_, T>,
     header: FrameHeader,
-    layering: Layering,
     budget: &mut Budget,
     wanted: Wanted<'_>,
 ) -> Option<LayeredFrame> {
+    let mode = scene.settings.mode;
+    let asked = FrameHeader { k: clamp_k(header.k), mode, ..header };
+    let longest = budget::longest_list(asked.k.into());
+    let threshold = budget.threshold(&asked, scene.volume.bounds().radius());
+    let threshold = threshold.unwrap_or_else(|| budget::count(scene, marcher, &asked));
+    let header = FrameHeader { k: longest as u8, ..asked };
+    let frame = gather_lists(scene, marcher, header, wanted, |of, list| of.list(longest, threshold, list))?;
+    budget.note(&asked, threshold, &frame);
+    Some(frame)
+}
+
+fn clamp_k(k: u8) -> u8 {
+    k.clamp(1, MAX_K as u8)
+}
+
+/// The frame of the lists that `fill` makes, one for each ray that meets the volume.
+fn gather_lists<T: Texels>(
+    scene: &Scene,
+    marcher: &Marcher<'_, T>,
+    header: FrameHeader,
+    wanted: Wanted<'_>,
+    fill: impl Fn(&Listing<'_, T>, &mut SegmentList) + Sync,
+) -> Option<LayeredFrame> {
     let camera = header.camera;
     let basis = camera.basis();
-    let k = header.k.clamp(1, MAX_K as u8);
-    let mode = scene.settings.mode;
-    let layering = layering.in_mode(mode);
-    let asked = FrameHeader { k, mode, ..header };
-    let header = FrameHeader { k: layering.longest_list(k), ..asked };
-    let longest = usize::from(header.k);
-    let k = usize::from(k);
-    let threshold = match layering {
-        Layering::VisibilityMerge => {
-            budget.threshold(&asked, scene.volume.bounds().radius()).unwrap_or_else(|| {
-                budget::count(scene, marcher, &camera, k, |of, thresholds| match mode.is_projection() {
-                    true => projection::counts(of, longest, thresholds),
-                    false => budget::counts_of_matter(of, longest, thresholds),
-                })
-            })
-        }
-        _ => 0.0,
-    };
-    let frame = gather_rows(header, wanted, |y, row| {
+    gather_rows(header, wanted, |y, row| {
         let mut list = SegmentList::default();
         for x in 0..camera.intrinsics.width {
             if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
-                of.list(layering, k, threshold, &mut list);
-                close::list(&camera, mode.compositing(), &mut list, of.s_per_depth, |list| row.extend(list));
+                list.len = 0;
+                fill(&of, &mut list);
+                close::list(&camera, header.mode.compositing(), &mut list, of.s_per_depth, |list| {
+                    row.extend(list);
+                });
             }
             row.offsets.push(row.depth.len() as u32);
         }
-    })?;
-    if layering == Layering::VisibilityMerge {
-        budget.note(&asked, threshold, &frame);
-    }
-    Some(frame)
+    })
 }
 
 /// The frame of the rows that `fill` makes, in parallel: it pushes the segments and the end of each list of row `y`.
 /// `None` as soon as it is no longer wanted.
-fn gather_rows(
+pub fn gather_rows(
     header: FrameHeader,
     wanted: Wanted<'_>,
     fill: impl Fn(u32, &mut LayeredFrame) + Sync,
@@ -280,22 +201,26 @@ fn gather_rows(
     Some(frame)
 }
 
-/// A ray that meets the volume, and what a rule knows of its frame.
-pub(crate) struct Listing<'a, T> {
-    scene: &'a Scene,
+/// A ray that meets the volume, and what is known of its frame.
+pub struct Listing<'a, T> {
+    /// What is marched.
+    pub scene: &'a Scene,
     marcher: &'a Marcher<'a, T>,
-    basis: &'a Basis,
+    /// Of the frame's camera.
+    pub basis: &'a Basis,
     /// View depth of the near plane.
-    near: f32,
-    ray: Ray,
-    lattice: Lattice,
+    pub near: f32,
+    /// The ray.
+    pub ray: Ray,
+    /// Its steps.
+    pub lattice: Lattice,
     /// World distance per unit of view depth.
-    s_per_depth: f32,
+    pub s_per_depth: f32,
 }
 
 impl<'a, T: Texels> Listing<'a, T> {
     /// The ray of a pixel; none if it meets nothing.
-    fn new(
+    pub fn new(
         scene: &'a Scene,
         marcher: &'a Marcher<'a, T>,
         basis: &'a Basis,
@@ -307,54 +232,18 @@ impl<'a, T: Texels> Listing<'a, T> {
         Some(Self { scene, marcher, basis, near, ray, lattice, s_per_depth })
     }
 
-    /// Makes of `list` that of the ray.
-    fn list(&self, layering: Layering, k: usize, threshold: f32, list: &mut SegmentList) {
-        let &Self { scene, marcher, basis, near, ref ray, lattice, s_per_depth } = self;
-        list.len = 0;
-        *list = match layering {
-            Layering::VisibilityMerge => {
-                let longest = budget::longest_list(k);
-                if scene.settings.mode.is_projection() {
-                    return projection::list(self, longest, threshold, list);
-                }
-                let mut lister = visibility_merge::Lister::new(threshold, longest, &lattice, list);
-                marcher.march(ray, lattice, &mut lister);
-                return lister.finish();
-            }
-            Layering::EqualTransmittance => {
-                let mut profile = equal_transmittance::Profile::default();
-                marcher.march(ray, lattice, &mut profile);
-                let mut cuts = equal_transmittance::Cuts::new(k, profile);
-                marcher.march(ray, lattice, &mut cuts);
-                cuts.finish()
-            }
-            Layering::EqualLength => {
-                let mut extent = equal_length::Extent::default();
-                marcher.march(ray, lattice, &mut extent);
-                let Some(mut cuts) = extent.cuts(k) else { return };
-                marcher.march(ray, lattice, &mut cuts);
-                cuts.finish()
-            }
-            Layering::Homogeneity => {
-                homogeneity::list(k, lattice.h, |pass| marcher.march(ray, lattice, pass))
-            }
-            Layering::SingleDepth(representative) => {
-                let mut sink = single_depth::SingleDepth::new(f32::INFINITY);
-                marcher.march(ray, lattice, &mut sink);
-                if representative == Representative::Threshold {
-                    sink = sink.again();
-                    marcher.march(ray, lattice, &mut sink);
-                }
-                sink.finish(representative)
-            }
-            Layering::Slabs => {
-                let mut cuts = slabs::cuts(k, basis, near, &scene.region().bounds, s_per_depth);
-                marcher.march(ray, lattice, &mut cuts);
-                cuts.finish()
-            }
-        };
+    /// Marches the ray, in a mode that composites with *over*.
+    pub fn march(&self, sink: &mut impl Sink) {
+        self.marcher.march(&self.ray, self.lattice, sink);
+    }
+
+    /// Makes of `list`, which is empty, that of the ray: at most `longest` segments that err by no more than `threshold`.
+    pub fn list(&self, longest: usize, threshold: f32, list: &mut SegmentList) {
+        if self.scene.settings.mode.is_projection() {
+            return projection::list(self, longest, threshold, list);
+        }
+        let mut lister = visibility_merge::Lister::new(threshold, longest, &self.lattice, list);
+        self.march(&mut lister);
+        lister.finish();
     }
 }
-
-/// A part of a step without any opacity is divided by this; no visible one is so small.
-const ALPHA_LEAST: f32 = 1e-30;
