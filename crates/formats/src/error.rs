@@ -213,9 +213,46 @@ pub(crate) fn shown(path: &Path) -> String {
 }
 
 /// For `map_err` on anything that reads `path`.
-pub(crate) fn io_error(path: &Path) -> impl Fn(io::Error) -> FormatError + '_ {
+pub(crate) fn io_error(path: &Path) -> impl Fn(io::Error) -> FormatError + Copy + '_ {
     move |cause| FormatError::Io { path: shown(path), cause }
+}
+
+/// For `map_err` on what parses `text`, the TOML file at `path`.
+pub(crate) fn syntax_error<'a>(
+    path: &'a Path,
+    text: &'a str,
+) -> impl Fn(toml::de::Error) -> FormatError + Copy + 'a {
+    move |e| FormatError::Syntax {
+        path: shown(path),
+        line: line_at(text, e.span().map_or(0, |span| span.start)),
+        problem: one_line(e.message()),
+    }
+}
+
+/// The number, from 1, of the line with the byte `at`.
+pub(crate) fn line_at(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
+}
+
+/// The message of a parser on one line, cut: it quotes what it does not understand.
+pub(crate) fn one_line(message: &str) -> String {
+    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    match line.char_indices().nth(MAX_MESSAGE_CHARS) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line,
+    }
+}
+
+/// The error of a channel, time, level or series that is not there. `found` is how many there are.
+pub(crate) fn not_there(path: &Path, what: &'static str, asked: u64, found: usize) -> FormatError {
+    FormatError::Selection { path: shown(path), what, asked, found: found as u64 }
+}
+
+/// For `map_err` on what reads a header of `format` at `path`.
+pub(crate) fn malformed<'a>(path: &'a Path, format: &'a str) -> impl Fn(String) -> FormatError + Copy + 'a {
+    move |problem| FormatError::Malformed { path: shown(path), format: format.to_owned(), problem }
 }
 
 /// Longest quotation from a file, in characters.
 const MAX_QUOTED: usize = 60;
+const MAX_MESSAGE_CHARS: usize = 300;

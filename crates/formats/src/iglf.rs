@@ -5,15 +5,16 @@
 //! bytes, zeros if it does not know them), from version 3 on the box of what the frame was made of (6 × `f32`, the least corner first,
 //! zeros if it is not known), then for each chunk its length (`u32`) and its bytes. Nothing follows.
 
-use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Write};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 use glam::Vec3;
 use isinglass_core::codec::{CodecError, EncodedFrame, HEADER_BYTES, MAX_CHUNK_BYTES, MAX_CHUNKS, decode};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
+
+use crate::output::write_whole;
 
 /// Why a layered frame could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -70,21 +71,7 @@ pub struct Origin {
 /// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
 pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
-    // A link is followed, so that the file it names is replaced and not the link.
-    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let mut temporary = OsString::from(path);
-    temporary.push(format!(".{}.part", std::process::id()));
-    let result = File::create(&temporary)
-        .and_then(|mut file| {
-            file.write_all(&to_bytes(encoded, origin))?;
-            file.sync_all()
-        })
-        .and_then(|()| fs::rename(&temporary, path));
-    result.map_err(|cause| {
-        // The first error is the one to tell; what is left of the file may not even exist.
-        let _ = fs::remove_file(&temporary);
-        io(cause)
-    })
+    write_whole(path, &to_bytes(encoded, origin)).map_err(io)
 }
 
 /// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
@@ -231,6 +218,8 @@ const NO_BOX: Aabb = Aabb { min: Vec3::ZERO, max: Vec3::ZERO };
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::codec::{Settings, encode};
 
@@ -306,19 +295,6 @@ mod tests {
         bytes.drain(8..11);
         fs::write(&path, &bytes).unwrap();
         assert_eq!(read(&path).unwrap(), StoredFrame { origin: Origin::default(), ..newest });
-    }
-
-    #[test]
-    fn a_failed_write_leaves_nothing() {
-        let dir = tempfile::tempdir().unwrap();
-        let encoded = encode(&frame(), &Settings::default()).unwrap();
-        let missing = dir.path().join("no-such-directory").join("a.iglf");
-        assert!(matches!(write(&missing, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
-        // A directory in the place of the file cannot be replaced.
-        let taken = dir.path().join("b.iglf");
-        fs::create_dir(&taken).unwrap();
-        assert!(matches!(write(&taken, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
     #[test]

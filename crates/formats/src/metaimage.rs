@@ -10,9 +10,8 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use crate::axes::{Geometry, ras_from_lps};
-use crate::decode::next_number;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::parts::{MAX_DATA_FILES, numbered_names};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::open_file;
@@ -51,11 +50,7 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
 impl MetaImageFile {
     /// `file` is the file at `path`.
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
-        let bad = |problem| FormatError::Malformed {
-            path: shown(path),
-            format: "MetaImage header".into(),
-            problem,
-        };
+        let bad = malformed(path, "MetaImage header");
         let mut reader = BufReader::new(file);
         let fields = Fields::read(&mut reader).map_err(|e| match e {
             ReadError::Io(cause) => FormatError::Io { path: shown(path), cause },
@@ -125,33 +120,22 @@ impl MetaImageFile {
     ) -> Result<(), FormatError> {
         let io = io_error(path);
         let mut file = open_file(path)?;
-        let length = file.metadata().map_err(&io)?.len();
+        let length = file.metadata().map_err(io)?.len();
         let start = match u64::try_from(self.header_size) {
             Ok(skip) => start.saturating_add(skip),
             Err(_) if self.is_packed || self.is_text => start,
             Err(_) => length.saturating_sub(num_bytes).max(start),
         };
         if self.is_text {
-            if length.saturating_sub(start).div_ceil(2) < num_elements {
-                return Err(taker.short(
-                    path,
-                    num_elements,
-                    length.saturating_sub(start).div_ceil(2),
-                    "numbers",
-                ));
-            }
-            file.seek(SeekFrom::Start(start)).map_err(&io)?;
-            let mut reader = BufReader::new(file);
-            return (0..num_elements).try_for_each(|i| match next_number(&mut reader).map_err(&io)? {
-                Some(number) => taker.push_number(path, number),
-                None => Err(taker.short(path, num_elements, i, "numbers")),
-            });
+            let start = start.min(length);
+            file.seek(SeekFrom::Start(start)).map_err(io)?;
+            return taker.push_text(&mut BufReader::new(file), path, num_elements, length - start);
         }
         let packing = if self.is_packed {
             // MetaIO reads both.
             let mut mark = [0; 2];
-            file.seek(SeekFrom::Start(start.min(length))).map_err(&io)?;
-            let n = file.read(&mut mark).map_err(&io)?;
+            file.seek(SeekFrom::Start(start.min(length))).map_err(io)?;
+            let n = file.read(&mut mark).map_err(io)?;
             if n == 2 && mark == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Zlib }
         } else {
             Packing::Plain

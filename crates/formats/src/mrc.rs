@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
@@ -50,11 +50,7 @@ fn endian(start: &[u8]) -> Option<Endian> {
 impl MrcFile {
     /// `file` is the file at `path`.
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "MRC header".into(),
-            problem,
-        };
+        let bad = malformed(path, "MRC header");
         let mut start = Vec::new();
         file.take(HEADER_BYTES).read_to_end(&mut start).map_err(io_error(path))?;
         let endian = endian(&start).filter(|_| start.len() as u64 == HEADER_BYTES);

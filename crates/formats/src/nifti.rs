@@ -11,8 +11,8 @@ use glam::DVec3;
 
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, shown};
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::sniff::{expected_for, gzip_name};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
@@ -57,11 +57,7 @@ impl NiftiFile {
         let mut bytes = Vec::new();
         let start = Unpacked::open(file, path, 0, None, packing)?;
         start.take_start(HEADER_2_BYTES).read_to_end(&mut bytes).map_err(io_error(path))?;
-        let bad = |problem: &str| FormatError::Malformed {
-            path: shown(path),
-            format: "NIfTI header".into(),
-            problem: problem.into(),
-        };
+        let bad = malformed(path, "NIfTI header");
         let Some((version, endian, is_pair)) = version(&bytes) else {
             let found = gzip_name(path);
             let expected = expected_for(found);
@@ -70,18 +66,18 @@ impl NiftiFile {
         let words = Words { bytes: &bytes, endian };
         let header_bytes = if version == 1 { HEADER_1_BYTES } else { HEADER_2_BYTES };
         if (bytes.len() as u64) < header_bytes {
-            return Err(bad(&format!("{} bytes, expected {header_bytes}", bytes.len())));
+            return Err(bad(format!("{} bytes, expected {header_bytes}", bytes.len())));
         }
         let header = if version == 1 { Header::of_version_1(words) } else { Header::of_version_2(words) };
         let name = format!("NIfTI-{version}{}", if is_packed { ", gzip" } else { "" });
-        let plan = header.plan(&name, endian).map_err(|problem| bad(&problem))?;
+        let plan = header.plan(&name, endian).map_err(bad)?;
         let least = if is_pair { 0 } else { header_bytes + 4 };
         let skip = header.vox_offset;
         if !(skip.is_finite() && (0.0..=MAX_SKIP).contains(&skip)) {
-            return Err(bad(&format!("vox_offset is {skip}, expected a place in the file")));
+            return Err(bad(format!("vox_offset is {skip}, expected a place in the file")));
         }
         let (data, packing) = if is_pair {
-            image_of(path).ok_or_else(|| bad("there is no .img file beside it"))?
+            image_of(path).ok_or_else(|| bad("there is no .img file beside it".into()))?
         } else {
             (path.to_owned(), packing)
         };
@@ -189,8 +185,7 @@ impl Header {
         }
         let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
         if colors > 0 {
-            plan.channel_names =
-                ["red", "green", "blue", "alpha"][..colors as usize].iter().map(|&s| s.into()).collect();
+            plan.channel_names = color_names(colors);
         } else if self.slope != 0.0 && self.slope.is_finite() && self.intercept.is_finite() {
             plan.value_map = (self.slope, self.intercept);
         } else if !self.slope.is_finite() || !self.intercept.is_finite() {

@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::taker::Taker;
 use crate::warning::WarningKind;
-use crate::zip::Archive;
+use crate::zip;
 
 /// The first bytes of an array.
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
@@ -48,20 +48,11 @@ impl NpyFile {
     }
 
     /// `file` is the archive at `path`, of which the options choose an array.
-    pub(crate) fn open_archive(
-        mut file: File,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "NumPy archive".into(),
-            problem,
-        };
-        let archive = Archive::read(&mut file, path)?;
+    pub(crate) fn open_archive(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
+        let bad = malformed(path, "NumPy archive");
         let mut arrays = Vec::new();
         let mut first_problem = None;
-        for entry in archive.entries.iter().filter(|e| e.name.ends_with(".npy")).take(MAX_ARRAYS) {
+        for entry in zip::entries(file, path, ".npy", MAX_ARRAYS)? {
             options.check_cancelled(path)?;
             let packing = match entry.method {
                 0 => Packing::Plain,
@@ -73,9 +64,8 @@ impl NpyFile {
                     continue;
                 }
             };
-            let offset = entry.data_offset(&mut file, path)?;
-            let place = Place { offset, length: Some(entry.packed_bytes), packing };
-            let mut stream = Unpacked::open(open_file(path)?, path, offset, place.length, packing)?;
+            let place = Place { offset: entry.offset, length: Some(entry.packed_bytes), packing };
+            let mut stream = Unpacked::open(open_file(path)?, path, place.offset, place.length, packing)?;
             match header(&mut stream, path, "NumPy archive") {
                 Ok((plan, skip)) => {
                     let name = entry.name.trim_end_matches(".npy");
@@ -98,18 +88,14 @@ impl NpyFile {
         let is_one = arrays.get(usual).is_some_and(|a| has_channels(&a.1));
         let index = if is_one { usual } else { options.selection.channel.map_or(usual, |n| n as usize) };
         let Some((_, mut plan, place, skip)) = arrays.into_iter().nth(index) else {
-            let what = "channel";
-            return Err(match (names.len() as u64, first_problem) {
+            return Err(match (names.len(), first_problem) {
                 (0, Some(problem)) => problem,
-                (0, None) if archive.entries.iter().any(|e| e.name.ends_with(".npy")) => {
-                    bad("no array was found in it".into())
-                }
                 (0, None) => FormatError::Unsupported {
                     path: shown(path),
                     found: "a ZIP archive without NumPy arrays",
                     expected: "what is in it: unpack it, and open the file or folder",
                 },
-                (found, _) => FormatError::Selection { path: shown(path), what, asked: index as u64, found },
+                (found, _) => not_there(path, "channel", index as u64, found),
             });
         };
         if names.len() > 1 && !is_one && has_channels(&plan) {
@@ -144,7 +130,7 @@ impl VolumeFile for NpyFile {
 
 /// The header of an array and its length in bytes.
 fn header(stream: &mut dyn Read, path: &Path, format: &str) -> Result<(Plan, u64), FormatError> {
-    let bad = |problem: String| FormatError::Malformed { path: shown(path), format: format.into(), problem };
+    let bad = malformed(path, format);
     let io = io_error(path);
     let mut start = Vec::new();
     stream.take(8).read_to_end(&mut start).map_err(&io)?;

@@ -7,7 +7,7 @@ use isinglass_core::volume::{Volume, VolumeInfo};
 
 use crate::axes::{Geometry, Grid};
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, shown};
+use crate::error::{FormatError, malformed, shown};
 use crate::outline::{Level, Outline};
 use crate::select::Selection;
 use crate::source::{OpenOptions, file_name};
@@ -70,7 +70,7 @@ pub(crate) struct Plan {
     /// The series that is shown if none is asked for.
     pub(crate) usual_series: u32,
     pub(crate) modality: Option<String>,
-    /// Unit of the values, by [`unit_of_values`].
+    /// Unit of the values, by [`crate::units::value_unit`].
     pub(crate) value_unit: Option<String>,
     /// What to say of the spacing if the file does not know it, and the options neither.
     pub(crate) spacing_guess: Option<String>,
@@ -147,8 +147,7 @@ impl Plan {
 
     /// What the options take of it.
     pub(crate) fn choose(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
-        let bad =
-            |problem| FormatError::Malformed { path: shown(path), format: self.format.clone(), problem };
+        let bad = malformed(path, &self.format);
         let selection = options.selection;
         let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
         let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
@@ -302,15 +301,15 @@ pub(crate) fn read_volume(
         .map_err(|cause| FormatError::Volume { path: shown(path), cause })
 }
 
-/// A unit in the words of a file, cut to what fits beside a number; none where they say that there is none.
-pub(crate) fn unit_of_values(words: &str) -> Option<String> {
-    let is_none = ["", "none", "unknown", "relative", "gray value"]
-        .contains(&words.trim().to_ascii_lowercase().as_str());
-    let unit = || words.trim().chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect();
-    (!is_none).then(unit)
+/// The names of the channels of an RGB or RGBA voxel with `num_channels` numbers.
+pub(crate) fn color_names(num_channels: u64) -> Vec<String> {
+    ["red", "green", "blue", "alpha"]
+        .into_iter()
+        .zip(0..num_channels)
+        .map(|(name, _)| name.to_owned())
+        .collect()
 }
 
-const MAX_UNIT_CHARS: usize = 24;
 /// Channels that are listed at all.
 const MAX_LISTED: u64 = 256;
 /// Channels that a sentence names.

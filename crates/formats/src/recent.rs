@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
 use crate::select::{Region, Selection};
-use crate::state::{line_at, one_line};
+use crate::source::read_file;
 use crate::volume_source::VolumeSource;
 
 /// Servers and volumes, the one that was used last first.
@@ -73,22 +73,22 @@ impl Recent {
     /// # Errors
     /// If it cannot be read, or is no such list.
     pub fn read(path: &Path) -> Result<Self, FormatError> {
-        match std::fs::metadata(path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
-            Ok(found) if found.len() > MAX_BYTES => {
-                let expected = "a list of what was opened lately, of at most 64 kB";
-                return Err(FormatError::Unsupported { path: shown(path), found: "a longer file", expected });
-            }
-            _ => {}
+        if !path.try_exists().map_err(io_error(path))? {
+            return Ok(Self::default());
         }
-        let text = std::fs::read_to_string(path).map_err(io_error(path))?;
-        Self::parse(&text).map_err(|(line, problem)| FormatError::Syntax { path: shown(path), line, problem })
+        let unsupported = |found| FormatError::Unsupported {
+            path: shown(path),
+            found,
+            expected: "a list of what was opened lately, of at most 64 kB",
+        };
+        let bytes = read_file(path, MAX_BYTES)?.ok_or_else(|| unsupported("a longer file"))?;
+        let text = String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
+        Self::parse(&text).map_err(syntax_error(path, &text))
     }
 
-    /// What a list says, or the line and what is wrong with it.
-    fn parse(text: &str) -> Result<Self, (usize, String)> {
-        let stored: Stored<toml::Table> = toml::from_str(text)
-            .map_err(|e| (line_at(text, e.span().map_or(0, |s| s.start)), one_line(e.message())))?;
+    /// The list in a text.
+    fn parse(text: &str) -> Result<Self, toml::de::Error> {
+        let stored: Stored<toml::Table> = toml::from_str(text)?;
         let entry = |table: toml::Table| table.try_into::<StoredEntry>().ok()?.entry();
         let entries = stored.recent.into_iter().filter_map(entry).take(Self::MAX).collect();
         Ok(Self { folder: stored.folder.map(PathBuf::from), entries })
@@ -297,7 +297,8 @@ mod tests {
         for length in 0..good.len() {
             let _ = Recent::parse(&good[..length]);
         }
-        assert_eq!(Recent::parse("recent = 3").unwrap_err().0, 1);
+        let error = |text| syntax_error(Path::new("a"), text)(Recent::parse(text).unwrap_err()).to_string();
+        assert!(error("recent = 3").starts_with("a: line 1: "));
         assert!(Recent::parse("token = \"00\"").is_err(), "nothing else is in it");
         for bad in [
             "server = \"h\"",
@@ -326,7 +327,7 @@ mod tests {
             panic!("{read:?}")
         };
         assert_eq!((raw.dims, raw.dtype, raw.offset), ([5, 6, 7], Dtype::Uint8, 0));
-        let (_, message) = Recent::parse(&format!("\"{}\" = 1", "\\u001b".repeat(5000))).unwrap_err();
+        let message = error(&format!("\"{}\" = 1", "\\u001b".repeat(5000)));
         assert!(message.len() < 400 && !message.contains(char::is_control), "{message:?}");
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("recent.toml");

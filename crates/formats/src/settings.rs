@@ -1,15 +1,13 @@
 //! Files of settings: TOML of sections with keys, read into a flat list in which each knows its line. What the keys mean is
 //! for whoever reads them.
 
-use std::io::Read;
 use std::path::Path;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::error::{FormatError, io_error, shown};
-use crate::source::open_file;
-use crate::state::{line_at, one_line};
+use crate::error::{FormatError, io_error, line_at, one_line, shown, syntax_error};
+use crate::source::read_file;
 use crate::transfer::text_literal;
 
 /// A setting of a file.
@@ -43,11 +41,7 @@ pub fn read_settings(path: &Path) -> Result<Option<Vec<Setting>>, FormatError> {
         return Ok(None);
     }
     let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: "settings" };
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_SETTINGS_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    if bytes.len() as u64 > MAX_SETTINGS_BYTES {
-        return Err(unsupported("more than 1 MiB"));
-    }
+    let bytes = read_file(path, MAX_SETTINGS_BYTES)?.ok_or_else(|| unsupported("more than 1 MiB"))?;
     let text = String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
     settings_from_toml(&text, path).map(Some)
 }
@@ -62,8 +56,7 @@ pub fn settings_from_toml(text: &str, path: &Path) -> Result<Vec<Setting>, Forma
         line: line_at(text, at),
         problem,
     };
-    let whole =
-        DeTable::parse(text).map_err(|e| syntax(e.span().map_or(0, |s| s.start), one_line(e.message())))?;
+    let whole = DeTable::parse(text).map_err(syntax_error(path, text))?;
     let mut settings = Vec::new();
     for (section, value) in whole.get_ref() {
         let at = section.span().start;

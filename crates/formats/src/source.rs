@@ -256,6 +256,13 @@ pub(crate) fn open_file(path: &Path) -> Result<File, FormatError> {
     File::open(path).map_err(io_error(path))
 }
 
+/// The bytes of the regular file at `path`; `None` if there are more than `max_bytes`.
+pub(crate) fn read_file(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, FormatError> {
+    let mut bytes = Vec::new();
+    open_file(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
+    Ok((bytes.len() as u64 <= max_bytes).then_some(bytes))
+}
+
 /// The last part of a path, for display.
 pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| shown(path), |name| shown(Path::new(name)))

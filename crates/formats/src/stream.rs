@@ -63,7 +63,7 @@ impl Unpacked {
         skip: u64,
         num_bytes: u64,
     ) -> Result<(), FormatError> {
-        taker.check_length(path, num_bytes.saturating_add(skip), self.most)?;
+        taker.check_length(path, num_bytes, self.most.saturating_sub(skip))?;
         let damaged = |e: io::Error| {
             let problem = format!("compressed data is damaged or cut: {e}");
             FormatError::Data { path: shown(path), problem }
@@ -77,11 +77,16 @@ impl Unpacked {
             _ => is_all && self.stream.read(&mut [0]).map_err(damaged)? > 0,
         };
         if is_more {
-            let text = format!("{} has more data than its shape needs; the rest is ignored", file_name(path));
-            taker.warn(WarningKind::Data, text);
+            warn_of_more(taker, path);
         }
         Ok(())
     }
+}
+
+/// Notes that the file at `path` goes on after the last voxel.
+pub(crate) fn warn_of_more(taker: &mut Taker, path: &Path) {
+    let text = format!("{} has more data than its shape needs; the rest is ignored", file_name(path));
+    taker.warn(WarningKind::Data, text);
 }
 
 impl Unpacked {
@@ -150,12 +155,12 @@ pub(crate) fn read_past(reader: &mut dyn Read, num_bytes: u64) -> io::Result<()>
 
 /// The members of a gzip file one after the other. What follows them and is not gzip is left alone, as other readers
 /// do.
-pub(crate) struct GzipMembers<R> {
+struct GzipMembers<R> {
     member: Option<GzDecoder<R>>,
 }
 
 impl<R: BufRead> GzipMembers<R> {
-    pub(crate) fn new(reader: R) -> Self {
+    fn new(reader: R) -> Self {
         Self { member: Some(GzDecoder::new(reader)) }
     }
 }

@@ -1,10 +1,10 @@
 //! Takes the voxels that are wanted out of what a file gives, in the order of the file, and tells how far it is.
 
-use std::io;
+use std::io::{self, BufRead};
 use std::ops::Range;
 use std::path::Path;
 
-use crate::decode::{Decoded, VoxelSink};
+use crate::decode::{Decoded, VoxelSink, next_number};
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, quoted, shown};
 use crate::picker::Picker;
@@ -107,11 +107,7 @@ impl<'a> Taker<'a> {
     }
 
     /// Takes one number that was written as text, if it is wanted.
-    pub(crate) fn push_number(
-        &mut self,
-        path: &Path,
-        number: Result<f64, String>,
-    ) -> Result<(), FormatError> {
+    fn push_number(&mut self, path: &Path, number: Result<f64, String>) -> Result<(), FormatError> {
         let (index, name) = (self.picker.position(), self.dtype.name());
         let mut is_good = number.is_ok();
         self.sink()?;
@@ -124,6 +120,26 @@ impl<'a> Taker<'a> {
             return Err(FormatError::Data { path: shown(path), problem });
         }
         if index.is_multiple_of(TEXT_TICK) { self.tick() } else { Ok(()) }
+    }
+
+    /// Takes what is wanted of `count` numbers written as text. At most `num_bytes` bytes are left in `reader`, the file at
+    /// `path`.
+    pub(crate) fn push_text(
+        &mut self,
+        reader: &mut dyn BufRead,
+        path: &Path,
+        count: u64,
+        num_bytes: u64,
+    ) -> Result<(), FormatError> {
+        // A number has at least one digit, and a gap before the next.
+        let most = num_bytes.div_ceil(2);
+        if most < count {
+            return Err(self.short(path, count, most, "numbers"));
+        }
+        (0..count).try_for_each(|i| match next_number(reader).map_err(io_error(path))? {
+            Some(number) => self.push_number(path, number),
+            None => Err(self.short(path, count, i, "numbers")),
+        })
     }
 
     /// Moves `num_bytes` bytes of `stream`, which is read from `path`, or as many of them as can be wanted.

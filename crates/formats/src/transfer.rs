@@ -12,17 +12,15 @@
 //! ```
 
 use std::fmt;
-use std::io::Read;
 use std::path::Path;
 
 use isinglass_core::transfer::{ControlPoint, Domain, TransferError, TransferFunction, UnitLength};
 use serde::de::{Deserializer, Error, SeqAccess, Visitor};
 use serde::{Deserialize, de};
 
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, quoted, shown, syntax_error};
 use crate::presets::{preset, preset_names};
-use crate::source::open_file;
-use crate::state::{line_at, one_line};
+use crate::source::read_file;
 use crate::transfer_import::{EXPECTED, first_transfer};
 
 /// The preset of this name, or else the file at this path: TOML, or the first look of another program's file. A colour map
@@ -43,11 +41,7 @@ pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError
 /// The text of a file of at most [`MAX_TRANSFER_BYTES`].
 pub(crate) fn read_text(path: &Path) -> Result<String, FormatError> {
     let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: EXPECTED };
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_TRANSFER_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    if bytes.len() as u64 > MAX_TRANSFER_BYTES {
-        return Err(unsupported("more than 8 MiB"));
-    }
+    let bytes = read_file(path, MAX_TRANSFER_BYTES)?.ok_or_else(|| unsupported("more than 8 MiB"))?;
     String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))
 }
 
@@ -104,11 +98,7 @@ pub(crate) fn text_literal(text: &str) -> String {
 /// The transfer function written in `text`. `path` is for messages, and its stem is the name if the text has none.
 pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, FormatError> {
     let path = Path::new(path);
-    let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::Syntax {
-        path: shown(path),
-        line: line_at(text, e.span().map_or(0, |s| s.start)),
-        problem: one_line(e.message()),
-    })?;
+    let file: TransferFile = toml::from_str(text).map_err(syntax_error(path, text))?;
     let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
     let transfer = TransferFunction {
         name: file.name.or(stem).unwrap_or_default(),

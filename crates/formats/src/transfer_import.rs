@@ -11,6 +11,7 @@ use crate::error::{FormatError, shown};
 use crate::transfer::{read_text, transfer_from_toml};
 use crate::transfer_json::{Json, lenient_number, parse};
 use crate::transfer_maps::{ColorSpace, color_between, recolored};
+use crate::xml::{Tag, Tags};
 
 /// What a file says of one look. [`ImportedTransfer::onto`] makes a transfer function of it.
 #[derive(Clone, Debug)]
@@ -93,7 +94,7 @@ pub(crate) fn imported_from_text(text: &str, path: &Path) -> Result<Vec<Imported
     let stem = stem.trim_end_matches(".vp");
     let start = text.trim_start_matches('\u{feff}').trim_start();
     let mut found = match start.chars().next() {
-        Some('<') => volume_properties(start).iter().filter_map(|a| slicer_preset(a)).collect(),
+        Some('<') => volume_properties(start).filter_map(|tag| slicer_preset(&tag)).collect(),
         Some('{' | '[') if !looks_like_toml(start) => {
             let json = parse(text).map_err(|problem| FormatError::Syntax {
                 path: shown(path),
@@ -180,16 +181,15 @@ fn vp_property(property: &Json) -> Option<ImportedTransfer> {
 }
 
 /// A `VolumeProperty` element of Slicer's: lists are strings of numbers, their count first.
-fn slicer_preset(attributes: &[(String, String)]) -> Option<ImportedTransfer> {
-    let of = |key: &str| attributes.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str());
+fn slicer_preset(tag: &Tag) -> Option<ImportedTransfer> {
     let numbers = |key: &str| -> Vec<f32> {
-        let mut words = of(key).unwrap_or_default().split_whitespace();
+        let mut words = tag.get(key).unwrap_or_default().split_whitespace();
         let count = words.next().and_then(lenient_number).unwrap_or(0.0) as usize;
         words.take(count).map_while(|w| lenient_number(w).map(|n| n as f32)).collect()
     };
-    let unit = of("scalarOpacityUnitDistance").and_then(lenient_number).map(|n| n as f32);
-    let shaded = of("shade").and_then(lenient_number).map(|n| n != 0.0);
-    let name = of("name").unwrap_or_default();
+    let unit = tag.get("scalarOpacityUnitDistance").and_then(lenient_number).map(|n| n as f32);
+    let shaded = tag.get("shade").and_then(lenient_number).map(|n| n != 0.0);
+    let name = tag.get("name").unwrap_or_default();
     slicer_look(name, shaded, &numbers("colorTransfer"), &numbers("scalarOpacity"), unit)
 }
 
@@ -240,57 +240,11 @@ fn span(positions: impl Iterator<Item = f32>) -> (f32, f32) {
     if hi > lo { (lo, hi) } else { (lo, lo + (lo.abs() * 1e-3).max(1e-3)) }
 }
 
-/// The attributes of every `VolumeProperty` tag in a text of XML.
-fn volume_properties(text: &str) -> Vec<Vec<(String, String)>> {
-    let mut found = Vec::new();
-    let mut rest = text;
-    while let Some(start) = rest.find('<') {
-        rest = &rest[start..];
-        if rest.starts_with("<!--") {
-            rest = rest.find("-->").map_or("", |end| &rest[end + 3..]);
-            continue;
-        }
-        rest = &rest[1..];
-        let name_ends = rest.find(|c: char| c.is_whitespace() || c == '>' || c == '/').unwrap_or(rest.len());
-        let is_property = rest[..name_ends].ends_with("VolumeProperty");
-        rest = &rest[name_ends..];
-        if is_property && found.len() < MAX_FOUND {
-            let (attributes, after) = attributes(rest);
-            found.push(attributes);
-            rest = after;
-        }
-    }
-    found
-}
-
-/// Names and values up to the end of a tag, and what follows it.
-fn attributes(mut rest: &str) -> (Vec<(String, String)>, &str) {
-    let mut found = Vec::new();
-    loop {
-        rest = rest.trim_start_matches(|c: char| c.is_whitespace() || c == '/');
-        let Some(name_ends) = rest.find(|c: char| c.is_whitespace() || "=></".contains(c)) else {
-            return (found, "");
-        };
-        let name = &rest[..name_ends];
-        rest = rest[name_ends..].trim_start();
-        if !rest.starts_with('=') || name.is_empty() {
-            return (found, rest);
-        }
-        rest = rest[1..].trim_start();
-        let Some(quote) = rest.chars().next().filter(|c| "\"'".contains(*c)) else { return (found, rest) };
-        let Some(length) = rest[1..].find(quote) else { return (found, "") };
-        found.push((name.to_owned(), unescaped(&rest[1..1 + length])));
-        rest = &rest[length + 2..];
-        if found.len() > MAX_FOUND {
-            return (found, rest);
-        }
-    }
-}
-
-/// The five entities that need no declaration.
-fn unescaped(text: &str) -> String {
-    let text = text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&apos;", "'");
-    text.replace("&amp;", "&")
+/// The first `VolumeProperty` elements of an XML document, up to where it is damaged.
+fn volume_properties(text: &str) -> impl Iterator<Item = Tag> {
+    let mut tags = Tags::new(text.as_bytes());
+    let all = std::iter::from_fn(move || tags.next().ok().flatten());
+    all.filter(|tag| !tag.is_end && tag.name.ends_with("VolumeProperty")).take(MAX_FOUND)
 }
 
 /// What the first look of a file makes of a plain ramp, for where no curve is at hand.

@@ -2,16 +2,17 @@
 //! Each component of each array is a channel.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
+use base64::prelude::{BASE64_STANDARD, Engine};
 use flate2::bufread::ZlibDecoder;
 use glam::DVec3;
 
 use crate::axes::Geometry;
-use crate::decode::next_number;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{MAX_DEFLATE_RATIO, Stream, read_past};
@@ -68,11 +69,7 @@ enum Place {
 impl VtiFile {
     /// `file` is the file at `path`, of which the options choose an array.
     pub(crate) fn open(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "VTK header".into(),
-            problem,
-        };
+        let bad = malformed(path, "VTK header");
         let mut document = Document::default();
         let mut tags = Tags::new(BufReader::new(file));
         loop {
@@ -88,7 +85,7 @@ impl VtiFile {
         }
         if let Some((_, is_base64)) = document.appended {
             // An underscore marks the first byte.
-            let start = tags.place_after(b'_').map_err(io_error(path))?;
+            let start = tags.offset_after(b'_').map_err(io_error(path))?;
             document.appended = start.map(|at| (at, is_base64));
         }
         let channel = options.selection.channel.map(u64::from);
@@ -120,12 +117,7 @@ impl VolumeFile for VtiFile {
         let left = length.saturating_sub(start);
         file.seek(SeekFrom::Start(start.min(length))).map_err(&io)?;
         let mut reader: Box<dyn Stream> = match is_base64 {
-            true => Box::new(Base64 {
-                reader: BufReader::new(file),
-                pending: [0; 3],
-                num_pending: 0,
-                is_done: false,
-            }),
+            true => Box::new(Base64::new(BufReader::new(file))),
             false => Box::new(BufReader::new(file)),
         };
         let cut = |e: io::Error| FormatError::Data {
@@ -188,19 +180,9 @@ impl VtiFile {
     }
 
     fn read_text(&self, mut file: File, at: u64, length: u64, taker: &mut Taker) -> Result<(), FormatError> {
-        let path = &self.path;
-        let num_elements = taker.num_elements();
-        // A number has at least one digit, and a gap before the next.
-        let found = length.saturating_sub(at).div_ceil(2);
-        if found < num_elements {
-            return Err(taker.short(path, num_elements, found, "numbers"));
-        }
-        file.seek(SeekFrom::Start(at)).map_err(io_error(path))?;
-        let mut reader = BufReader::new(file);
-        (0..num_elements).try_for_each(|i| match next_number(&mut reader).map_err(io_error(path))? {
-            Some(number) => taker.push_number(path, number),
-            None => Err(taker.short(path, num_elements, i, "numbers")),
-        })
+        file.seek(SeekFrom::Start(at)).map_err(io_error(&self.path))?;
+        let count = taker.num_elements();
+        taker.push_text(&mut BufReader::new(file), &self.path, count, length.saturating_sub(at))
     }
 }
 
@@ -226,22 +208,17 @@ struct Document {
 impl Document {
     /// Takes a tag; `false` if none after it matters.
     fn take(&mut self, tag: Tag) -> Result<bool, String> {
-        let numbers =
-            |name: &str| tag.get(name).map(|text| (text, text.split_ascii_whitespace().collect::<Vec<_>>()));
         match (tag.name.as_str(), tag.is_end) {
             ("VTKFile", false) => self.header = Some(Header::of(&tag)?),
             ("ImageData", false) => {
-                self.extent =
-                    numbers("WholeExtent").map(|(text, w)| parsed(&w, "WholeExtent", text)).transpose()?;
-                self.spacing = numbers("Spacing").map(|(text, w)| parsed(&w, "Spacing", text)).transpose()?;
-                self.origin =
-                    numbers("Origin").map_or(Ok([0.0; 3]), |(text, w)| parsed(&w, "Origin", text))?;
-                self.direction =
-                    numbers("Direction").map(|(text, w)| parsed(&w, "Direction", text)).transpose()?;
+                self.extent = numbers(&tag, "WholeExtent")?;
+                self.spacing = numbers(&tag, "Spacing")?;
+                self.origin = numbers(&tag, "Origin")?.unwrap_or_default();
+                self.direction = numbers(&tag, "Direction")?;
             }
             ("Piece", false) => {
                 self.num_pieces += 1;
-                self.piece = numbers("Extent").map(|(text, w)| parsed(&w, "Extent", text)).transpose()?;
+                self.piece = numbers(&tag, "Extent")?;
             }
             ("PointData" | "CellData", is_end) => {
                 let is_cells = tag.name == "CellData";
@@ -426,79 +403,49 @@ fn array(tag: &Tag, is_cells: bool) -> Result<Array, String> {
     })
 }
 
-/// `N` numbers of an attribute.
-fn parsed<T: std::str::FromStr, const N: usize>(
-    words: &[&str],
-    name: &str,
-    text: &str,
-) -> Result<[T; N], String> {
-    let numbers: Option<Vec<T>> = words.iter().map(|w| w.parse().ok()).collect();
-    numbers
-        .and_then(|n| n.try_into().ok())
-        .ok_or_else(|| format!("{name} is {}, expected {N} numbers", quoted(text)))
+/// The `N` numbers of an attribute, if there is one.
+fn numbers<T: FromStr, const N: usize>(tag: &Tag, name: &str) -> Result<Option<[T; N]>, String> {
+    let Some(text) = tag.get(name) else { return Ok(None) };
+    let numbers: Option<Vec<T>> = text.split_ascii_whitespace().map(|word| word.parse().ok()).collect();
+    let numbers = numbers.and_then(|n| n.try_into().ok());
+    numbers.map(Some).ok_or_else(|| format!("{name} is {}, expected {N} numbers", quoted(text)))
 }
 
-/// Text in base64; padding ends a part, after which another may follow.
+/// Text in base64. Padding ends a part, and another part may follow.
 struct Base64<R> {
     reader: R,
-    /// Bytes that were decoded and not yet asked for, the next one first.
-    pending: [u8; 3],
-    num_pending: usize,
-    is_done: bool,
+    decoded: Cursor<Vec<u8>>,
 }
 
 impl<R: BufRead> Base64<R> {
-    /// Decodes the next four letters.
+    fn new(reader: R) -> Self {
+        Self { reader, decoded: Cursor::default() }
+    }
+
+    /// Decodes the next letters, up to a padding.
     fn refill(&mut self) -> io::Result<()> {
-        let (mut word, mut count, mut num_padding) = (0u32, 0, 0);
-        while count < 4 {
-            let Some(&byte) = self.reader.fill_buf()?.first() else { break };
-            let value = match byte {
-                b'A'..=b'Z' => byte - b'A',
-                b'a'..=b'z' => byte - b'a' + 26,
-                b'0'..=b'9' => byte - b'0' + 52,
-                b'+' => 62,
-                b'/' => 63,
-                b'=' => {
-                    num_padding += 1;
-                    0
-                }
-                b' ' | b'\t' | b'\n' | b'\r' => {
-                    self.reader.consume(1);
-                    continue;
-                }
-                _ => break,
-            };
+        let mut letters = Vec::with_capacity(BASE64_LETTERS);
+        while letters.len() < BASE64_LETTERS && !(letters.len() % 4 == 0 && letters.ends_with(b"=")) {
+            match self.reader.fill_buf()?.first() {
+                None | Some(b'<') => break,
+                Some(byte) if byte.is_ascii_whitespace() => {}
+                Some(byte) => letters.push(*byte),
+            }
             self.reader.consume(1);
-            word = word << 6 | u32::from(value);
-            count += 1;
         }
-        if count < 4 || num_padding > 2 {
-            self.is_done = true;
-            return Ok(());
-        }
-        self.pending = [(word >> 16) as u8, (word >> 8) as u8, word as u8];
-        self.num_pending = 3 - num_padding;
+        letters.truncate(letters.len() / 4 * 4);
+        let decoded = BASE64_STANDARD.decode(letters).map_err(|e| invalid(e.to_string()))?;
+        self.decoded = Cursor::new(decoded);
         Ok(())
     }
 }
 
 impl<R: BufRead> Read for Base64<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let mut n = 0;
-        while n < out.len() {
-            if self.num_pending == 0 && !self.is_done {
-                self.refill()?;
-            }
-            if self.num_pending == 0 {
-                break;
-            }
-            out[n] = self.pending[0];
-            self.pending.rotate_left(1);
-            self.num_pending -= 1;
-            n += 1;
+        if self.decoded.position() == self.decoded.get_ref().len() as u64 {
+            self.refill()?;
         }
-        Ok(n)
+        self.decoded.read(out)
     }
 }
 
@@ -523,7 +470,6 @@ struct Blocks {
 
 impl Blocks {
     fn next_block(&mut self, size: u64) -> io::Result<()> {
-        let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidData, what);
         if size > self.most {
             return Err(invalid(format!("a block of {size} bytes is longer than the file")));
         }
@@ -569,9 +515,15 @@ impl Stream for Blocks {
     }
 }
 
+fn invalid(problem: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, problem)
+}
+
 /// The largest block of a compressor; VTK's own are 32 KiB.
 const MAX_BLOCK_BYTES: u64 = 256 << 20;
 /// A byte of length adds at most 255 bytes.
 const MAX_LZ4_RATIO: u64 = 256;
+/// Letters that are decoded at a time, a multiple of four.
+const BASE64_LETTERS: usize = 1 << 14;
 const MAX_ARRAYS: usize = 256;
 const MAX_COMPONENTS: u64 = 256;

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 
 use self::frame::{Frame, Shape, Slices};
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there, shown};
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::taker::Taker;
 use crate::warning::WarningKind;
@@ -49,8 +49,7 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
 impl DicomFiles {
     /// The file or folder at `path`, which `files` are of.
     pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad =
-            |problem: String| FormatError::Malformed { path: shown(path), format: "DICOM".into(), problem };
+        let bad = malformed(path, "DICOM");
         let is_folder = path.is_dir();
         let (mut found, mut num_other, mut first_problem) = (Vec::new(), 0, None);
         let mut first_other = None;
@@ -66,11 +65,7 @@ impl DicomFiles {
                         _ => return Err(io_error(file)(e)),
                     };
                     first_other.get_or_insert_with(|| (file_name(file), problem.clone()));
-                    first_problem.get_or_insert(FormatError::Malformed {
-                        path: shown(file),
-                        format: "DICOM".into(),
-                        problem,
-                    });
+                    first_problem.get_or_insert(malformed(file, "DICOM")(problem));
                 }
             }
         }
@@ -82,12 +77,10 @@ impl DicomFiles {
         let names: Vec<String> = series.iter().map(series::Series::name).collect();
         let num_series = names.len();
         let index = options.selection.series.map_or(largest, |i| i as usize);
-        let chosen = series.into_iter().nth(index).ok_or_else(|| FormatError::Selection {
-            path: shown(path),
-            what: "series",
-            asked: index as u64,
-            found: num_series as u64,
-        })?;
+        let chosen = series
+            .into_iter()
+            .nth(index)
+            .ok_or_else(|| not_there(path, "series", index as u64, num_series))?;
         let shape = chosen.shape;
         let stacked = chosen.stack();
         let slope = (stacked.frames[0].slope, stacked.frames[0].intercept);
@@ -118,7 +111,7 @@ impl DicomFiles {
         plan.modality = stacked.modality;
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         if shape.samples == 3 {
-            plan.channel_names = ["red", "green", "blue"].map(str::to_owned).into();
+            plan.channel_names = color_names(3);
         }
         for (kind, text) in stacked.warnings {
             plan.warn(kind, text);

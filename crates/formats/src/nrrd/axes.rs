@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::header::{Header, Space};
 use crate::axes::Geometry;
 use crate::error::HeaderError;
-use crate::plan::{Axis, Role};
+use crate::plan::{Axis, Role, color_names};
 use crate::warning::{Warning, WarningKind};
 
 /// The axes of a header.
@@ -103,8 +103,7 @@ fn other_roles(
         };
         axes[i].role = role;
         if role == Role::Channel && matches!(kind.as_str(), "rgb-color" | "rgba-color") {
-            names = ["red", "green", "blue", "alpha"].map(str::to_owned).into();
-            names.truncate(axes[i].size.min(4) as usize);
+            names = color_names(axes[i].size);
         }
     }
     Ok(names)

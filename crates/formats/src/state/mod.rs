@@ -27,7 +27,6 @@ mod link;
 mod text;
 
 use std::fmt;
-use std::io::Read;
 use std::path::Path;
 
 use glam::{Quat, Vec3};
@@ -37,13 +36,11 @@ use isinglass_core::volume::Volume;
 use isinglass_core::wire::VolumeDescription;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
 use crate::select::Selection;
-use crate::source::open_file;
+use crate::source::read_file;
 use crate::volume_source::VolumeSource;
-
-pub(crate) use text::{line_at, one_line};
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
 
@@ -408,8 +405,7 @@ impl SavedState {
 /// # Errors
 /// If there is no such file, or no state of a known form in it: one line that says where.
 pub fn read_state(path: &Path) -> Result<ReadState, FormatError> {
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
+    let bytes = read_file(path, MAX_STATE_BYTES)?.ok_or_else(|| too_long(path))?;
     let ReadState { state, note } = state_from_bytes(&bytes, path)?;
     let volume = state.volume.map(|volume| volume.found_beside(path));
     Ok(ReadState { state: SavedState { volume, ..state }, note })
@@ -420,16 +416,23 @@ pub fn read_state(path: &Path) -> Result<ReadState, FormatError> {
 /// # Errors
 /// As [`read_state`].
 pub fn state_from_bytes(bytes: &[u8], path: &Path) -> Result<ReadState, FormatError> {
-    let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: EXPECTED };
     if bytes.len() as u64 > MAX_STATE_BYTES {
-        return Err(unsupported("more than 1 MiB"));
+        return Err(too_long(path));
     }
-    let text = std::str::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
+    let text = std::str::from_utf8(bytes).map_err(|_| unsupported(path, "bytes that are not UTF-8"))?;
     let read = text::read(text, path)?;
     match read.state.problem() {
         Some(problem) => Err(FormatError::State { path: shown(path), problem }),
         None => Ok(read),
     }
+}
+
+fn too_long(path: &Path) -> FormatError {
+    unsupported(path, "more than 1 MiB")
+}
+
+fn unsupported(path: &Path, found: &'static str) -> FormatError {
+    FormatError::Unsupported { path: shown(path), found, expected: "a saved state" }
 }
 
 /// Whether these bytes, the first of a file, are those of a state.
@@ -444,7 +447,6 @@ pub const MAX_STATE_BYTES: u64 = 1 << 20;
 const VERSION_KEY: &str = "isinglass_state";
 /// The form that is written and read here.
 const VERSION: i64 = 1;
-const EXPECTED: &str = "a saved state";
 /// How links begin.
 const LINK_SCHEME: &str = "isinglass://";
 /// How built-in volumes do.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ReadState, SavedCamera, SavedState, SavedView, SavedVolume, VERSION, VERSION_KEY};
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, one_line, quoted, shown, syntax_error};
 use crate::transfer::{number_literal, text_literal};
 
 /// The file as a whole. The look is taken apart later, for what is missing in it.
@@ -48,11 +48,7 @@ pub(super) fn write(state: &SavedState) -> String {
 /// The state in a text, its numbers not looked at.
 pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
     let problem = |problem: String| FormatError::State { path: shown(path), problem };
-    let syntax = |e: toml::de::Error| FormatError::Syntax {
-        path: shown(path),
-        line: line_at(text, e.span().map_or(0, |s| s.start)),
-        problem: one_line(e.message()),
-    };
+    let syntax = syntax_error(path, text);
     let whole: Table = toml::from_str(text).map_err(syntax)?;
     match whole.get(VERSION_KEY) {
         Some(Value::Integer(VERSION)) => {}
@@ -147,21 +143,5 @@ fn key_literal(key: &str) -> String {
     if !key.is_empty() && key.chars().all(is_bare) { key.to_owned() } else { text_literal(key) }
 }
 
-/// The number, from 1, of the line with the byte `at`.
-pub(crate) fn line_at(text: &str, at: usize) -> usize {
-    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
-}
-
-/// A message of the parser on one line.
-pub(crate) fn one_line(message: &str) -> String {
-    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-    match line.char_indices().nth(MAX_MESSAGE) {
-        Some((end, _)) => format!("{}…", &line[..end]),
-        None => line,
-    }
-}
-
 /// Names of unknown keys that are told.
 const MAX_NOTED: usize = 3;
-/// Characters of a parser's message: it quotes what it does not understand.
-const MAX_MESSAGE: usize = 300;

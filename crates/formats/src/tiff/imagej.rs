@@ -1,7 +1,7 @@
 //! ImageJ's description of a hyperstack: lines of `name=value`.
 
 use super::{PlaneAxis, Stack};
-use crate::plan::unit_of_values;
+use crate::units::{length_unit, value_unit};
 
 /// Whether a description is ImageJ's.
 pub(super) fn is_imagej(text: &str) -> bool {
@@ -17,9 +17,9 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
     let number = |name: &str| get(name).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
     // A stack without hyperstack fields is one of slices.
     let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
-    let own = get("unit").and_then(unit_of_length);
+    let own = get("unit").and_then(length_unit);
     // Steps along y and z may be told in units of their own.
-    let in_own = |name: &str| match (get(name).and_then(unit_of_length), own) {
+    let in_own = |name: &str| match (get(name).and_then(length_unit), own) {
         (Some((meters, _)), Some((own, _))) => meters / own,
         _ => 1.0,
     };
@@ -39,26 +39,10 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         planes: None,
         series: Vec::new(),
         value_map: value_map(get("cf"), number("c1"), number("c0")),
-        value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(unit_of_values),
+        value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(value_unit),
         guess: None,
         name: "ImageJ TIFF",
     }
-}
-
-/// A unit of length: metres, and its short name.
-fn unit_of_length(words: &str) -> Option<(f64, &'static str)> {
-    Some(match words.to_lowercase().as_str() {
-        // The sign of ISO 8859-1, which old versions wrote, is no text any more; so is what Java writes for it.
-        "micron" | "microns" | "micrometer" | "micrometers" | "micrometre" | "um" | "\u{b5}m"
-        | "\u{3bc}m" | "\u{fffd}m" | "\\u00b5m" => (1e-6, "µm"),
-        "nm" | "nanometer" | "nanometers" | "nanometre" => (1e-9, "nm"),
-        "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
-        "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
-        "m" | "meter" | "meters" | "metre" => (1.0, "m"),
-        "\u{e5}" | "\u{212b}" | "\\u00c5" | "angstrom" | "angstroms" => (1e-10, "Å"),
-        "inch" | "inches" | "in" => (0.0254, "in"),
-        _ => return None,
-    })
 }
 
 /// Whether a unit is none: lengths are told in pixels.

@@ -17,8 +17,8 @@ use self::page::{Group, PageDecoder, PageShape, Scan, decoder, page_shape, tiff_
 use self::shaped::Shaped;
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there};
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::taker::Taker;
@@ -113,8 +113,7 @@ impl Stack {
 impl TiffFile {
     /// A file, or the files of a folder, each a slice or some. `path` is the file or the folder.
     pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad =
-            |problem: String| FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem };
+        let bad = malformed(path, "TIFF");
         let mut first = Scan::of(&files[0], options)?;
         if let Some(text) = first.description.as_deref().filter(|text| ome::is_ome(text)) {
             let image = set::OmeSet::open(text, &files, path, options)?;
@@ -125,8 +124,7 @@ impl TiffFile {
         let num_series = if files.len() == 1 { first.groups.len() } else { 1 };
         let index = options.selection.series.unwrap_or(0) as usize;
         if index >= num_series {
-            let (what, asked, found) = ("series", index as u64, num_series as u64);
-            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+            return Err(not_there(path, "series", index as u64, num_series));
         }
         let series: Vec<String> = first.groups[..num_series].iter().map(Group::name).collect();
         let num_left: usize = first.groups[num_series..].iter().map(|g| g.pages.len()).sum();
@@ -306,8 +304,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
     );
     plan.channel_names = std::mem::take(&mut stack.channel_names);
     if plan.channel_names.is_empty() && matches!(samples.size, 3 | 4) {
-        plan.channel_names =
-            ["red", "green", "blue", "alpha"][..samples.size as usize].iter().map(|&s| s.into()).collect();
+        plan.channel_names = color_names(samples.size);
     }
     plan.series = std::mem::take(&mut stack.series);
     plan.value_map = stack.value_map;

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::{Place, PlaneAxis, Stack};
 use crate::error::quoted;
+use crate::units::length_unit;
 use crate::xml::{Tag, Tags};
 
 /// Whether a description is OME-XML.
@@ -240,28 +241,11 @@ fn spacing(image: &Image) -> ([Option<f64>; 3], Option<String>) {
     let sizes = ["PhysicalSizeX", "PhysicalSizeY", "PhysicalSizeZ"]
         .map(|n| get(n).and_then(|v| v.parse::<f64>().ok()));
     // The model's unit is the micrometre where none is named.
-    let units =
-        ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"].map(|n| get(n).unwrap_or("µm"));
-    let meters = units.map(meters);
-    let Some(first) = meters[0] else { return (sizes, None) };
-    let in_first = |i: usize| sizes[i].map(|s| s * meters[i].unwrap_or(first) / first);
-    let unit = if units[0] == "μm" || units[0] == "um" { "µm" } else { units[0] };
-    ([in_first(0), in_first(1), in_first(2)], Some(unit.to_owned()))
-}
-
-/// A unit of length in metres.
-fn meters(unit: &str) -> Option<f64> {
-    Some(match unit {
-        "m" => 1.0,
-        "cm" => 1e-2,
-        "mm" => 1e-3,
-        "µm" | "μm" | "um" => 1e-6,
-        "nm" => 1e-9,
-        "\u{c5}" | "\u{212b}" => 1e-10,
-        "pm" => 1e-12,
-        "in" => 0.0254,
-        _ => return None,
-    })
+    let units = ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"]
+        .map(|n| length_unit(get(n).unwrap_or("µm")));
+    let Some((meters, name)) = units[0] else { return (sizes, None) };
+    let in_first = |i: usize| sizes[i].map(|s| s * units[i].map_or(1.0, |(own, _)| own / meters));
+    ([in_first(0), in_first(1), in_first(2)], Some(name.to_owned()))
 }
 
 fn parse(text: &str) -> Result<Ome, String> {

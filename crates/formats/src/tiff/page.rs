@@ -11,7 +11,7 @@ use ::tiff::{ColorType, TiffError};
 use super::check;
 use super::shaped::Shaped;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed, shown};
 use crate::source::{OpenOptions, open_file};
 
 pub(super) type PageDecoder = Decoder<BufReader<File>>;
@@ -185,7 +185,7 @@ pub(super) fn decoder(path: &Path) -> Result<PageDecoder, FormatError> {
     let length = file.metadata().map_err(io_error(path))?.len();
     if !check::first_directory_fits(&mut file, length).map_err(io_error(path))? {
         let problem = format!("its first directory is not within {length} bytes, or has values that are not");
-        return Err(FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem });
+        return Err(malformed(path, "TIFF")(problem));
     }
     let mut limits = Limits::default();
     // A list of strips is no longer than the file it is in.
@@ -231,9 +231,7 @@ impl PageError {
     pub(super) fn at(self, path: &Path, page: u32) -> FormatError {
         match self {
             Self::Tiff(e) => tiff_error(path, page, e),
-            Self::Kind(problem) => {
-                FormatError::Malformed { path: shown(path), format: format!("TIFF page {page}"), problem }
-            }
+            Self::Kind(problem) => malformed(path, &format!("TIFF page {page}"))(problem),
         }
     }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::ome::{self, Files, Ome};
 use super::page::{self, Group, Scan};
 use super::{Place, PlaneAxis, Stack, TiffFile, plan};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
@@ -23,10 +23,6 @@ pub(super) struct OmeSet {
     num_left: usize,
 }
 
-fn malformed(path: &Path, problem: String) -> FormatError {
-    FormatError::Malformed { path: shown(path), format: "OME-TIFF".into(), problem }
-}
-
 impl OmeSet {
     /// What `text`, the description of the first of `files`, says of them. `None`: they are slices, each an image by itself.
     pub(super) fn open(
@@ -35,7 +31,7 @@ impl OmeSet {
         path: &Path,
         options: &OpenOptions,
     ) -> Result<Option<Self>, FormatError> {
-        let bad = |problem: String| malformed(path, problem);
+        let bad = malformed(path, OME_TIFF);
         let own = &files[0];
         let folder = own.parent().unwrap_or(Path::new("")).to_owned();
         let mut ome = Ome::read(text).map_err(bad)?;
@@ -44,8 +40,7 @@ impl OmeSet {
         }
         let index = options.selection.series.unwrap_or(0) as usize;
         if index >= ome.num_images() {
-            let (what, asked, found) = ("series", index as u64, ome.num_images() as u64);
-            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+            return Err(not_there(path, "series", index as u64, ome.num_images()));
         }
         let is_there = |name: &str| folder.join(name).is_file();
         let own_name = file_name(own);
@@ -80,7 +75,7 @@ impl OmeSet {
         path: &Path,
         options: &OpenOptions,
     ) -> Result<TiffFile, FormatError> {
-        let bad = |problem: String| malformed(path, problem);
+        let bad = malformed(path, OME_TIFF);
         let Self { ome, index, files, paths, num_left } = self;
         let mut missing: Vec<&PathBuf> = paths[1..].iter().filter(|p| !p.is_file()).collect();
         // All pages are expected to be as the first that is there.
@@ -141,7 +136,7 @@ impl OmeSet {
 
 /// The description in the file `name` beside `own`, which refers to it: a TIFF file or a document by itself.
 fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> {
-    let bad = |problem: String| malformed(own, problem);
+    let bad = malformed(own, OME_TIFF);
     if name.is_empty() || name.contains(['/', '\\', '\0']) {
         return Err(bad(format!(
             "its description is in file {}, expected a name without folders",
@@ -161,7 +156,7 @@ fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> 
     } else {
         String::from_utf8_lossy(&bytes).into_owned()
     };
-    let ome = Ome::read(&text).map_err(|problem| malformed(&path, problem))?;
+    let ome = Ome::read(&text).map_err(malformed(&path, OME_TIFF))?;
     if ome.num_images() == 0 {
         return Err(bad(format!(
             "its description is in {}, expected OME-XML with an image there",
@@ -184,3 +179,5 @@ pub(super) fn slices(text: &str, group: &Group) -> Result<Stack, String> {
 const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
 /// Files and images that a sentence names.
 const MAX_NAMED: usize = 8;
+
+const OME_TIFF: &str = "OME-TIFF";

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::codec::{Codec, Codecs};
 use super::json;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, malformed, quoted};
 
 /// An array. Axes are slowest first, as the format has them.
 #[derive(Clone, Debug)]
@@ -44,11 +44,7 @@ impl Array {
             None => (json::require(&path.join(".zarray"))?, 2),
         };
         let array = if version == 3 { Self::of_version_3(&value) } else { Self::of_version_2(&value) };
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "Zarr array".into(),
-            problem,
-        };
+        let bad = malformed(path, "Zarr array");
         let mut array = array.and_then(Self::checked).map_err(bad)?;
         array.path = path.to_owned();
         Ok(array)
@@ -200,7 +196,7 @@ fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, 
         Dtype::Int32 => (whole as i32).to_le_bytes().to_vec(),
         Dtype::Uint64 => (whole as u64).to_le_bytes().to_vec(),
         Dtype::Int64 => (whole as i64).to_le_bytes().to_vec(),
-        Dtype::Half => half(number as f32).to_le_bytes().to_vec(),
+        Dtype::Half => half::f16::from_f64(number).to_le_bytes().to_vec(),
         Dtype::Float => (number as f32).to_le_bytes().to_vec(),
         Dtype::Double => number.to_le_bytes().to_vec(),
     };
@@ -208,20 +204,6 @@ fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, 
         bytes.reverse();
     }
     Ok(bytes)
-}
-
-/// The half float next to zero of those nearest to `x`.
-fn half(x: f32) -> u16 {
-    let sign = if x.is_sign_negative() { 0x8000 } else { 0 };
-    let magnitude = match x.abs() {
-        x if x.is_nan() => 0x7e00,
-        x if x >= 65_536.0 => 0x7c00,
-        // A float has eight bits of exponent around 127 and 23 of fraction; a half five around 15, and ten.
-        x if x >= 6.103_515_6e-5 => ((x.to_bits() >> 13) - ((127 - 15) << 10)) as u16,
-        // Below that a half counts in steps of 2^-24.
-        x => (x * 16_777_216.0) as u16,
-    };
-    sign | magnitude
 }
 
 const MAX_AXES: usize = 8;

@@ -3,8 +3,8 @@
 use std::io::Read;
 
 use flate2::bufread::ZlibDecoder;
-use ruzstd::decoding::StreamingDecoder;
 
+use super::codec::unpack_zstd;
 use crate::dtype::Endian;
 use crate::error::quoted;
 use crate::words::Words;
@@ -85,12 +85,7 @@ fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<()
         ZLIB => {
             ZlibDecoder::new(packed).take(size as u64).read_to_end(out).map_err(|e| error(&e))?;
         }
-        _ => {
-            let window = (size as u64).max(1 << 20);
-            let decoder =
-                StreamingDecoder::new_with_max_window_size(packed, window).map_err(|e| error(&e))?;
-            decoder.take(size as u64).read_to_end(out).map_err(|e| error(&e))?;
-        }
+        _ => unpack_zstd(packed, size, out).map_err(|e| error(&e))?,
     }
     if out.len() == start + size {
         Ok(())

@@ -3,7 +3,6 @@
 use std::io::{self, Read};
 
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
-use ruzstd::decoding::StreamingDecoder;
 use serde_json::Value;
 
 use super::array::Shard;
@@ -62,12 +61,7 @@ impl Codec {
         match self {
             Self::Gzip => all(&mut MultiGzDecoder::new(bytes)).map_err(|e| error(&e))?,
             Self::Zlib => all(&mut ZlibDecoder::new(bytes)).map_err(|e| error(&e))?,
-            Self::Zstd => {
-                let window = (most as u64).max(LEAST_WINDOW_BYTES);
-                let mut decoder =
-                    StreamingDecoder::new_with_max_window_size(bytes, window).map_err(|e| error(&e))?;
-                all(&mut decoder).map_err(|e| error(&e))?;
-            }
+            Self::Zstd => unpack_zstd(bytes, most, &mut out).map_err(|e| error(&e))?,
             Self::Blosc => out = blosc::decode(bytes, most)?,
             Self::Lz4 => {
                 let (length, rest) = bytes.split_first_chunk().ok_or("it ends early")?;
@@ -165,6 +159,14 @@ impl Codecs {
     }
 }
 
+/// Adds what is in the frames of `packed` to `out`, at most `most` bytes. A frame may ask for no more memory than that,
+/// or than the 8 MiB that every decoder should have (RFC 8878, section 3.1.1.1.2).
+pub(super) fn unpack_zstd(packed: &[u8], most: usize, out: &mut Vec<u8>) -> io::Result<()> {
+    let mut decoder = zstd::Decoder::with_buffer(packed)?;
+    decoder.window_log_max(most.clamp(LEAST_WINDOW_BYTES, MOST_WINDOW_BYTES).next_power_of_two().ilog2())?;
+    decoder.take(most as u64).read_to_end(out).map(drop)
+}
+
 fn is_permutation(order: &[usize], n: usize) -> bool {
     let mut sorted = order.to_vec();
     sorted.sort_unstable();
@@ -192,8 +194,9 @@ pub(super) fn crc32c(bytes: &[u8]) -> u32 {
 
 /// Steps of one chain.
 const MAX_STEPS: usize = 4;
-/// The smallest window that is always allowed.
-const LEAST_WINDOW_BYTES: u64 = 1 << 20;
+const LEAST_WINDOW_BYTES: usize = 8 << 20;
+/// The largest window that the format's reference decoder takes by default.
+const MOST_WINDOW_BYTES: usize = 128 << 20;
 
 #[cfg(test)]
 mod tests {

@@ -15,7 +15,7 @@ use std::path::Path;
 use self::array::{Array, Shard};
 use self::multiscale::Multiscale;
 use crate::dtype::Dtype;
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed, not_there};
 use crate::plan::{Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::taker::Taker;
@@ -36,11 +36,7 @@ pub(crate) fn is_group(path: &Path) -> bool {
 impl ZarrImage {
     /// The group or array in the folder `path`.
     pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "OME-Zarr".into(),
-            problem,
-        };
+        let bad = malformed(path, "OME-Zarr");
         let mut image = path.to_owned();
         let mut series = Vec::new();
         let mut found = Multiscale::read(path)?;
@@ -52,8 +48,7 @@ impl ZarrImage {
                 image = path.join(name);
                 found = Multiscale::read(&image)?;
             } else if !series.is_empty() {
-                let (what, asked, found) = ("series", index as u64, series.len() as u64);
-                return Err(FormatError::Selection { path: shown(path), what, asked, found });
+                return Err(not_there(path, "series", index as u64, series.len()));
             }
         }
         let Some(multiscale) = found else {
@@ -66,8 +61,7 @@ impl ZarrImage {
         }
         let level = match options.selection.level {
             Some(level) if level as usize >= arrays.len() => {
-                let (what, asked, found) = ("level", level.into(), arrays.len() as u64);
-                return Err(FormatError::Selection { path: shown(path), what, asked, found });
+                return Err(not_there(path, "level", level.into(), arrays.len()));
             }
             Some(level) => level as usize,
             None if options.selection.region.is_some() => 0,

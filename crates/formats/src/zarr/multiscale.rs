@@ -8,9 +8,10 @@ use serde_json::Value;
 use super::array::Array;
 use super::json;
 use crate::axes::Geometry;
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
 use crate::plan::{Axis, Plan, Role};
+use crate::units::length_unit;
 
 /// An image of several levels.
 pub(super) struct Multiscale {
@@ -49,11 +50,7 @@ pub(super) struct LevelPath {
 impl Multiscale {
     /// The image in the folder `path`, if it holds one. An array alone is an image of one level.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "OME-Zarr".into(),
-            problem,
-        };
+        let bad = malformed(path, "OME-Zarr");
         let attributes = match json::read(&path.join("zarr.json"))? {
             Some(value) if value.get("node_type").and_then(Value::as_str) == Some("array") => {
                 return Self::of_array(path);
@@ -117,11 +114,7 @@ impl Multiscale {
         let array = Array::read(path)?;
         let n = array.shape.len();
         let names = ["t", "c", "z", "y", "x"];
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "Zarr array".into(),
-            problem,
-        };
+        let bad = malformed(path, "Zarr array");
         if !(2..=5).contains(&n) {
             return Err(bad(format!("it has {n} axes, expected two to five")));
         }
@@ -256,17 +249,7 @@ impl NamedAxis {
             ("c", _) | (_, Some("channel")) => Kind::Channel,
             _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
         };
-        // Names of UDUNITS-2, and the short ones that are written all the same.
-        let unit = match value.get("unit").and_then(Value::as_str).unwrap_or_default() {
-            "angstrom" | "\u{c5}" => Some((1e-10, "Å")),
-            "nanometer" | "nm" => Some((1e-9, "nm")),
-            "micrometer" | "micron" | "um" | "\u{b5}m" | "\u{3bc}m" => Some((1e-6, "µm")),
-            "millimeter" | "mm" => Some((1e-3, "mm")),
-            "centimeter" | "cm" => Some((1e-2, "cm")),
-            "meter" | "m" => Some((1.0, "m")),
-            "inch" => Some((0.0254, "in")),
-            _ => None,
-        };
+        let unit = value.get("unit").and_then(Value::as_str).and_then(length_unit);
         Ok(Self { kind, unit })
     }
 }
