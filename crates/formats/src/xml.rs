@@ -12,7 +12,7 @@ use quick_xml::{Reader, XmlVersion};
 
 /// A tag.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Tag {
+pub(crate) struct XmlTag {
     /// Its name, without a prefix.
     pub(crate) name: String,
     /// Whether it ends an element, `</name>`.
@@ -22,7 +22,7 @@ pub(crate) struct Tag {
     pub(crate) end: u64,
 }
 
-impl Tag {
+impl XmlTag {
     /// The value of an attribute.
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
@@ -46,7 +46,7 @@ impl<R: BufRead> Tags<R> {
     }
 
     /// The next tag, `None` at the end. An error of kind `InvalidData` says what is wrong.
-    pub(crate) fn next(&mut self) -> io::Result<Option<Tag>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<XmlTag>> {
         loop {
             // `quick-xml` would keep the text between two tags in memory.
             self.skip_to(b'<')?;
@@ -63,11 +63,11 @@ impl<R: BufRead> Tags<R> {
                 _ => continue,
             };
             let name = lossy(name.as_ref());
-            return Ok(Some(Tag { name, is_end, attributes, end: self.0.buffer_position() }));
+            return Ok(Some(XmlTag { name, is_end, attributes, end: self.0.buffer_position() }));
         }
     }
 
-    /// The offset after the next `byte`, wherever it is; `None` if there is none.
+    /// The offset after the next `byte`; `None` if there is none.
     pub(crate) fn offset_after(&mut self, byte: u8) -> io::Result<Option<u64>> {
         let is_found = self.skip_to(byte)?;
         Ok(is_found.then_some(self.0.buffer_position() + 1))
@@ -110,7 +110,7 @@ const MAX_TAG_BYTES: u64 = 1 << 20;
 mod tests {
     use super::*;
 
-    fn tags(text: &str) -> Vec<Tag> {
+    fn tags(text: &str) -> Vec<XmlTag> {
         let mut tags = Tags::new(text.as_bytes());
         std::iter::from_fn(|| tags.next().unwrap()).collect()
     }

@@ -1,4 +1,4 @@
-//! The entries of a ZIP archive and where their bytes lie.
+//! The entries of a ZIP archive and the location of their bytes.
 //!
 //! `rawzip` looks at one record after the other. The crate `zip` would keep a record of every entry in memory, and brings
 //! decoders that [`crate::stream`] has already.
@@ -48,5 +48,5 @@ pub(crate) fn entries(file: File, path: &Path, suffix: &str, most: usize) -> Res
     Ok(entries)
 }
 
-/// Entries that are looked at.
+/// Most entries of an archive that are read.
 const MAX_ENTRIES: usize = 1 << 17;

@@ -1,4 +1,4 @@
-//! NRRD volumes (versions 1 to 5): attached or detached, raw, gzip or text.
+//! NRRD volumes of versions 1 to 5, attached or detached, as raw data, gzip or text.
 
 mod axes;
 mod header;
@@ -8,22 +8,22 @@ use std::io::{BufRead, BufReader, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use self::axes::Axes;
-use self::header::{ByteSkip, DataFiles, Encoding, Header, HeaderReadError};
+use self::header::{ByteSkip, DataFiles, Encoding, HeaderReadError, NrrdHeader};
+use crate::collector::Collector;
 use crate::decode::next_number;
 use crate::error::{FormatError, HeaderError, io_error, shown};
 use crate::plan::{Plan, VolumeFile};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked, warn_of_more};
-use crate::taker::Taker;
 use crate::units::value_unit;
 use crate::warning::{Warning, WarningKind};
 
 /// A file whose header was read.
 pub(crate) struct NrrdFile {
-    header: Header,
+    header: NrrdHeader,
     plan: Plan,
     path: PathBuf,
-    /// Where attached voxels begin.
+    /// The file at the start of attached voxels.
     reader: Option<BufReader<File>>,
 }
 
@@ -32,7 +32,7 @@ impl NrrdFile {
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
         let header_error = |cause| FormatError::Header { path: shown(path), cause };
         let mut reader = BufReader::new(file);
-        let header = Header::read(&mut reader).map_err(|e| match e {
+        let header = NrrdHeader::read(&mut reader).map_err(|e| match e {
             HeaderReadError::Header(cause) => header_error(cause),
             HeaderReadError::Io(cause) => FormatError::Io { path: shown(path), cause },
         })?;
@@ -58,8 +58,8 @@ impl VolumeFile for NrrdFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
-        let num_voxels = taker.num_elements();
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
+        let num_voxels = collector.num_elements();
         let num_files = match &self.header.data {
             DataFiles::Attached => 1,
             DataFiles::Detached(names) => names.len() as u64,
@@ -72,24 +72,24 @@ impl VolumeFile for NrrdFile {
         }
         let num_voxels = num_voxels / num_files;
         match (&self.header.data, self.reader.take()) {
-            (DataFiles::Attached, Some(reader)) => self.take(taker, reader, &self.path, num_voxels),
+            (DataFiles::Attached, Some(reader)) => self.take(collector, reader, &self.path, num_voxels),
             (DataFiles::Attached, None) => Ok(()),
             (DataFiles::Detached(names), _) => names.iter().try_for_each(|name| {
-                if taker.is_done() {
+                if collector.is_done() {
                     return Ok(());
                 }
                 let path = self.path.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
-                self.take(taker, BufReader::new(open_file(&path)?), &path, num_voxels)
+                self.take(collector, BufReader::new(open_file(&path)?), &path, num_voxels)
             }),
         }
     }
 }
 
 impl NrrdFile {
-    /// Takes the voxels of one data file. `reader` is at its start, or at the end of an attached header.
+    /// Reads the voxels of one data file. `reader` is at its start, or at the end of an attached header.
     fn take(
         &self,
-        taker: &mut Taker,
+        collector: &mut Collector,
         mut reader: BufReader<File>,
         path: &Path,
         num_voxels: u64,
@@ -99,7 +99,7 @@ impl NrrdFile {
         for _ in 0..header.line_skip {
             if skip_line(&mut reader).map_err(io)? == 0 {
                 let problem = format!("the file ends within the {} lines to skip", header.line_skip);
-                return Err(taker.data_error(path, problem));
+                return Err(collector.data_error(path, problem));
             }
         }
         let start = reader.stream_position().map_err(io)?;
@@ -115,19 +115,19 @@ impl NrrdFile {
             Encoding::Ascii => {
                 let skip = skip.min(num_left);
                 reader.seek(SeekFrom::Start(start + skip)).map_err(io)?;
-                taker.push_text(&mut reader, path, num_voxels, num_left - skip)?;
+                collector.push_text(&mut reader, path, num_voxels, num_left - skip)?;
                 if next_number(&mut reader).map_err(io)?.is_some() {
-                    warn_of_more(taker, path);
+                    warn_of_more(collector, path);
                 }
                 return Ok(());
             }
         };
         let data = Unpacked::open(reader.into_inner(), path, start, None, packing)?;
-        data.take(taker, path, skip, num_bytes)
+        data.take(collector, path, skip, num_bytes)
     }
 }
 
-/// Moves past the next line feed without keeping the line; returns the bytes passed.
+/// Skips a line without keeping it. Returns the number of bytes.
 fn skip_line(reader: &mut BufReader<File>) -> std::io::Result<u64> {
     let mut passed = 0;
     loop {

@@ -1,5 +1,5 @@
-//! A state as a part of a link: its TOML, deflated, in the sixty-four characters that no shell, mail or address bar changes
-//! (base64url, RFC 4648 section 5, without padding).
+//! A state as a part of a link. Its TOML is deflated and written in base64url without padding (RFC 4648, section 5).
+//! Shells, mail and address bars leave these characters alone.
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -12,17 +12,17 @@ use flate2::write::DeflateEncoder;
 use super::{MAX_STATE_BYTES, ReadState, SavedState, state_from_bytes};
 use crate::error::FormatError;
 
-/// The characters behind `state=` of a link.
+/// The text after `state=` in a link.
 pub fn state_to_link(state: &SavedState) -> String {
     let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
     let packed = encoder.write_all(state.to_toml().as_bytes()).and_then(|()| encoder.finish());
     BASE64_URL_SAFE_NO_PAD.encode(packed.expect("a vector takes all bytes"))
 }
 
-/// The state behind `state=` of a link.
+/// The state in the text after `state=` in a link.
 ///
 /// # Errors
-/// One line, if the characters are none of a state.
+/// The text is not a state. The message is one line.
 pub fn state_from_link(text: &str) -> Result<ReadState, FormatError> {
     let damaged = |problem: &str| FormatError::State { path: NAME.into(), problem: problem.into() };
     if text.len() > MAX_LINK_BYTES {
@@ -37,7 +37,7 @@ pub fn state_from_link(text: &str) -> Result<ReadState, FormatError> {
     state_from_bytes(&bytes, Path::new(NAME))
 }
 
-/// Longest state in a link, characters.
+/// Longest text of a state in a link, in characters.
 pub const MAX_LINK_BYTES: usize = 64 << 10;
-/// What messages call it.
+/// Name of the state in messages.
 const NAME: &str = "the link's state";

@@ -1,5 +1,5 @@
-//! A state as TOML. Numbers are written in as few digits as read back to the bit; what is read is compared with what was
-//! understood of it, so that no key is dropped in silence.
+//! A state as TOML. Numbers have as few digits as read back to the bit. The text is compared with the parsed state,
+//! so that unknown keys are noticed.
 
 use std::path::Path;
 
@@ -12,17 +12,14 @@ use super::{ReadState, SavedCamera, SavedState, SavedView, SavedVolume, VERSION,
 use crate::error::{FormatError, one_line, quoted, shown, syntax_error};
 use crate::transfer::{number_literal, text_literal};
 
-/// The file as a whole. The look is taken apart later, for what is missing in it.
+/// The whole file. The look is parsed later, because parts of it may be missing.
 #[derive(Deserialize, Serialize)]
 struct StateFile {
     isinglass_state: i64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     volume: Option<SavedVolume>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<SavedCamera>,
     #[serde(default)]
     view: SavedView,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     look: Option<Table>,
 }
 
@@ -45,7 +42,7 @@ pub(super) fn write(state: &SavedState) -> String {
     out
 }
 
-/// The state in a text, its numbers not looked at.
+/// The state in a text, before its numbers are checked.
 pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
     let problem = |problem: String| FormatError::State { path: shown(path), problem };
     let syntax = syntax_error(path, text);
@@ -73,8 +70,8 @@ pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
     Ok(ReadState { state, note })
 }
 
-/// The look in a table. What is missing is as in the look of its transfer function alone, so that a file of an older
-/// program stays whole.
+/// The look in a table. Missing fields have the values of [`Look::new`], so that files of older programs remain
+/// valid.
 fn look_of(table: Table) -> Result<Look, String> {
     let message = |e: toml::de::Error| one_line(e.message());
     let transfer = table.get("transfer").ok_or("found no transfer function, expected look.transfer")?;
@@ -84,7 +81,7 @@ fn look_of(table: Table) -> Result<Look, String> {
     Value::Table(whole).try_into().map_err(message)
 }
 
-/// The keys of `found` that have nothing in `known`.
+/// Collects the keys of `found` that are not in `known`.
 fn find_unknown(at: &str, found: &Table, known: &Table, unknown: &mut Vec<String>) {
     for (key, value) in found {
         let path = if at.is_empty() { key.clone() } else { format!("{at}.{key}") };
@@ -103,7 +100,7 @@ fn find_unknown(at: &str, found: &Table, known: &Table, unknown: &mut Vec<String
     }
 }
 
-/// Scalars first, as TOML wants it, then the tables under their names. `at` is the name of the table.
+/// Writes scalars first, as TOML requires, and then the tables. `at` is the name of the table.
 fn write_table(out: &mut String, at: &str, table: &Table) {
     let is_section = |value: &Value| matches!(value, Value::Table(t) if at.is_empty() || t.len() > 1);
     for (key, value) in table.iter().filter(|(_, v)| !is_section(v)) {
@@ -123,7 +120,7 @@ fn value_literal(value: &Value) -> String {
         Value::String(text) => text_literal(text),
         Value::Float(number) if f64::from(*number as f32) == *number => number_literal(*number as f32),
         Value::Float(number) => format!("{number:?}"),
-        // A line for each of many: control points.
+        // Control points have a line each.
         Value::Array(items) if items.iter().any(Value::is_table) => {
             let lines: String = items.iter().map(|item| format!("  {},\n", value_literal(item))).collect();
             format!("[\n{lines}]")
@@ -143,5 +140,5 @@ fn key_literal(key: &str) -> String {
     if !key.is_empty() && key.chars().all(is_bare) { key.to_owned() } else { text_literal(key) }
 }
 
-/// Names of unknown keys that are told.
+/// Most unknown keys in a note.
 const MAX_NOTED: usize = 3;

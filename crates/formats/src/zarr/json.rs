@@ -1,4 +1,4 @@
-//! Metadata files.
+//! Reads metadata files.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::error::{FormatError, io_error, malformed, quoted};
 use crate::source::read_file;
 
-/// The document at `path`; `None` if there is no such file.
+/// Reads the document at `path`; `None` if there is no such file.
 pub(super) fn read(path: &Path) -> Result<Option<Value>, FormatError> {
     if !path.is_file() {
         return Ok(None);
@@ -17,13 +17,13 @@ pub(super) fn read(path: &Path) -> Result<Option<Value>, FormatError> {
     serde_json::from_slice(&bytes).map(Some).map_err(|e| bad(quoted(&e.to_string())))
 }
 
-/// The same of a file that must be there.
+/// The same for a file that must exist.
 pub(super) fn require(path: &Path) -> Result<Value, FormatError> {
     let missing = || io_error(path)(std::io::ErrorKind::NotFound.into());
     read(path)?.ok_or_else(missing)
 }
 
-/// A list of whole numbers above zero.
+/// A list of positive integers.
 pub(super) fn numbers(value: Option<&Value>, name: &str) -> Result<Vec<u64>, String> {
     let list = value.and_then(Value::as_array).filter(|l| l.len() <= 32);
     let numbers: Option<Vec<u64>> =
@@ -36,5 +36,5 @@ pub(super) fn numbers(value: Option<&Value>, name: &str) -> Result<Vec<u64>, Str
     })
 }
 
-/// Attributes of thousands of channels or wells are smaller.
+/// Longest document. Attributes of thousands of channels or wells are shorter.
 const MAX_BYTES: u64 = 16 << 20;
