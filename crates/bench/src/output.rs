@@ -1,4 +1,4 @@
-//! Files that are written whole or not at all, and pictures as PNG.
+//! Writes files as a whole or not at all, and pictures as PNG.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
     isinglass_formats::write_whole(path, bytes).map_err(BenchError::io(path))
 }
 
-/// Whether [`write_whole`] can make its file, tried before work that would be lost otherwise.
+/// Checks that [`write_whole`] can write the file. Call it before long work whose result would be lost.
 pub fn check_writable(path: &Path) -> Result<(), BenchError> {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     isinglass_formats::check_writable(path).map_err(BenchError::io(path))

@@ -199,7 +199,7 @@ fn warnings(order: [(usize, bool); 3], axes: [DVec3; 3], is_body: bool) -> Vec<W
     let tilt = axes.iter().zip(DVec3::AXES).map(|(a, e)| a.dot(e).clamp(-1.0, 1.0).acos().to_degrees());
     let tilt = tilt.fold(0.0, f64::max);
     if tilt > MAX_TILT_DEG {
-        warn(format!("the axes are turned by up to {tilt:.1}° from their space, which is not shown"));
+        warn(format!("the axes are rotated by up to {tilt:.1}° from their space, which is not shown"));
     }
     let [x, y, z] = axes;
     let shear = [x.dot(y), y.dot(z), z.dot(x)].map(f64::abs).into_iter().fold(0.0, f64::max);

@@ -72,12 +72,18 @@ pub struct Origin {
 }
 
 /// Writes a frame with [`write_whole`].
+///
+/// # Errors
+/// The system refuses to write the file.
 pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
     write_whole(path, &to_bytes(encoded, origin)).map_err(io)
 }
 
 /// Reads a frame with all its chunks. Memory is bounded by the size of the file and the limits of the codec.
+///
+/// # Errors
+/// The file cannot be read, or its bytes are not those of a frame.
 pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
     let (chunks, origin) = read_parts(path)?;
     let frame =
@@ -86,6 +92,9 @@ pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
 }
 
 /// Reads the chunks of a frame without decoding them.
+///
+/// # Errors
+/// As [`read`], except for errors within the chunks.
 pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
     Ok(read_parts(path)?.0)
 }

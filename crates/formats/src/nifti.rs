@@ -240,7 +240,7 @@ impl NiftiHeader {
         let qform = (self.qform_code > 0 && is_good).then(|| self.qform(spacing)).filter(is_usable);
         let sform = (self.sform_code > 0).then(|| self.sform()).filter(is_usable);
         if self.sform_code > 0 && sform.is_none() {
-            plan.warn(WarningKind::Geometry, "the sform makes no volume and was ignored");
+            plan.warn(WarningKind::Geometry, "the sform is not invertible and was ignored");
         }
         if let (Some(q), Some(s)) = (&qform, &sform) {
             // This is a tenth of a voxel over a hundred voxels.

@@ -152,7 +152,7 @@ impl Plan {
         let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
         let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
             let sizes: Vec<String> = self.axes.iter().map(|a| a.size.to_string()).collect();
-            bad(format!("sizes {} are none or too many to count", sizes.join(" ")))
+            bad(format!("sizes {} are zero or too large", sizes.join(" ")))
         })?;
         let geometry = match options.spacing {
             Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,

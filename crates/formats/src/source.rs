@@ -71,6 +71,9 @@ impl OpenOptions<'_> {
 
 /// Opens `source`: the path of a file or folder, or `builtin:cloud|cubus|shells`. A built-in name may end with `@N`
 /// for N voxels along each side. The path of a raw file needs [`OpenOptions::raw`].
+///
+/// # Errors
+/// The file cannot be read, or its format or selection is not supported. The message is one line.
 pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options),
@@ -82,6 +85,9 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
 }
 
 /// Reads only the header of `source`. Returns its contents, what [`open`] would select, and the memory it needs.
+///
+/// # Errors
+/// As [`open`], except for errors in the voxels.
 pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
     let path = Path::new(source);
     if let Some(name) = source.strip_prefix("builtin:") {

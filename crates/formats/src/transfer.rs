@@ -25,6 +25,9 @@ use crate::transfer_import::{EXPECTED, first_transfer};
 
 /// Loads the preset with this name, or else the file at this path. It may be TOML, or a file of another program,
 /// whose first look counts. A colour map gets a plain ramp of opacity.
+///
+/// # Errors
+/// The name is unknown, or the file has no valid transfer function. The message is one line.
 pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError> {
     if let Some(transfer) = preset(name_or_path) {
         return Ok(transfer);
@@ -96,6 +99,9 @@ pub(crate) fn text_literal(text: &str) -> String {
 }
 
 /// Parses a transfer function. `path` is for messages, and its stem is the default name.
+///
+/// # Errors
+/// The text is not valid TOML, or its control points are invalid. The message is one line.
 pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, FormatError> {
     let path = Path::new(path);
     let file: TransferFile = toml::from_str(text).map_err(syntax_error(path, text))?;

@@ -294,7 +294,7 @@ fn white_as_the_least_is_turned_over() {
     let expected: Vec<f32> = (0..12).map(|x| 65535.0 - x as f32).collect();
     let path = write(folder.path(), "a.tif", &white);
     assert_eq!(values(&whole(&path)), expected);
-    has_warning(&whole(&path), "the least value is white (MinIsWhite); values were turned over");
+    has_warning(&whole(&path), "the least value is white (MinIsWhite); values were inverted");
     // Slices in several files, and planes after one page, are not decoded.
     let slices = folder.path().join("slices");
     fs::create_dir(&slices).unwrap();

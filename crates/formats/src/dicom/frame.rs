@@ -64,7 +64,7 @@ impl Shape {
             && columns > 0;
         if !is_good {
             return Err(format!(
-                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected some, in 8, 16 or 32"
+                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected at least one pixel and bits in 8, 16 or 32"
             ));
         }
         Ok(Self {

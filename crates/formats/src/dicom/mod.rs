@@ -120,7 +120,7 @@ impl DicomFiles {
             plan.value_map = value_map(&shape, slope);
         }
         if shape.is_inverted {
-            plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were turned over");
+            plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were inverted");
         }
         if is_rescaled {
             plan.warn(WarningKind::Values, "slices have different rescale slopes; values are kept as floats");

@@ -239,7 +239,7 @@ mod tests {
         assert!(turned(0.9).1.is_empty());
         assert_eq!(
             turned(12.3).1,
-            ["the axes are turned by up to 12.3° from their space, which is not shown"]
+            ["the axes are rotated by up to 12.3° from their space, which is not shown"]
         );
         // A rotation keeps a length of 1. The tolerance is the rounding of single precision.
         assert!((turned(12.3).0.spacing - Vec3::ONE).length() < 1e-6);

@@ -326,7 +326,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
             let ((slope, intercept), most) = (plan.value_map, greatest(dtype));
             plan.value_map = (-slope, slope * most + intercept);
         }
-        plan.warn(WarningKind::Values, "the least value is white (MinIsWhite); values were turned over");
+        plan.warn(WarningKind::Values, "the least value is white (MinIsWhite); values were inverted");
     }
     if let Some(text) = stack.guess.take() {
         plan.warn(WarningKind::Guess, text);

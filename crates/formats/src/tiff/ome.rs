@@ -230,7 +230,7 @@ fn planes(
         let told = planes.get_mut(start..end).unwrap_or_default();
         num_told += told.len();
         if num_told > 4 * num_planes {
-            return Err("the same planes are told many times over".into());
+            return Err("the same planes are listed many times".into());
         }
         for (i, plane) in told.iter_mut().enumerate() {
             let page = page.unwrap_or(0).checked_add(i as u32).ok_or("IFD is too large")?;
