@@ -86,7 +86,7 @@ const FILES: [Expected; 6] = [
             "slices are 6.9",
             "the file says that slices are 2 mm apart",
             "the axes of the file point to LPS",
-            "the axes are turned by up to 7.7°",
+            "the axes are rotated by up to 7.7°",
         ],
     },
     Expected {

@@ -1,52 +1,24 @@
-//! Files that are written whole or not at all, and pictures as PNG.
+//! Writes files as a whole or not at all, and pictures as PNG.
 
 use std::fs;
-use std::io::{self, Cursor, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageReader};
+use image::ImageReader;
 
 use crate::error::BenchError;
 use crate::progress::note;
 
-/// Writes `bytes` to `path` through a file beside it that is renamed at the end: whoever looks sees the old file or
-/// the new one. A device or pipe is written to as it is.
+/// Writes `bytes` to `path` as [`isinglass_formats::write_whole`] does, and never while the process ends.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-    let io = BenchError::io(path);
-    // A link is followed, so that the file it names is replaced and not the link.
-    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    match fs::metadata(path) {
-        Ok(found) if found.is_dir() => return Err(io(io::ErrorKind::IsADirectory.into())),
-        Ok(found) if !found.is_file() => return fs::write(path, bytes).map_err(io),
-        _ => {}
-    }
-    let temporary = temporary_beside(path);
-    let written = fs::File::create(&temporary)
-        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
-        .and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
-        // It may not even exist; the first error is the one to tell.
-        let _ = fs::remove_file(&temporary);
-    }
-    written.map_err(io)
+    isinglass_formats::write_whole(path, bytes).map_err(BenchError::io(path))
 }
 
-/// Whether [`write_whole`] can make its file, tried before work that would be lost otherwise.
+/// Checks that [`write_whole`] can write the file. Call it before long work whose result would be lost.
 pub fn check_writable(path: &Path) -> Result<(), BenchError> {
-    let io = BenchError::io(path);
-    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    match fs::metadata(path) {
-        Ok(found) if found.is_dir() => Err(io(io::ErrorKind::IsADirectory.into())),
-        Ok(found) if !found.is_file() => Ok(()),
-        _ => {
-            let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-            let temporary = temporary_beside(path);
-            fs::File::create(&temporary).and_then(|_| fs::remove_file(&temporary)).map_err(io)
-        }
-    }
+    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    isinglass_formats::check_writable(path).map_err(BenchError::io(path))
 }
 
 /// Ends the process when no file is being written, so that nothing half written is left.
@@ -113,14 +85,14 @@ impl Rgb8 {
 
     /// Writes a PNG file, whole or not at all.
     pub fn write(&self, path: &Path) -> Result<(), BenchError> {
-        let mut png = Vec::new();
-        PngEncoder::new(Cursor::new(&mut png))
-            .write_image(&self.bytes, self.width, self.height, ExtendedColorType::Rgb8)
-            .map_err(|e| BenchError::Picture {
-                path: path.display().to_string(),
-                cause: one_line(&e.to_string()),
-            })?;
-        write_whole(path, &png)
+        let failed = |e: isinglass_formats::png::PngError| BenchError::Picture {
+            path: path.display().to_string(),
+            cause: one_line(&e.to_string()),
+        };
+        write_whole(
+            path,
+            &isinglass_formats::png::encode(self.width, self.height, &self.bytes).map_err(failed)?,
+        )
     }
 
     /// Pictures of the same height, from left to right with a thin grey line between them.
@@ -163,11 +135,6 @@ impl Rgb8 {
 /// Text of several lines as one.
 pub fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
-}
-
-fn temporary_beside(path: &Path) -> PathBuf {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_file_name(format!(".{name}.{}.part", std::process::id()))
 }
 
 static WRITING: Mutex<()> = Mutex::new(());

@@ -5,6 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
+use isinglass_formats::write_whole;
+
 use crate::bell::Bell;
 
 /// One piece of work at a time, whose outcome is a `T`.
@@ -52,21 +54,12 @@ impl<T: Send + 'static> Background<T> {
     }
 }
 
-/// The whole text or nothing: a file that is there is replaced only if `replaces`, and then by one written aside, under a name of
-/// this process alone.
+/// Writes a text file. One that is there is replaced as a whole if `replaces`; otherwise it is an error.
 pub(crate) fn write_text(path: &Path, text: &str, replaces: bool) -> std::io::Result<()> {
-    if !replaces {
-        let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        return file.write_all(text.as_bytes());
+    if replaces {
+        return write_whole(path, text.as_bytes());
     }
-    let mut aside = path.as_os_str().to_owned();
-    aside.push(format!(".{}.new", std::process::id()));
-    let result = std::fs::write(&aside, text).and_then(|()| std::fs::rename(&aside, path));
-    if result.is_err() {
-        // The first error is the one to tell; what is left of the file may not even exist.
-        let _ = std::fs::remove_file(&aside);
-    }
-    result
+    OpenOptions::new().write(true).create_new(true).open(path)?.write_all(text.as_bytes())
 }
 
 /// The path that a person wrote: without blanks around it, and with `~` for the home folder.

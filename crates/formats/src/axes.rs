@@ -1,18 +1,19 @@
-//! From the axes of a file to the axes of a volume: three of them, pointing right, to the front and up where the file
-//! knows a body, or along +x, +y, +z of its space, so that nothing is shown mirrored or on its side.
+//! This module turns the axes of a file into the three axes of a volume. They point right, to the front and up where
+//! the file describes a body. Otherwise they run along +x, +y and +z of its space. So nothing appears mirrored or on
+//! its side.
 //!
-//! World space has the volume's own axes, so a turn that is not a multiple of 90° is not shown; it is reported, and kept
-//! as the volume's [`Placement`].
+//! World space has the volume's own axes. A rotation that is not a multiple of 90° is not shown. It is reported, and
+//! [`Placement`] keeps it.
 
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use isinglass_core::volume::{Placement, Volume, Voxels};
 
-use crate::select::Region;
+use crate::selection::Region;
 use crate::warning::{Warning, WarningKind};
 
-/// How the three axes of a file lie in its world, which is RAS+ for a body: towards the right, the front and the top.
+/// How the three axes of a file lie in its world. The world of a body is RAS+: right, front and top.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Geometry {
     /// Step of one voxel along each axis.
@@ -26,7 +27,7 @@ pub(crate) struct Geometry {
 }
 
 impl Geometry {
-    /// Axes along those of a space without a body.
+    /// Axes that run along x, y and z of a space without a body.
     pub(crate) fn along_axes(spacing: [f64; 3], unit: Option<String>) -> Self {
         let steps = std::array::from_fn(|i| DVec3::AXES[i] * spacing[i]);
         Self { steps, origin: None, is_body: false, unit }
@@ -42,17 +43,17 @@ impl Geometry {
     }
 }
 
-/// From LPS, the frame of DICOM and ITK, to RAS or back.
+/// Converts between LPS, the frame of DICOM and ITK, and RAS.
 pub(crate) fn ras_from_lps(v: DVec3) -> DVec3 {
     DVec3::new(-v.x, -v.y, v.z)
 }
 
-/// The grid of a volume, and how the voxels of its file must be reordered.
+/// The grid of a volume, and the order in which its file has the voxels.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Grid {
-    /// Voxels along the axes of the file, of which `ranges` are taken.
+    /// Voxels along the axes of the file.
     pub(crate) file_dims: [u64; 3],
-    /// What is taken along the axes of the file.
+    /// The part that is read along each axis of the file.
     pub(crate) ranges: [Range<u64>; 3],
     /// Which axis of the file becomes x, y and z, and whether it is reversed.
     pub(crate) order: [(usize, bool); 3],
@@ -64,7 +65,8 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// The grid of `region`, or of all, of a file with `file_dims` voxels along its axes. The error says what is wrong.
+    /// The grid of `region`, or of the whole file, which has `file_dims` voxels along its axes. The error says what
+    /// is wrong.
     pub(crate) fn arrange(
         file_dims: [u64; 3],
         geometry: &Geometry,
@@ -107,7 +109,7 @@ impl Grid {
         self.order.map(|(axis, _)| (self.ranges[axis].end - self.ranges[axis].start) as u32)
     }
 
-    /// Dimensions after reordering of the whole, of which the grid may be a part.
+    /// Dimensions of the whole file after reordering.
     pub(crate) fn whole_dims(&self) -> [u64; 3] {
         self.order.map(|(axis, _)| self.file_dims[axis])
     }
@@ -157,7 +159,7 @@ impl Grid {
     }
 }
 
-/// What is taken along the axes of the file.
+/// The part that is read along each axis of the file.
 fn ranges(
     file_dims: [u64; 3],
     order: [(usize, bool); 3],
@@ -186,7 +188,7 @@ fn file_axes(order: [(usize, bool); 3], is_body: bool) -> String {
     (0..3).map(letter).collect()
 }
 
-/// What the grid cannot show of the axes, whose unit vectors along x, y and z are `axes`.
+/// Warnings about what the grid cannot show. `axes` are the unit vectors along x, y and z.
 fn warnings(order: [(usize, bool); 3], axes: [DVec3; 3], is_body: bool) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut warn = |text: String| warnings.push(Warning::new(WarningKind::Geometry, text));
@@ -197,7 +199,7 @@ fn warnings(order: [(usize, bool); 3], axes: [DVec3; 3], is_body: bool) -> Vec<W
     let tilt = axes.iter().zip(DVec3::AXES).map(|(a, e)| a.dot(e).clamp(-1.0, 1.0).acos().to_degrees());
     let tilt = tilt.fold(0.0, f64::max);
     if tilt > MAX_TILT_DEG {
-        warn(format!("the axes are turned by up to {tilt:.1}° from their space, which is not shown"));
+        warn(format!("the axes are rotated by up to {tilt:.1}° from their space, which is not shown"));
     }
     let [x, y, z] = axes;
     let shear = [x.dot(y), y.dot(z), z.dot(x)].map(f64::abs).into_iter().fold(0.0, f64::max);
@@ -208,7 +210,7 @@ fn warnings(order: [(usize, bool); 3], axes: [DVec3; 3], is_body: bool) -> Vec<W
     warnings
 }
 
-/// Reverses the order of blocks of `n`, not what is in them.
+/// Reverses the order of the blocks of `n` elements. The order within a block stays.
 fn reverse_blocks<T>(list: &mut [T], n: usize) {
     let num_blocks = list.len() / n;
     for i in 0..num_blocks / 2 {
@@ -217,17 +219,17 @@ fn reverse_blocks<T>(list: &mut [T], n: usize) {
     }
 }
 
-/// For x, y and z the axis of the file that points nearest to it or away from it: of the six assignments the one
-/// with the largest sum of cosines.
+/// For x, y and z, the axis of the file that is nearest to it in either direction. Of the six assignments, the one
+/// with the largest sum of cosines wins.
 fn order(steps: [DVec3; 3]) -> Result<[(usize, bool); 3], String> {
     let units = steps.map(DVec3::normalize);
     let volume = units[0].dot(units[1].cross(units[2])).abs();
-    // A length whose square is not finite makes no unit vector.
+    // The square of a length can overflow, and the unit vector is then not a number.
     if volume.is_nan() || volume < MIN_BOX_VOLUME {
         return Err("the directions of the axes lie in one plane, expected three independent ones".into());
     }
     let score = |p: &[usize; 3]| (0..3).map(|k| units[p[k]][k].abs()).sum::<f64>();
-    // The order of the file comes last: of equal scores `max_by` takes the last.
+    // `max_by` returns the last of equal scores, so the order of the file comes last.
     const ASSIGNMENTS: [[usize; 3]; 6] = [[2, 1, 0], [2, 0, 1], [1, 2, 0], [1, 0, 2], [0, 2, 1], [0, 1, 2]];
     let best = ASSIGNMENTS.iter().max_by(|a, b| score(a).total_cmp(&score(b))).expect("there are six");
     Ok(std::array::from_fn(|k| (best[k], units[best[k]][k] < 0.0)))
@@ -236,9 +238,9 @@ fn order(steps: [DVec3; 3]) -> Result<[(usize, bool); 3], String> {
 const FILE_ORDER: [(usize, bool); 3] = [(0, false), (1, false), (2, false)];
 const BODY_LETTERS: [[&str; 2]; 3] = [["R", "L"], ["A", "P"], ["S", "I"]];
 const SPACE_LETTERS: [[&str; 2]; 3] = [["+x", "-x"], ["+y", "-y"], ["+z", "-z"]];
-/// Below one degree a turn cannot be seen, and many scanners report such.
+/// A smaller rotation is invisible, and many scanners report one.
 const MAX_TILT_DEG: f64 = 1.0;
-/// Directions whose unit box is flatter than this are taken for dependent.
+/// If the unit vectors span less than this volume, they count as dependent.
 const MIN_BOX_VOLUME: f64 = 0.01;
 
 #[cfg(test)]
@@ -262,8 +264,7 @@ mod tests {
         })
     }
 
-    /// The law: a voxel keeps its place in space. Each is looked up by the position it had in the file, for the whole
-    /// and for a part.
+    /// Every voxel keeps its place in space, in the whole file and in a region.
     #[test]
     fn every_assignment_of_axes_keeps_every_voxel_in_place() {
         let lengths = [1.5, 2.0, 3.0];
@@ -275,9 +276,9 @@ mod tests {
                 assert_eq!(g.spacing.to_array(), lengths.map(|l| l as f32), "{steps:?}");
                 let placement = g.placement.unwrap();
                 let axes: Vec<(u64, Range<u64>)> = file.into_iter().zip(g.ranges.clone()).collect();
-                let mut picker = crate::picker::Picker::new(&axes);
+                let mut hyperslab = crate::hyperslab::Hyperslab::new(&axes);
                 let mut voxels = Vec::new();
-                picker.take(24, |range| voxels.extend(range.map(|i| i as u8)));
+                hyperslab.take(24, |range| voxels.extend(range.map(|i| i as u8)));
                 let voxels = g.reorder_vec(voxels);
                 let dims = g.dims();
                 for (i, &voxel) in voxels.iter().enumerate() {
@@ -290,7 +291,7 @@ mod tests {
                     let file_at = [n % file[0], n / file[0] % file[1], n / file[0] / file[1]];
                     let expected =
                         (0..3).fold(DVec3::new(10.0, -20.0, 30.0), |s, k| s + steps[k] * file_at[k] as f64);
-                    // Halves of small whole numbers: no rounding.
+                    // All numbers are halves of small integers, so nothing is rounded.
                     assert_eq!(placement.file_from_world(world), expected.to_array(), "{p:?} {steps:?}");
                 }
                 let mut seen = voxels.clone();

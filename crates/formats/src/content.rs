@@ -1,33 +1,33 @@
-//! What a file is, by its content, for windows that list files or take what is dropped on them.
+//! Recognises the content of a file, for windows that list files or accept dropped ones.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use crate::error::FormatError;
-use crate::sniff::{self, Kind};
+use crate::sniff::{self, FileKind};
 use crate::state::is_state;
 use crate::{error, nifti, zarr};
 
-/// What a file or folder is, as far as its first bytes tell.
+/// What a file or folder is, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// A volume in a format that is read here, with a short name of the format.
+    /// A volume in a supported format, with a short name of the format.
     Volume(&'static str),
-    /// A folder; it may hold the slices of a volume.
+    /// A folder, which may contain the slices of a volume.
     Folder,
     /// A saved state.
     State,
-    /// Other text: a transfer function, or presets.
+    /// Other text, which may be a transfer function or presets.
     Text,
-    /// None of these; what it looks like.
+    /// Something else, with a description for messages.
     Other(&'static str),
 }
 
-/// Looks at the file or folder at `path`. May wait for a disk.
+/// Recognises the file or folder at `path`. This may wait for a disk.
 ///
 /// # Errors
-/// If it cannot be read.
+/// The file or folder cannot be read.
 pub fn content_of(path: &Path) -> Result<Content, FormatError> {
     if path.is_dir() {
         return Ok(if zarr::is_group(path) { Content::Volume("OME-Zarr") } else { Content::Folder });
@@ -49,35 +49,35 @@ fn of_start(start: &[u8], path: &Path) -> Content {
             && name[name.len() - end.len()..].eq_ignore_ascii_case(end)
     };
     match sniff::kind_of(start, path) {
-        Kind::Nrrd => Content::Volume("NRRD"),
-        Kind::Nifti => Content::Volume("NIfTI"),
-        Kind::Gzip if is_nifti_in_gzip(start) => Content::Volume("NIfTI"),
-        Kind::Gzip => Content::Other("gzip data"),
-        Kind::MetaImage => Content::Volume("MetaImage"),
-        Kind::Npy => Content::Volume("NumPy"),
-        Kind::Zip if ends_with(".npz") => Content::Volume("NumPy"),
-        Kind::Zip => Content::Other("a ZIP archive"),
-        Kind::Mrc => Content::Volume("MRC"),
-        Kind::Tiff => Content::Volume("TIFF"),
-        Kind::Dicom => Content::Volume("DICOM"),
-        Kind::Vti => Content::Volume("VTI"),
-        Kind::Other("an XML document of another kind") => Content::Text,
-        Kind::Other("no header that is known") if is_text(start) => match is_state(start) {
+        FileKind::Nrrd => Content::Volume("NRRD"),
+        FileKind::Nifti => Content::Volume("NIfTI"),
+        FileKind::Gzip if is_nifti_in_gzip(start) => Content::Volume("NIfTI"),
+        FileKind::Gzip => Content::Other("gzip data"),
+        FileKind::MetaImage => Content::Volume("MetaImage"),
+        FileKind::Npy => Content::Volume("NumPy"),
+        FileKind::Zip if ends_with(".npz") => Content::Volume("NumPy"),
+        FileKind::Zip => Content::Other("a ZIP archive"),
+        FileKind::Mrc => Content::Volume("MRC"),
+        FileKind::Tiff => Content::Volume("TIFF"),
+        FileKind::Dicom => Content::Volume("DICOM"),
+        FileKind::Vti => Content::Volume("VTI"),
+        FileKind::Other("an XML document of another kind") => Content::Text,
+        FileKind::Other("no header that is known") if is_text(start) => match is_state(start) {
             true => Content::State,
             false => Content::Text,
         },
-        Kind::Other(found) => Content::Other(found),
+        FileKind::Other(found) => Content::Other(found),
     }
 }
 
 fn is_nifti_in_gzip(start: &[u8]) -> bool {
     let mut inside = Vec::new();
-    // The start of a stream ends in the middle of it; what came before that counts.
+    // The data end in the middle of the stream, so an error at the end is expected.
     let _ = flate2::read::MultiGzDecoder::new(start).take(NIFTI_HEADER_BYTES).read_to_end(&mut inside);
     nifti::is_header(&inside)
 }
 
-/// Characters that can be read, but for one that may have been cut.
+/// Whether the bytes are printable UTF-8. The last character may be cut.
 fn is_text(start: &[u8]) -> bool {
     let text = match std::str::from_utf8(start) {
         Ok(text) => text,
@@ -132,7 +132,7 @@ mod tests {
         }
         assert_eq!(content_of(folder.path()).unwrap(), Content::Folder);
         assert!(content_of(&folder.path().join("nowhere")).unwrap_err().to_string().contains("nowhere"));
-        // A text that is cut in the middle of a character is one still.
+        // A cut in the middle of a character does not matter.
         let long = "µ".repeat(600);
         assert_eq!(content("long", &[b"a", long.as_bytes()].concat()), Content::Text);
     }

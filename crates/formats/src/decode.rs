@@ -1,17 +1,18 @@
-//! From the bytes or words of a file to stored voxels, in chunks, so that a file is never held twice.
+//! Converts the bytes of a file to voxels in chunks, so that a file is never in memory twice.
 //!
-//! Signed 8- and 16-bit integers are shifted to unsigned ones and keep their values through the value map; wider
-//! integers and doubles become `f32`, and integers that lose digits by that are counted.
+//! Signed integers of 8 and 16 bits are shifted to unsigned ones, and the value map undoes that. Wider integers and
+//! doubles become `f32`. Integers that lose digits are counted.
 
 use std::collections::TryReserveError;
 use std::io::{self, BufRead};
 
+use half::f16;
 use isinglass_core::volume::Voxels;
 
 use crate::dtype::{Dtype, Endian};
 use crate::warning::{Warning, WarningKind};
 
-/// Takes voxels in the order of the file.
+/// Collects voxels in the order of the file.
 pub(crate) struct VoxelSink {
     dtype: Dtype,
     endian: Endian,
@@ -19,7 +20,7 @@ pub(crate) struct VoxelSink {
     num_rounded: u64,
 }
 
-/// What a [`VoxelSink`] took.
+/// The voxels that a [`VoxelSink`] collected.
 pub(crate) struct Decoded {
     pub(crate) voxels: Voxels,
     /// Scale and offset from stored numbers to values.
@@ -28,7 +29,7 @@ pub(crate) struct Decoded {
 }
 
 impl VoxelSink {
-    /// A sink with room for `num_voxels`, which must have been checked against the file and the memory limit.
+    /// A sink with room for `num_voxels`. The caller has checked that number against the file and the memory limit.
     pub(crate) fn new(dtype: Dtype, endian: Endian, num_voxels: usize) -> Result<Self, TryReserveError> {
         fn room<T>(n: usize) -> Result<Vec<T>, TryReserveError> {
             let mut v = Vec::new();
@@ -48,7 +49,7 @@ impl VoxelSink {
         self.voxels.len()
     }
 
-    /// Takes the voxels in `bytes`; an incomplete one at the end is left out.
+    /// Adds the voxels in `bytes`. An incomplete voxel at the end is ignored.
     pub(crate) fn push_bytes(&mut self, bytes: &[u8]) {
         let endian = self.endian;
         match (&mut self.voxels, self.dtype) {
@@ -59,7 +60,7 @@ impl VoxelSink {
             }
             (Voxels::U16(v), _) => v.extend(words(bytes, endian).map(u16::from_le_bytes)),
             (Voxels::F32(v), Dtype::Half) => {
-                v.extend(words(bytes, endian).map(|w| f32_from_half(u16::from_le_bytes(w))));
+                v.extend(words(bytes, endian).map(|w| f16::from_le_bytes(w).to_f32()));
             }
             (Voxels::F32(v), Dtype::Float) => v.extend(words(bytes, endian).map(f32::from_le_bytes)),
             (Voxels::F32(v), Dtype::Double) => {
@@ -87,7 +88,7 @@ impl VoxelSink {
         }
     }
 
-    /// Takes one number written as text; `false`, and nothing taken, if the type cannot hold it.
+    /// Adds one number that was written as text. Returns `false` and adds nothing if the type cannot hold it.
     pub(crate) fn push_number(&mut self, number: f64) -> bool {
         if let Some((lo, hi)) = self.dtype.integer_range()
             && !(number.fract() == 0.0 && number >= lo && number <= hi)
@@ -108,9 +109,9 @@ impl VoxelSink {
         true
     }
 
-    /// The voxels, and what their numbers mean. If the file `has_gaps`, voxels that are not a number or infinite, or a float that is a usual
-    /// mark for nothing and far from all others, become the least of the others: masks, maps of statistics and simulations have
-    /// them outside of what was measured.
+    /// The voxels, and the map from their numbers to values. If the file `has_gaps`, voxels without a value become
+    /// the least of the others. Such voxels are not a number, infinite, or a marker such as −9999. Masks, statistical
+    /// maps and simulations have them outside of the measured part.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
         let mut warnings = Vec::new();
         if let Voxels::F32(v) = &mut self.voxels
@@ -122,7 +123,7 @@ impl VoxelSink {
                 num_infinite += u64::from(x.is_infinite());
                 least = if x.is_finite() { least.min(*x) } else { least };
             }
-            // Without a finite number there is no volume.
+            // Without a finite number, [`isinglass_core::volume::Volume::new`] refuses the volume.
             if num_nan + num_infinite > 0 && least.is_finite() {
                 v.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = least);
             }
@@ -150,15 +151,15 @@ impl VoxelSink {
     }
 }
 
-/// Of a number beyond the greatest of single precision, that one: it may be a mark.
+/// The number in single precision. One that is too large becomes the largest float, because it may be a marker.
 fn single(number: f64) -> f32 {
     let single = number as f32;
     if single.is_infinite() && number.is_finite() { f32::MAX.copysign(single) } else { single }
 }
 
-/// Voxels that are a mark for nothing become the least of the others; what there is to say of it.
+/// Replaces the marker for a missing value by the least other value. Returns a warning if there is a marker.
 fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
-    // The least and the greatest number, and those next to them.
+    // The two least and the two greatest different numbers.
     let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
     let [least, second, last, greatest] = v.iter().fold(none, |[a, b, c, d], &x| {
         let (b, c) = (if x > a { b.min(x) } else { b }, if x < d { c.max(x) } else { c });
@@ -187,15 +188,16 @@ fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
     Some(Warning::new(WarningKind::Values, text))
 }
 
-/// A float of at least this magnitude may be a mark: netCDF has 9.97e36, climate models 1e20, others the greatest float.
+/// A float of at least this magnitude may be a marker. NetCDF uses 9.97e36, climate models 1e20, others the largest
+/// float.
 const MARK_LEAST: f32 = 1e18;
-/// Other usual marks.
+/// Other common markers.
 const MARKS: [f32; 6] = [-999.0, -999.25, -9999.0, -99_999.0, -32_767.0, -32_768.0];
-/// A mark is so many times the range of all others away from them.
+/// A marker is at least this many times the range of all other values away from them.
 const FAR: f64 = 10.0;
 
-/// The next number written as text, between spaces, line breaks or commas; `None` at the end. Never reads further
-/// than the longest number can be.
+/// The next number that is written as text, between white space or commas; `None` at the end. The function never
+/// reads more than [`MAX_NUMBER_BYTES`].
 pub(crate) fn next_number(reader: &mut dyn BufRead) -> io::Result<Option<Result<f64, String>>> {
     let mut token = Vec::new();
     loop {
@@ -222,17 +224,6 @@ pub(crate) fn next_number(reader: &mut dyn BufRead) -> io::Result<Option<Result<
     Ok(Some(text.parse().map_err(|_| text.into_owned())))
 }
 
-/// A half float's value.
-fn f32_from_half(h: u16) -> f32 {
-    let sign = u32::from(h & 0x8000) << 16;
-    let magnitude = u32::from(h & 0x7fff) << 13;
-    if h & 0x7c00 == 0x7c00 {
-        return f32::from_bits(sign | magnitude | 0x7f80_0000);
-    }
-    // The product brings the exponent's bias from the half's to the float's; exact for subnormals too.
-    f32::from_bits(sign | (f32::from_bits(magnitude) * f32::from_bits((254 - 15) << 23)).to_bits())
-}
-
 /// The numbers in `bytes` as little-endian words.
 fn words<const N: usize>(bytes: &[u8], endian: Endian) -> impl Iterator<Item = [u8; N]> {
     bytes.as_chunks::<N>().0.iter().map(move |word| {
@@ -244,7 +235,7 @@ fn words<const N: usize>(bytes: &[u8], endian: Endian) -> impl Iterator<Item = [
     })
 }
 
-/// Longest number in text: a double with all its digits has fewer than this.
+/// Longest number in text. A double with all its digits is shorter.
 const MAX_NUMBER_BYTES: usize = 400;
 
 #[cfg(test)]
@@ -255,7 +246,7 @@ mod tests {
         VoxelSink::new(dtype, endian, 8).expect("eight voxels fit")
     }
 
-    /// Values as a reader of the volume would see them.
+    /// The values that a user of the volume gets.
     fn values(sink: VoxelSink) -> Vec<f32> {
         let decoded = sink.finish(true);
         let (scale, offset) = decoded.value_map;
@@ -282,21 +273,6 @@ mod tests {
         }
         check!(Int8 i8, Uint8 u8, Int16 i16, Uint16 u16, Int32 i32, Uint32 u32, Int64 i64, Uint64 u64);
         check!(Float f32, Double f64);
-    }
-
-    #[test]
-    fn half_floats_have_the_values_of_the_standard() {
-        for (h, x) in [
-            (0, 0.0),
-            (0x3c00, 1.0),
-            (0xc000, -2.0),
-            (0x7bff, 65504.0),
-            (1, 5.960_464_5e-8),
-            (0x3555, 0.333_251_95),
-        ] {
-            assert_eq!(f32_from_half(h), x, "{h:#x}");
-        }
-        assert!(f32_from_half(0x7e00).is_nan() && f32_from_half(0xfc00) == f32::NEG_INFINITY);
     }
 
     #[test]
@@ -345,7 +321,7 @@ mod tests {
         let mut s = sink(Dtype::Double, Endian::Little);
         [-f64::MAX, 5.0, 6.0].iter().for_each(|x| s.push_bytes(&x.to_le_bytes()));
         assert_eq!(s.finish(true).voxels, Voxels::F32(vec![5.0, 5.0, 6.0]));
-        // What is near, alone, no usual mark, or whole.
+        // None of these have a marker: the number is near, alone or not a common marker, or the type is an integer.
         for numbers in [
             [-9999.0, -4000.0, 3000.0],
             [1e20, 2e20, 3e20],

@@ -32,7 +32,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// The type that NumPy calls so, without its byte order; truth values are bytes.
+    /// The type with this NumPy name, without the letter for the byte order. Truth values are bytes.
     pub(crate) fn from_numpy(kind: &str) -> Option<Self> {
         Some(match kind {
             "b1" | "u1" => Self::Uint8,
@@ -92,7 +92,7 @@ impl Dtype {
         }
     }
 
-    /// Bytes of one voxel in memory: 8- and 16-bit integers keep their size, everything else becomes `f32`.
+    /// Bytes of one voxel in memory. Integers of 8 and 16 bits keep their size, and all other types become `f32`.
     pub fn num_bytes_in_memory(self) -> usize {
         if self == Self::Half { 4 } else { self.num_bytes().min(4) }
     }
@@ -114,7 +114,7 @@ impl Dtype {
         })
     }
 
-    /// What [`Dtype::from_str`] takes, for messages.
+    /// The names that [`Dtype::from_str`] accepts, for messages.
     pub const EXPECTED: &'static str =
         "int8, uint8, int16, uint16, int32, uint32, int64, uint64, float16, float or double";
 }
@@ -122,13 +122,13 @@ impl Dtype {
 impl FromStr for Dtype {
     type Err = String;
 
-    /// All spellings of the NRRD format (`unsigned short`, `ushort`, `uint16_t`, …) and the short ones of Rust and
-    /// numpy (`u8`, `f32`, `float64`, …), in any case.
+    /// Accepts all spellings of the NRRD format (`unsigned short`, `ushort`, `uint16_t`, …) and the short names of
+    /// Rust and NumPy (`u8`, `f32`, `float64`, …). Case does not matter.
     fn from_str(text: &str) -> Result<Self, String> {
         let words = text.to_ascii_lowercase();
         let words: Vec<&str> = words.split_ascii_whitespace().collect();
-        // The list of the NRRD format, section "Basic field specifications", with "int" after short, long and long
-        // long folded away. A bare "long" is not in it: its size depends on the machine.
+        // These are the names in the section "Basic field specifications" of the NRRD format. A bare "long" is not
+        // one of them, because its size depends on the machine.
         Ok(match words.join(" ").trim_end_matches("_t") {
             "signed char" | "int8" | "i8" => Self::Int8,
             "uchar" | "unsigned char" | "uint8" | "u8" => Self::Uint8,
@@ -184,7 +184,7 @@ pub enum Endian {
 impl FromStr for Endian {
     type Err = String;
 
-    /// `little` or `big`, in any case.
+    /// Accepts `little` and `big`. Case does not matter.
     fn from_str(text: &str) -> Result<Self, String> {
         match text.to_ascii_lowercase().as_str() {
             "little" => Ok(Self::Little),

@@ -1,5 +1,4 @@
-//! What can be wrong with a file. Text that comes from a file is quoted, escaped and cut, so that every message stays
-//! one short line.
+//! Errors about files. Text from a file is quoted, escaped and cut, so that every message stays one short line.
 
 use std::io;
 use std::path::Path;
@@ -19,17 +18,17 @@ pub enum FormatError {
         /// What the system said.
         cause: io::Error,
     },
-    /// Not a kind of file that is read here, or not a file at all.
+    /// The file has no supported format, or it is not a regular file.
     #[error("{path}: found {found}, expected {expected}")]
     Unsupported {
         /// The file.
         path: String,
         /// What it looks like.
         found: &'static str,
-        /// What could be read.
+        /// What is supported.
         expected: &'static str,
     },
-    /// The header of an NRRD file makes no sense.
+    /// The header of an NRRD file is wrong.
     #[error("{path}: NRRD header: {cause}")]
     Header {
         /// The file.
@@ -37,24 +36,24 @@ pub enum FormatError {
         /// What is wrong.
         cause: HeaderError,
     },
-    /// The header of another file makes no sense, or asks for what is not read here.
+    /// The header of another file is wrong, or it describes something unsupported.
     #[error("{path}: {format}: {problem}")]
     Malformed {
         /// The file.
         path: String,
-        /// The format it was read as.
+        /// The format of the header.
         format: String,
         /// What is wrong, what was found and what was expected.
         problem: String,
     },
-    /// What was asked for is not in the file.
+    /// The requested part is not in the file.
     #[error("{path}: {what} {asked} was asked for, expected 0 to {last}", last = found.saturating_sub(1))]
     Selection {
         /// The file.
         path: String,
         /// Channel, time, level or series.
         what: &'static str,
-        /// The one asked for.
+        /// The requested number, from 0.
         asked: u64,
         /// How many there are.
         found: u64,
@@ -65,18 +64,18 @@ pub enum FormatError {
         /// The file.
         path: String,
     },
-    /// There are fewer bytes or numbers than the shape needs.
+    /// The file has fewer bytes or numbers than its shape needs.
     #[error("{path}: {shape} needs {expected} {unit}, found {found}")]
     Short {
         /// The file with the voxels.
         path: String,
-        /// What was asked for, such as `256×256×128 uint8`.
+        /// The shape, such as `256×256×128 uint8`.
         shape: String,
         /// How many there should be.
         expected: u64,
-        /// How many there are (for compressed data: at most).
+        /// How many there are; for compressed data, how many there can be at most.
         found: u64,
-        /// Of what: bytes or numbers.
+        /// The unit that is counted, such as bytes or numbers.
         unit: &'static str,
     },
     /// The voxels cannot be decoded.
@@ -105,28 +104,28 @@ pub enum FormatError {
         /// What is wrong.
         cause: VolumeError,
     },
-    /// A name after `builtin:` that is none.
+    /// The name after `builtin:` is unknown.
     #[error("unknown built-in volume {found}; expected {expected}")]
     Builtin {
-        /// What was asked for.
+        /// The unknown name.
         found: String,
-        /// What there is.
+        /// The known names.
         expected: String,
     },
-    /// Neither a preset nor a file.
+    /// The name is neither a preset nor a file.
     #[error("unknown preset {found}, and no file of that name; expected one of {expected}, or a TOML file")]
     UnknownPreset {
-        /// What was asked for.
+        /// The unknown name.
         found: String,
-        /// The presets there are.
+        /// The names of all presets.
         expected: String,
     },
-    /// A file that is not TOML of the right form.
+    /// The file is not valid TOML, or its fields are wrong.
     #[error("{path}: line {line}: {problem}")]
     Syntax {
         /// The file.
         path: String,
-        /// Where, from 1.
+        /// The line, counted from 1.
         line: usize,
         /// What is wrong.
         problem: String,
@@ -139,7 +138,7 @@ pub enum FormatError {
         /// What is wrong.
         problem: String,
     },
-    /// Control points that make no transfer function.
+    /// The control points do not form a transfer function.
     #[error("{path}: {cause}")]
     Transfer {
         /// The file.
@@ -153,20 +152,20 @@ pub enum FormatError {
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum HeaderError {
-    /// The first line is no NRRD magic of a known version.
+    /// The first line does not name a known version of NRRD.
     #[error("the first line is {0}, expected NRRD0001 to NRRD0005")]
     Magic(String),
-    /// A required field is not there.
+    /// A required field is missing.
     #[error("field \"{0}\" is missing")]
     Missing(&'static str),
-    /// A field says something that cannot be read.
+    /// A field has a value that cannot be read.
     #[error("field \"{field}\" is {found}, expected {expected}")]
     Value {
         /// The field.
         field: &'static str,
         /// Its text, quoted.
         found: String,
-        /// What it could be.
+        /// The accepted values.
         expected: &'static str,
     },
     /// A field occurs more than once.
@@ -185,20 +184,20 @@ pub enum HeaderError {
     /// A line that is neither field, key, comment nor blank.
     #[error("line {line} is {found}, expected \"field: value\", \"key:=value\", a comment or a blank line")]
     Line {
-        /// Its number, from 1.
+        /// The number of the line, counted from 1.
         line: usize,
         /// Its text, quoted.
         found: String,
     },
-    /// There is no end of the header where one must be.
+    /// The header does not end within this many bytes.
     #[error("no blank line ends it within {0} bytes")]
     End(u64),
-    /// The fields are clear but do not describe one scalar volume.
+    /// The fields contradict each other, or they do not describe a volume.
     #[error("{0}")]
     Contradiction(String),
 }
 
-/// Text from outside, quoted, without line breaks or control characters, cut to a length that fits a line.
+/// Quotes text from outside. Control characters are escaped, and long text is cut.
 pub(crate) fn quoted(text: &str) -> String {
     let mut cut: String = text.chars().take(MAX_QUOTED).collect();
     if cut.len() < text.len() {
@@ -207,15 +206,52 @@ pub(crate) fn quoted(text: &str) -> String {
     format!("{cut:?}")
 }
 
-/// A path for a message: as it is, but on one line.
+/// A path for a message, on one line.
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string().chars().map(|c| if c.is_control() { '?' } else { c }).collect()
 }
 
-/// For `map_err` on anything that reads `path`.
-pub(crate) fn io_error(path: &Path) -> impl Fn(io::Error) -> FormatError + '_ {
+/// Returns a function for `map_err` on anything that reads `path`.
+pub(crate) fn io_error(path: &Path) -> impl Fn(io::Error) -> FormatError + Copy + '_ {
     move |cause| FormatError::Io { path: shown(path), cause }
+}
+
+/// Returns a function for `map_err` on what parses `text`, the TOML file at `path`.
+pub(crate) fn syntax_error<'a>(
+    path: &'a Path,
+    text: &'a str,
+) -> impl Fn(toml::de::Error) -> FormatError + Copy + 'a {
+    move |e| FormatError::Syntax {
+        path: shown(path),
+        line: line_at(text, e.span().map_or(0, |span| span.start)),
+        problem: one_line(e.message()),
+    }
+}
+
+/// The number, from 1, of the line with the byte `at`.
+pub(crate) fn line_at(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
+}
+
+/// The message of a parser on one line. It is cut, because parsers quote whole lines of a file.
+pub(crate) fn one_line(message: &str) -> String {
+    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    match line.char_indices().nth(MAX_MESSAGE_CHARS) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line,
+    }
+}
+
+/// The error that `asked`, a channel, time, level or series, is not one of the `found` in the file.
+pub(crate) fn not_there(path: &Path, what: &'static str, asked: u64, found: usize) -> FormatError {
+    FormatError::Selection { path: shown(path), what, asked, found: found as u64 }
+}
+
+/// Returns a function for `map_err` on what reads a header of `format` at `path`.
+pub(crate) fn malformed<'a>(path: &'a Path, format: &'a str) -> impl Fn(String) -> FormatError + Copy + 'a {
+    move |problem| FormatError::Malformed { path: shown(path), format: format.to_owned(), problem }
 }
 
 /// Longest quotation from a file, in characters.
 const MAX_QUOTED: usize = 60;
+const MAX_MESSAGE_CHARS: usize = 300;

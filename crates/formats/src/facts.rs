@@ -1,4 +1,4 @@
-//! What `info` tells of a volume.
+//! The facts that `isinglass info` prints about a volume.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde::ser::{SerializeMap, Serializer};
 
 use crate::outline::Outline;
 
-/// Facts of a volume. Serialises to the object of `info --json`; the name is for people only.
+/// Facts about a volume. They serialise to the object of `info --json`.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct VolumeFacts {
     /// File name or name of the built-in volume.
@@ -32,17 +32,17 @@ pub struct VolumeFacts {
     pub percentiles: [f32; PERCENTILES.len()],
     /// Where the axes point, such as `RAS`, if known.
     pub orientation: Option<String>,
-    /// Bytes the voxels and their brightness take in memory, on the GPU as well.
+    /// Bytes that the voxels and their brightness take in memory and on the GPU.
     pub bytes_in_memory: u64,
-    /// What is odd about the file, one sentence each.
+    /// Warnings about the file, one sentence each.
     pub warnings: Vec<String>,
-    /// What else the file holds; none for a built-in volume.
+    /// What else the file contains; `None` for a built-in volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<Outline>,
 }
 
 impl VolumeFacts {
-    /// The facts of `volume`, whose histogram `histogram` must be.
+    /// The facts about `volume`. `histogram` must be its histogram.
     pub fn of(volume: &Volume, histogram: &Histogram) -> Self {
         let (lo, hi) = volume.value_range();
         Self {
@@ -63,7 +63,7 @@ impl VolumeFacts {
 }
 
 impl fmt::Display for VolumeFacts {
-    /// A few lines for people, each ending in a line feed.
+    /// Prints a few lines for people. Each ends with a line feed.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let ([nx, ny, nz], [sx, sy, sz], [lo, hi]) = (self.dims, self.spacing, self.range);
         let unit = self.unit.as_ref().map_or(String::new(), |u| format!(" {u}"));
@@ -98,7 +98,7 @@ fn percentile_map<S: Serializer>(
     map.end()
 }
 
-/// The percentiles that are told, in percent of the voxels.
+/// The percentiles that are reported, in percent of the voxels.
 pub const PERCENTILES: [f32; 10] = [1.0, 5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0, 99.9];
 
 #[cfg(test)]

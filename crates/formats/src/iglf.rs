@@ -1,13 +1,15 @@
-//! Layered frames as files, `.iglf`: the chunks of the wire payload one after the other (`docs/PROTOCOL.md`,
+//! Layered frames as files with the suffix `.iglf`. They contain the chunks of the wire payload (`docs/PROTOCOL.md`,
 //! "Layered-frame payload").
 //!
-//! Little-endian: `IGLF`, version (`u16`), number of chunks (`u16`), from version 2 on the letters of the volume's axes (3
-//! bytes, zeros if it does not know them), from version 3 on the box of what the frame was made of (6 × `f32`, the least corner first,
-//! zeros if it is not known), then for each chunk its length (`u32`) and its bytes. Nothing follows.
+//! All numbers are little-endian. A file has these parts, and nothing follows:
+//!
+//! 1. `IGLF`, the version (`u16`) and the number of chunks (`u16`)
+//! 2. from version 2: three letters for the directions of the volume's axes, or zeros
+//! 3. from version 3: the bounds of the volume (6 × `f32`, the lower corner first), or zeros
+//! 4. for each chunk: its length (`u32`) and its bytes
 
-use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Write};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 use glam::Vec3;
@@ -15,11 +17,13 @@ use isinglass_core::codec::{CodecError, EncodedFrame, HEADER_BYTES, MAX_CHUNK_BY
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
+use crate::output::write_whole;
+
 /// Why a layered frame could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum IglfError {
-    /// The system refused.
+    /// The system refused to read or write the file.
     #[error("{path}: {cause}")]
     Io {
         /// The file.
@@ -32,11 +36,11 @@ pub enum IglfError {
     Malformed {
         /// The file.
         path: String,
-        /// Which part of it.
+        /// The part of the file.
         what: String,
         /// What is there.
         found: String,
-        /// What should be.
+        /// What was expected.
         expected: String,
     },
     /// The chunks are damaged or do not belong together.
@@ -44,7 +48,7 @@ pub enum IglfError {
     Codec {
         /// The file.
         path: String,
-        /// What is wrong with them.
+        /// What is wrong.
         cause: CodecError,
     },
 }
@@ -54,40 +58,32 @@ pub enum IglfError {
 pub struct StoredFrame {
     /// The frame.
     pub frame: LayeredFrame,
-    /// What it was made of.
+    /// What the frame shows.
     pub origin: Origin,
 }
 
-/// What a frame was made of, as far as it is known.
+/// What is known about the volume that a frame shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
-    /// Where the volume's axes point, such as `RAS`.
+    /// The directions of the volume's axes, such as `RAS`.
     pub orientation: Option<String>,
-    /// The box of the volume, or of what a clip box left of it.
+    /// The bounds of the volume, or of the part inside a clip box.
     pub bounds: Option<Aabb>,
 }
 
-/// Writes a frame. The file appears complete or, on an error, not at all; one that was there is replaced.
+/// Writes a frame with [`write_whole`].
+///
+/// # Errors
+/// The system refuses to write the file.
 pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
     let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
-    // A link is followed, so that the file it names is replaced and not the link.
-    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let mut temporary = OsString::from(path);
-    temporary.push(format!(".{}.part", std::process::id()));
-    let result = File::create(&temporary)
-        .and_then(|mut file| {
-            file.write_all(&to_bytes(encoded, origin))?;
-            file.sync_all()
-        })
-        .and_then(|()| fs::rename(&temporary, path));
-    result.map_err(|cause| {
-        // The first error is the one to tell; what is left of the file may not even exist.
-        let _ = fs::remove_file(&temporary);
-        io(cause)
-    })
+    write_whole(path, &to_bytes(encoded, origin)).map_err(io)
 }
 
-/// Reads a frame with all its chunks. Memory is bounded by what the file really holds and by the limits of the codec.
+/// Reads a frame with all its chunks. Memory is bounded by the size of the file and the limits of the codec.
+///
+/// # Errors
+/// The file cannot be read, or its bytes are not those of a frame.
 pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
     let (chunks, origin) = read_parts(path)?;
     let frame =
@@ -95,7 +91,10 @@ pub fn read(path: &Path) -> Result<StoredFrame, IglfError> {
     Ok(StoredFrame { frame, origin })
 }
 
-/// Reads the chunks of a frame as they are, without looking into them.
+/// Reads the chunks of a frame without decoding them.
+///
+/// # Errors
+/// As [`read`], except for errors within the chunks.
 pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
     Ok(read_parts(path)?.0)
 }
@@ -104,8 +103,8 @@ fn read_parts(path: &Path) -> Result<Parts, IglfError> {
     let name = || path.display().to_string();
     let file = File::open(path).map_err(|cause| IglfError::Io { path: name(), cause })?;
     parts_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
-        Problem::Io(cause) => IglfError::Io { path: name(), cause },
-        Problem::Malformed(what, found, expected) => {
+        ReadProblem::Io(cause) => IglfError::Io { path: name(), cause },
+        ReadProblem::Malformed(what, found, expected) => {
             IglfError::Malformed { path: name(), what, found, expected }
         }
     })
@@ -116,7 +115,7 @@ fn to_bytes(encoded: &EncodedFrame, origin: &Origin) -> Vec<u8> {
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&VERSION.to_le_bytes());
     bytes.extend_from_slice(&(encoded.chunks.len() as u16).to_le_bytes());
-    // What could not be read again is not known.
+    // Invalid letters are written as unknown, because the reader refuses them.
     let letters =
         origin.orientation.as_ref().and_then(|letters| <[u8; 3]>::try_from(letters.as_bytes()).ok());
     let letters = letters.filter(|letters| letters.iter().all(u8::is_ascii_uppercase));
@@ -132,9 +131,9 @@ fn to_bytes(encoded: &EncodedFrame, origin: &Origin) -> Vec<u8> {
     bytes
 }
 
-enum Problem {
+enum ReadProblem {
     Io(io::Error),
-    /// What is wrong, what was found, what was expected.
+    /// What is wrong, what was found and what was expected.
     Malformed(String, String, String),
 }
 
@@ -143,10 +142,10 @@ fn is_box(bounds: &Aabb) -> bool {
     bounds.min.is_finite() && bounds.max.is_finite() && bounds.min.cmplt(bounds.max).all()
 }
 
-/// The chunks, and what they were made of.
+/// The chunks of a file, and what they show.
 type Parts = (Vec<Vec<u8>>, Origin);
 
-fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
+fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, ReadProblem> {
     let magic: [u8; 4] = take(reader, "start of the file")?;
     if magic != MAGIC {
         let found = if &magic == b"\x89PNG" { "a PNG picture" } else { "something else" };
@@ -186,22 +185,22 @@ fn parts_from_reader(reader: &mut impl Read) -> Result<Parts, Problem> {
         if !(HEADER_BYTES..=MAX_CHUNK_BYTES).contains(&length) {
             return Err(malformed(what, length, format!("{HEADER_BYTES} to {MAX_CHUNK_BYTES}")));
         }
-        // Grows with what is read, not with what the length promises.
+        // The vector grows with the data, because the length may be wrong.
         let mut bytes = Vec::new();
-        reader.by_ref().take(length as u64).read_to_end(&mut bytes).map_err(Problem::Io)?;
+        reader.by_ref().take(length as u64).read_to_end(&mut bytes).map_err(ReadProblem::Io)?;
         if bytes.len() != length {
             let found = format!("cut off after {} bytes", bytes.len());
             return Err(malformed(format!("chunk {number}"), found, format!("{length} bytes")));
         }
         chunks.push(bytes);
     }
-    match reader.read(&mut [0]).map_err(Problem::Io)? {
+    match reader.read(&mut [0]).map_err(ReadProblem::Io)? {
         0 => Ok((chunks, Origin { orientation, bounds: Some(bounds).filter(is_box) })),
         _ => Err(malformed("what follows the last chunk", "more bytes", "the end of the file")),
     }
 }
 
-fn take_box(reader: &mut impl Read) -> Result<Aabb, Problem> {
+fn take_box(reader: &mut impl Read) -> Result<Aabb, ReadProblem> {
     let mut corner = || {
         let mut corner = Vec3::ZERO;
         for i in 0..3 {
@@ -212,17 +211,17 @@ fn take_box(reader: &mut impl Read) -> Result<Aabb, Problem> {
     Ok(Aabb { min: corner()?, max: corner()? })
 }
 
-fn take<const N: usize>(reader: &mut impl Read, what: &str) -> Result<[u8; N], Problem> {
+fn take<const N: usize>(reader: &mut impl Read, what: &str) -> Result<[u8; N], ReadProblem> {
     let mut bytes = [0; N];
     reader.read_exact(&mut bytes).map_err(|e| match e.kind() {
         io::ErrorKind::UnexpectedEof => malformed(what, "cut off", format!("{N} bytes")),
-        _ => Problem::Io(e),
+        _ => ReadProblem::Io(e),
     })?;
     Ok(bytes)
 }
 
-fn malformed(what: impl Into<String>, found: impl ToString, expected: impl ToString) -> Problem {
-    Problem::Malformed(what.into(), found.to_string(), expected.to_string())
+fn malformed(what: impl Into<String>, found: impl ToString, expected: impl ToString) -> ReadProblem {
+    ReadProblem::Malformed(what.into(), found.to_string(), expected.to_string())
 }
 
 const MAGIC: [u8; 4] = *b"IGLF";
@@ -231,6 +230,8 @@ const NO_BOX: Aabb = Aabb { min: Vec3::ZERO, max: Vec3::ZERO };
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::codec::{Settings, encode};
 
@@ -275,7 +276,7 @@ mod tests {
         write(&path, &encoded, &known).unwrap();
         let StoredFrame { frame: decoded, origin } = read(&path).unwrap();
         assert_eq!(origin, known);
-        // What the reader would refuse is not written.
+        // Values that the reader refuses are not written.
         for letters in ["ras", "RA\u{0}", "R S", "é1", "RASL", ""] {
             write(&path, &encoded, &Origin { orientation: Some(letters.into()), bounds: None }).unwrap();
             assert_eq!(read(&path).unwrap().origin, Origin::default(), "{letters:?}");
@@ -309,19 +310,6 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_write_leaves_nothing() {
-        let dir = tempfile::tempdir().unwrap();
-        let encoded = encode(&frame(), &Settings::default()).unwrap();
-        let missing = dir.path().join("no-such-directory").join("a.iglf");
-        assert!(matches!(write(&missing, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
-        // A directory in the place of the file cannot be replaced.
-        let taken = dir.path().join("b.iglf");
-        fs::create_dir(&taken).unwrap();
-        assert!(matches!(write(&taken, &encoded, &Origin::default()), Err(IglfError::Io { .. })));
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-    }
-
-    #[test]
     fn damaged_files_are_named_in_one_line() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
@@ -341,7 +329,7 @@ mod tests {
         let mut bytes = good.clone();
         bytes[39] = b'X';
         assert!(matches!(error(&path, &bytes), IglfError::Codec { .. }));
-        // One chunk fewer than the frame has.
+        // The last chunk is missing.
         let mut encoded = encode(&frame(), &Settings::default()).unwrap();
         encoded.chunks.pop();
         assert!(matches!(

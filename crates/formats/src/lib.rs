@@ -1,19 +1,27 @@
 //! Volume files, transfer functions and presets, to and from the types of `isinglass-core`.
 //!
-//! [`open`] reads every format of docs/FORMATS.md, raw voxels whose shape is told, and the built-in volumes; [`outline`] reads
-//! the header alone and tells what [`open`] would need; [`Loading`] opens on a thread of its own. [`load_transfer`] reads a
-//! preset or a TOML file of control points; [`SavedState`] is what is seen and how, as a file or in a link; [`VolumeFacts`] is what `info` prints. What a
-//! file says is never trusted: every length is checked against the file and a memory limit before anything is
-//! allocated, and every error is one line that names the file, what was expected and what was found. This crate
-//! draws nothing and knows no network.
+//! - [`open`] reads every format of docs/FORMATS.md, raw voxels and the built-in volumes. [`outline`] reads only the header
+//!   and returns what [`open`] would need. [`Loading`] opens a volume on its own thread.
+//! - [`load_transfer`] reads a preset or a file with a transfer function.
+//! - [`SavedState`] is a saved view of a volume, as a file or in a link.
+//! - [`VolumeFacts`] is what `isinglass info` prints.
+//! - [`write_whole`] writes a file as a whole or not at all.
+//!
+//! Nothing in a file is trusted. Every length is checked against the file and a memory limit before anything is allocated.
+//! Every error is one line that names the file, what was expected and what was found. This crate draws nothing and knows no
+//! network.
 
 mod axes;
+mod collector;
 mod content;
 mod decode;
 mod dicom;
 mod dtype;
 mod error;
 mod facts;
+mod file_list;
+mod header_bytes;
+mod hyperslab;
 pub mod iglf;
 mod loading;
 mod metaimage;
@@ -22,29 +30,27 @@ mod nifti;
 mod npy;
 mod nrrd;
 mod outline;
-mod parts;
-mod picker;
+mod output;
 mod plan;
 pub mod png;
 mod presets;
 mod raw;
 mod recent;
-mod select;
+mod selection;
 mod settings;
 mod sniff;
 mod source;
 mod state;
 mod stream;
-mod taker;
 mod tiff;
 mod transfer;
 mod transfer_import;
 mod transfer_json;
 mod transfer_maps;
+mod units;
 mod volume_source;
 mod vti;
 mod warning;
-mod words;
 mod xml;
 mod zarr;
 mod zip;
@@ -55,10 +61,11 @@ pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline};
+pub use output::{check_writable, write_whole};
 pub use presets::{default_preset, default_transfer, preset, preset_names};
 pub use raw::RawShape;
 pub use recent::{Recent, RecentEntry, RecentPlace};
-pub use select::{Region, Selection};
+pub use selection::{Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline};
 pub use state::{

@@ -1,4 +1,4 @@
-//! Opens a volume on a thread of its own, so that a window never waits.
+//! Opens a volume on its own thread, so that a window never waits.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -10,33 +10,33 @@ use isinglass_core::volume::Volume;
 
 use crate::error::FormatError;
 use crate::raw::RawShape;
-use crate::select::Selection;
+use crate::selection::Selection;
 use crate::source::{OpenOptions, open};
 
 /// What to open.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadRequest {
-    /// As for [`open`].
+    /// The volume, as for [`open`].
     pub source: String,
     /// The shape of a raw file.
     pub raw: Option<RawShape>,
-    /// Which part of it.
+    /// The part of the file to read.
     pub selection: Selection,
-    /// Distances between voxels, in place of those of the file.
+    /// Distances between voxels, instead of those in the file.
     pub spacing: Option<Vec3>,
-    /// Most bytes of memory.
+    /// The memory limit in bytes.
     pub max_bytes: u64,
 }
 
 impl LoadRequest {
-    /// All of `source`, within the usual limit of memory.
+    /// A request for all of `source`, with the default limit of memory.
     pub fn new(source: impl Into<String>) -> Self {
         let OpenOptions { raw, selection, spacing, max_bytes, .. } = OpenOptions::default();
         Self { source: source.into(), raw, selection, spacing, max_bytes }
     }
 }
 
-/// A volume that is being opened. Dropping it cancels.
+/// A volume that is being opened. Dropping this value cancels it.
 #[derive(Debug)]
 pub struct Loading {
     shared: Arc<Shared>,
@@ -45,13 +45,13 @@ pub struct Loading {
 
 #[derive(Debug, Default)]
 struct Shared {
-    /// Bits of the fraction that was read.
+    /// The bits of the fraction that has been read.
     progress: AtomicU32,
     cancel: AtomicBool,
 }
 
 impl Loading {
-    /// Begins to open what is asked for. `wake` is called on the thread that opens, once, when [`Loading::poll`] has an answer.
+    /// Starts to open a volume. `wake` is called once, on the loading thread, when [`Loading::poll`] has an answer.
     pub fn start(request: LoadRequest, wake: impl FnOnce() + Send + 'static) -> Self {
         let shared = Arc::new(Shared::default());
         let (sender, result) = mpsc::sync_channel(1);
@@ -62,30 +62,30 @@ impl Loading {
             let cancel = Some(&theirs.cancel);
             let options =
                 OpenOptions { raw, selection, spacing, max_bytes, progress: Some(&progress), cancel };
-            // A defect of ours must not leave anyone waiting.
+            // A panic must not leave the window waiting.
             let opened = catch_unwind(AssertUnwindSafe(|| open(&source, &options)));
             let opened = opened.unwrap_or_else(|_| {
                 let problem = "reading it has failed by a defect of isinglass".to_owned();
                 Err(FormatError::Data { path: source.clone(), problem })
             });
-            // Nobody listens once it was dropped.
+            // The receiver is gone if this value was dropped.
             let _ = sender.send(opened);
             wake();
         });
         Self { shared, result }
     }
 
-    /// The fraction that was read, 0 to 1.
+    /// The fraction that has been read, 0 to 1.
     pub fn progress(&self) -> f32 {
         f32::from_bits(self.shared.progress.load(Ordering::Relaxed))
     }
 
-    /// Ends it soon; [`Loading::poll`] then tells [`FormatError::Cancelled`].
+    /// Asks the thread to stop. [`Loading::poll`] then returns [`FormatError::Cancelled`].
     pub fn cancel(&self) {
         self.shared.cancel.store(true, Ordering::Relaxed);
     }
 
-    /// The volume or the error, once, as soon as there is one. Never waits.
+    /// Returns the volume or the error once, as soon as there is one. It never waits.
     pub fn poll(&self) -> Option<Result<Volume, FormatError>> {
         self.result.try_recv().ok()
     }
@@ -101,7 +101,7 @@ impl Drop for Loading {
 mod tests {
     use super::*;
 
-    /// What a start ends with, and the progress by then.
+    /// The result of a request, and the progress at its end.
     fn finished(loading: &Loading, woken: &mpsc::Receiver<()>) -> (Result<Volume, FormatError>, f32) {
         woken.recv().expect("it always wakes");
         (loading.poll().expect("there is an answer when it wakes"), loading.progress())

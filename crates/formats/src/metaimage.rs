@@ -1,7 +1,7 @@
-//! MetaImage (ITK's MetaIO): a text header, and voxels after it or in files of their own, raw, in zlib or as text.
+//! MetaImage (ITK's MetaIO): a text header, and voxels after it or in other files. The voxels are raw, zlib or text.
 //!
-//! The frame is that of DICOM, LPS, wherever the header names directions or an anatomical orientation; without either no
-//! body is known.
+//! The frame is LPS, as in DICOM, if the header has directions or an anatomical orientation. Otherwise there is no
+//! body.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
@@ -10,14 +10,13 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use crate::axes::{Geometry, ras_from_lps};
-use crate::decode::next_number;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
-use crate::parts::{MAX_DATA_FILES, numbered_names};
+use crate::error::{FormatError, io_error, malformed, quoted, shown};
+use crate::file_list::{MAX_DATA_FILES, numbered_names};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
 /// A file whose header was read.
@@ -27,19 +26,19 @@ pub(crate) struct MetaImageFile {
     data: Data,
     is_text: bool,
     is_packed: bool,
-    /// Bytes before the voxels of each file; -1: the voxels are its last bytes.
+    /// Bytes before the voxels of each file; −1 if the voxels are the last bytes.
     header_size: i64,
 }
 
 /// Where the voxels are.
 enum Data {
-    /// In this file from this byte.
+    /// In the file of the header, from this byte on.
     Local(u64),
-    /// In these files, an equal part in each.
+    /// In these files, with an equal part in each.
     Files(Vec<PathBuf>),
 }
 
-/// Whether `start` begins a header: its first line is one of the fields that come first.
+/// Whether `start` begins a header. Its first line must be one of [`FIRST_FIELDS`].
 pub(crate) fn is_header(start: &[u8]) -> bool {
     let line = start.split(|&b| b == b'\n').next().unwrap_or_default();
     let Some((name, _)) = std::str::from_utf8(line).ok().and_then(|l| l.split_once('=')) else {
@@ -51,13 +50,9 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
 impl MetaImageFile {
     /// `file` is the file at `path`.
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
-        let bad = |problem| FormatError::Malformed {
-            path: shown(path),
-            format: "MetaImage header".into(),
-            problem,
-        };
+        let bad = malformed(path, "MetaImage header");
         let mut reader = BufReader::new(file);
-        let fields = Fields::read(&mut reader).map_err(|e| match e {
+        let fields = MetaFields::read(&mut reader).map_err(|e| match e {
             ReadError::Io(cause) => FormatError::Io { path: shown(path), cause },
             ReadError::Bad(problem) => bad(problem),
         })?;
@@ -93,21 +88,21 @@ impl VolumeFile for MetaImageFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
-        let (num_elements, num_bytes) = (taker.num_elements(), taker.num_bytes());
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
+        let (num_elements, num_bytes) = (collector.num_elements(), collector.num_bytes());
         match &self.data {
-            Data::Local(start) => self.take(taker, &self.path, *start, (num_elements, num_bytes)),
+            Data::Local(start) => self.take(collector, &self.path, *start, (num_elements, num_bytes)),
             Data::Files(files) => {
                 let num_files = files.len() as u64;
                 if !num_elements.is_multiple_of(num_files) {
                     let problem = format!(
                         "{num_files} data files cannot share {num_elements} voxels, expected equal parts"
                     );
-                    return Err(taker.data_error(&self.path, problem));
+                    return Err(collector.data_error(&self.path, problem));
                 }
                 files.iter().try_for_each(|path| {
                     let part = (num_elements / num_files, num_bytes / num_files);
-                    if taker.is_done() { Ok(()) } else { self.take(taker, path, 0, part) }
+                    if collector.is_done() { Ok(()) } else { self.take(collector, path, 0, part) }
                 })
             }
         }
@@ -115,55 +110,44 @@ impl VolumeFile for MetaImageFile {
 }
 
 impl MetaImageFile {
-    /// The voxels of one file, which begin at `start`.
+    /// Reads the voxels of one file from byte `start`.
     fn take(
         &self,
-        taker: &mut Taker,
+        collector: &mut Collector,
         path: &Path,
         start: u64,
         (num_elements, num_bytes): (u64, u64),
     ) -> Result<(), FormatError> {
         let io = io_error(path);
         let mut file = open_file(path)?;
-        let length = file.metadata().map_err(&io)?.len();
+        let length = file.metadata().map_err(io)?.len();
         let start = match u64::try_from(self.header_size) {
             Ok(skip) => start.saturating_add(skip),
             Err(_) if self.is_packed || self.is_text => start,
             Err(_) => length.saturating_sub(num_bytes).max(start),
         };
         if self.is_text {
-            if length.saturating_sub(start).div_ceil(2) < num_elements {
-                return Err(taker.short(
-                    path,
-                    num_elements,
-                    length.saturating_sub(start).div_ceil(2),
-                    "numbers",
-                ));
-            }
-            file.seek(SeekFrom::Start(start)).map_err(&io)?;
-            let mut reader = BufReader::new(file);
-            return (0..num_elements).try_for_each(|i| match next_number(&mut reader).map_err(&io)? {
-                Some(number) => taker.push_number(path, number),
-                None => Err(taker.short(path, num_elements, i, "numbers")),
-            });
+            let start = start.min(length);
+            file.seek(SeekFrom::Start(start)).map_err(io)?;
+            return collector.push_text(&mut BufReader::new(file), path, num_elements, length - start);
         }
         let packing = if self.is_packed {
-            // MetaIO reads both.
+            // MetaIO accepts gzip, too.
             let mut mark = [0; 2];
-            file.seek(SeekFrom::Start(start.min(length))).map_err(&io)?;
-            let n = file.read(&mut mark).map_err(&io)?;
+            file.seek(SeekFrom::Start(start.min(length))).map_err(io)?;
+            let n = file.read(&mut mark).map_err(io)?;
             if n == 2 && mark == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Zlib }
         } else {
             Packing::Plain
         };
-        Unpacked::open(file, path, start, None, packing)?.take(taker, path, 0, num_bytes)
+        Unpacked::open(file, path, start, None, packing)?.take(collector, path, 0, num_bytes)
     }
 }
 
-/// The lines of a header: names and values, in their order.
-struct Fields {
+/// The names and values of a header, in order.
+struct MetaFields {
     list: Vec<(String, String)>,
-    /// Lines after `ElementDataFile = LIST`.
+    /// The file names after `ElementDataFile = LIST`.
     files: Vec<String>,
 }
 
@@ -172,7 +156,7 @@ enum ReadError {
     Bad(String),
 }
 
-impl Fields {
+impl MetaFields {
     /// Reads up to and including `ElementDataFile`, which is the last field.
     fn read(reader: &mut BufReader<File>) -> Result<Self, ReadError> {
         let mut fields = Self { list: Vec::new(), files: Vec::new() };
@@ -231,7 +215,7 @@ impl Fields {
         }
     }
 
-    /// `count` finite numbers, or more.
+    /// At least `count` finite numbers.
     fn numbers(&self, names: &[&str], count: usize) -> Result<Option<Vec<f64>>, String> {
         let Some(text) = self.get(names) else { return Ok(None) };
         let numbers: Option<Vec<f64>> =
@@ -261,7 +245,7 @@ impl Fields {
             "MET_UCHAR" => Dtype::Uint8,
             "MET_SHORT" => Dtype::Int16,
             "MET_USHORT" => Dtype::Uint16,
-            // MetaIO counts four bytes for a long.
+            // A long has four bytes in MetaIO.
             "MET_INT" | "MET_LONG" => Dtype::Int32,
             "MET_UINT" | "MET_ULONG" => Dtype::Uint32,
             "MET_LONG_LONG" => Dtype::Int64,
@@ -307,7 +291,7 @@ impl Fields {
         let matrix = self.numbers(&["TransformMatrix", "Rotation", "Orientation"], num_axes * num_axes)?;
         let orientation = self.get(&["AnatomicalOrientation"]).filter(|o| !o.contains('?'));
         let is_body = matrix.is_some() || orientation.is_some();
-        // ITK: the row of an axis is its direction.
+        // As in ITK, each row of the matrix is the direction of an axis.
         let direction = |axis: usize| match &matrix {
             Some(m) if axis < in_space => {
                 DVec3::from_array([0, 1, 2].map(|c| if c < in_space { m[axis * num_axes + c] } else { 0.0 }))
@@ -333,11 +317,11 @@ impl Fields {
             let normal = steps[0].cross(steps[1]).normalize_or(DVec3::Z);
             steps[2] = normal * steps[0].length();
         }
-        // ITK's unit is the millimetre; without a body nobody knows.
+        // ITK uses millimetres for bodies. Without a body, the unit is unknown.
         Ok(Geometry { steps, origin, is_body, unit: is_body.then(|| "mm".to_owned()) })
     }
 
-    /// Where the voxels are; `start` is where the header of the file at `path` ends.
+    /// Where the voxels are. The header of the file at `path` ends at `start`.
     fn data(&self, path: &Path, start: u64, num_slices: u64) -> Result<Data, String> {
         let text = self.get(&["ElementDataFile"]).unwrap_or_default();
         let bad = || {
@@ -368,11 +352,11 @@ impl Fields {
     }
 }
 
-/// Fields that writers begin with.
+/// The fields that come first in a header.
 const FIRST_FIELDS: [&str; 4] = ["ObjectType", "NDims", "Comment", "ObjectSubType"];
-/// A header larger than this is none.
+/// Longest header in bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-/// Numbers of a voxel.
+/// Most channels of a voxel.
 const MAX_CHANNELS: u64 = 4096;
 /// Longest name of a modality.
 const MAX_MODALITY_CHARS: usize = 8;

@@ -1,4 +1,4 @@
-//! MRC2014 (ccpem.ac.uk/mrc_format) and the older files of electron microscopy: density maps and tomograms.
+//! MRC2014 (ccpem.ac.uk/mrc_format) and older files of electron microscopy: density maps and tomograms.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use crate::axes::Geometry;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed};
+use crate::header_bytes::HeaderBytes;
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
-use crate::words::Words;
 
 /// A map whose header was read.
 pub(crate) struct MrcFile {
@@ -24,8 +24,8 @@ pub(crate) struct MrcFile {
     skip: u64,
 }
 
-/// Whether `start` begins a header; without its mark (`MAP ` at byte 208, which old files lack) the numbers must make sense,
-/// and the name must end as such files do.
+/// Whether `start` begins a header. Old files lack the mark `MAP ` at byte 208. Their numbers must be plausible, and
+/// the suffix must be one of this format.
 pub(crate) fn is_header(start: &[u8], path: &Path) -> bool {
     let is_marked = start.get(208..212).is_some_and(|mark| mark == b"MAP " || mark == b"MAP\0");
     let end = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -33,10 +33,10 @@ pub(crate) fn is_header(start: &[u8], path: &Path) -> bool {
     start.len() as u64 >= HEADER_BYTES && (is_marked || is_named) && endian(start).is_some()
 }
 
-/// The byte order: that of the machine stamp if the numbers agree, else the one that makes sense.
+/// The byte order of the machine stamp if the numbers are plausible in it, or else the other one.
 fn endian(start: &[u8]) -> Option<Endian> {
     let is_sane = |endian| {
-        let w = Words { bytes: start, endian };
+        let w = HeaderBytes { bytes: start, endian };
         let axes = [64, 68, 72].map(|at| w.i32(at));
         (0..3).all(|i| w.i32(4 * i) > 0)
             && (0..=200).contains(&w.i32(12))
@@ -50,17 +50,13 @@ fn endian(start: &[u8]) -> Option<Endian> {
 impl MrcFile {
     /// `file` is the file at `path`.
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "MRC header".into(),
-            problem,
-        };
+        let bad = malformed(path, "MRC header");
         let mut start = Vec::new();
         file.take(HEADER_BYTES).read_to_end(&mut start).map_err(io_error(path))?;
         let endian = endian(&start).filter(|_| start.len() as u64 == HEADER_BYTES);
         let endian = endian
             .ok_or_else(|| bad("its sizes, mode and axes make no sense in either byte order".into()))?;
-        let w = Words { bytes: &start, endian };
+        let w = HeaderBytes { bytes: &start, endian };
         let extended = w.i32(92);
         let extended = u64::try_from(extended)
             .map_err(|_| bad(format!("its extended header has {extended} bytes, expected 0 or more")))?;
@@ -73,16 +69,16 @@ impl VolumeFile for MrcFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let data = Unpacked::open(open_file(&self.path)?, &self.path, 0, None, Packing::Plain)?;
-        let num_bytes = taker.num_bytes();
-        data.take(taker, &self.path, self.skip, num_bytes)
+        let num_bytes = collector.num_bytes();
+        data.take(collector, &self.path, self.skip, num_bytes)
     }
 }
 
-fn plan(w: Words, endian: Endian) -> Result<Plan, String> {
+fn plan(w: HeaderBytes, endian: Endian) -> Result<Plan, String> {
     let mode = w.i32(12);
-    // IMOD writes bytes without a sign unless the first of its flags is set.
+    // IMOD writes unsigned bytes unless the lowest bit of its flags is set.
     let is_imod = w.i32(152) == IMOD_STAMP;
     let dtype = match mode {
         0 if is_imod && w.i32(156) & 1 == 0 => Dtype::Uint8,
@@ -101,7 +97,7 @@ fn plan(w: Words, endian: Endian) -> Result<Plan, String> {
             return Err(format!("mode is {mode}{name}, expected 0, 1, 2, 6 or 12"));
         }
     };
-    // All are above zero, or there would be no byte order.
+    // `endian` has checked that all are above zero.
     let sizes = [0, 4, 8].map(|at| w.i32(at).unsigned_abs().into());
     let mut axes = Axis::in_space(sizes);
     let (group, depth) = (w.i32(88), u64::try_from(w.i32(36)).unwrap_or(0));
@@ -136,7 +132,7 @@ fn plan(w: Words, endian: Endian) -> Result<Plan, String> {
     }
     let origin = [196, 200, 204].map(|at| f64::from(w.f32(at)));
     let start = [16, 20, 24].map(|at| f64::from(w.i32(at)));
-    // The place of the first voxel, in the order of the file, if the older field is used.
+    // The older field has the position of the first voxel in the order of the file.
     let from_start =
         |axis: usize| order.iter().position(|&o| o == axis).map_or(0.0, |i| start[i]) * spacing[axis];
     let is_set = origin.iter().all(|o| o.is_finite()) && origin != [0.0; 3];
@@ -151,7 +147,7 @@ fn plan(w: Words, endian: Endian) -> Result<Plan, String> {
 }
 
 const HEADER_BYTES: u64 = 1024;
-/// "IMOD" in the header of its files.
+/// The word "IMOD" in the header of its files.
 const IMOD_STAMP: i32 = 1_146_047_817;
-/// Space groups from here on are stacks of volumes.
+/// Space groups from this number on are stacks of volumes.
 const FIRST_STACK_GROUP: i32 = 401;

@@ -1,7 +1,7 @@
-//! NIfTI-1 and NIfTI-2 (nifti.nimh.nih.gov): one file, plain or in gzip, or a header beside an image.
+//! NIfTI-1 and NIfTI-2 (nifti.nimh.nih.gov): one file, plain or gzip, or a header beside an image.
 //!
-//! World space of the format is RAS+. The sform is used if there is one, else the qform; a file with neither has no known
-//! place in a body.
+//! The world space of the format is RAS+. The sform comes before the qform. A file with neither has no known position
+//! in a body.
 
 use std::fs::File;
 use std::io::Read;
@@ -10,15 +10,15 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use crate::axes::Geometry;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, shown};
+use crate::header_bytes::HeaderBytes;
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::sniff::{expected_for, gzip_name};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
-use crate::words::Words;
 
 /// A file whose header was read.
 pub(crate) struct NiftiFile {
@@ -30,16 +30,16 @@ pub(crate) struct NiftiFile {
     skip: u64,
 }
 
-/// Whether `start`, unpacked, begins a header.
+/// Whether `start` begins a header. It must be unpacked.
 pub(crate) fn is_header(start: &[u8]) -> bool {
     version(start).is_some()
 }
 
-/// Version, byte order, and whether the voxels are in a file of their own.
+/// The version, the byte order, and whether the voxels are in another file.
 fn version(start: &[u8]) -> Option<(u8, Endian, bool)> {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     for endian in [Endian::Little, Endian::Big] {
-        match (Words { bytes: start, endian }).i32(0) {
+        match (HeaderBytes { bytes: start, endian }).i32(0) {
             348 if is_at(344, b"n+1\0") => return Some((1, endian, false)),
             348 if is_at(344, b"ni1\0") => return Some((1, endian, true)),
             540 if is_at(4, b"n+2\0") => return Some((2, endian, false)),
@@ -57,31 +57,28 @@ impl NiftiFile {
         let mut bytes = Vec::new();
         let start = Unpacked::open(file, path, 0, None, packing)?;
         start.take_start(HEADER_2_BYTES).read_to_end(&mut bytes).map_err(io_error(path))?;
-        let bad = |problem: &str| FormatError::Malformed {
-            path: shown(path),
-            format: "NIfTI header".into(),
-            problem: problem.into(),
-        };
+        let bad = malformed(path, "NIfTI header");
         let Some((version, endian, is_pair)) = version(&bytes) else {
             let found = gzip_name(path);
             let expected = expected_for(found);
             return Err(FormatError::Unsupported { path: shown(path), found, expected });
         };
-        let words = Words { bytes: &bytes, endian };
+        let words = HeaderBytes { bytes: &bytes, endian };
         let header_bytes = if version == 1 { HEADER_1_BYTES } else { HEADER_2_BYTES };
         if (bytes.len() as u64) < header_bytes {
-            return Err(bad(&format!("{} bytes, expected {header_bytes}", bytes.len())));
+            return Err(bad(format!("{} bytes, expected {header_bytes}", bytes.len())));
         }
-        let header = if version == 1 { Header::of_version_1(words) } else { Header::of_version_2(words) };
+        let header =
+            if version == 1 { NiftiHeader::of_version_1(words) } else { NiftiHeader::of_version_2(words) };
         let name = format!("NIfTI-{version}{}", if is_packed { ", gzip" } else { "" });
-        let plan = header.plan(&name, endian).map_err(|problem| bad(&problem))?;
+        let plan = header.plan(&name, endian).map_err(bad)?;
         let least = if is_pair { 0 } else { header_bytes + 4 };
         let skip = header.vox_offset;
         if !(skip.is_finite() && (0.0..=MAX_SKIP).contains(&skip)) {
-            return Err(bad(&format!("vox_offset is {skip}, expected a place in the file")));
+            return Err(bad(format!("vox_offset is {skip}, expected a place in the file")));
         }
         let (data, packing) = if is_pair {
-            image_of(path).ok_or_else(|| bad("there is no .img file beside it"))?
+            image_of(path).ok_or_else(|| bad("there is no .img file beside it".into()))?
         } else {
             (path.to_owned(), packing)
         };
@@ -94,14 +91,14 @@ impl VolumeFile for NiftiFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let data = Unpacked::open(open_file(&self.data)?, &self.data, 0, None, self.packing)?;
-        let num_bytes = taker.num_bytes();
-        data.take(taker, &self.data, self.skip, num_bytes)
+        let num_bytes = collector.num_bytes();
+        data.take(collector, &self.data, self.skip, num_bytes)
     }
 }
 
-/// The image beside a header: the same name with `.img`, plain or in gzip.
+/// The image beside a header. It has the same name with `.img`, plain or gzip.
 fn image_of(header: &Path) -> Option<(PathBuf, Packing)> {
     let name = header.to_str()?;
     let stem = name.strip_suffix(".gz").unwrap_or(name);
@@ -111,8 +108,8 @@ fn image_of(header: &Path) -> Option<(PathBuf, Packing)> {
     plain.or_else(|| found(".img.gz").map(|p| (p, Packing::Gzip)))
 }
 
-/// The fields that matter, of either version.
-struct Header {
+/// The relevant fields of both versions.
+struct NiftiHeader {
     dim: [i64; 8],
     datatype: i16,
     pixdim: [f64; 8],
@@ -127,8 +124,8 @@ struct Header {
     srow: [[f64; 4]; 3],
 }
 
-impl Header {
-    fn of_version_1(w: Words) -> Self {
+impl NiftiHeader {
+    fn of_version_1(w: HeaderBytes) -> Self {
         let f = |at: usize| f64::from(w.f32(at));
         Self {
             dim: std::array::from_fn(|i| w.i16(40 + 2 * i).into()),
@@ -146,7 +143,7 @@ impl Header {
         }
     }
 
-    fn of_version_2(w: Words) -> Self {
+    fn of_version_2(w: HeaderBytes) -> Self {
         Self {
             dim: std::array::from_fn(|i| w.i64(16 + 8 * i)),
             datatype: w.i16(12),
@@ -189,8 +186,7 @@ impl Header {
         }
         let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
         if colors > 0 {
-            plan.channel_names =
-                ["red", "green", "blue", "alpha"][..colors as usize].iter().map(|&s| s.into()).collect();
+            plan.channel_names = color_names(colors);
         } else if self.slope != 0.0 && self.slope.is_finite() && self.intercept.is_finite() {
             plan.value_map = (self.slope, self.intercept);
         } else if !self.slope.is_finite() || !self.intercept.is_finite() {
@@ -203,7 +199,7 @@ impl Header {
         Ok(plan)
     }
 
-    /// Type of a number, and the colours of a voxel if there are some.
+    /// The type of a number, and the number of colours of a voxel, or 0.
     fn dtype(&self) -> Result<(Dtype, u64), String> {
         Ok(match self.datatype {
             2 => (Dtype::Uint8, 0),
@@ -244,10 +240,10 @@ impl Header {
         let qform = (self.qform_code > 0 && is_good).then(|| self.qform(spacing)).filter(is_usable);
         let sform = (self.sform_code > 0).then(|| self.sform()).filter(is_usable);
         if self.sform_code > 0 && sform.is_none() {
-            plan.warn(WarningKind::Geometry, "the sform makes no volume and was ignored");
+            plan.warn(WarningKind::Geometry, "the sform is not invertible and was ignored");
         }
         if let (Some(q), Some(s)) = (&qform, &sform) {
-            // A tenth of a voxel over a hundred voxels.
+            // This is a tenth of a voxel over a hundred voxels.
             let differs = q.0.iter().zip(&s.0).any(|(a, b)| (*a - *b).length() > 1e-3 * b.length());
             if differs {
                 plan.warn(WarningKind::Geometry, "qform and sform differ; the sform is used");
@@ -277,12 +273,12 @@ impl Header {
         ([column(0), column(1), column(2)], column(3))
     }
 
-    /// A rotation by a unit quaternion whose first part is left out (nifti1.h, "METHOD 2").
+    /// The rotation by a unit quaternion. The file leaves out its first component (nifti1.h, "METHOD 2").
     fn qform(&self, spacing: [f64; 3]) -> ([DVec3; 3], DVec3) {
         let [mut b, mut c, mut d] = self.quatern;
         let mut square = 1.0 - (b * b + c * c + d * d);
         if square < 1e-7 {
-            // A half turn: rounding may have left nothing for the first part.
+            // For a rotation by 180°, rounding can make the first component imaginary.
             let scale = 1.0 / (b * b + c * c + d * d).sqrt();
             (b, c, d) = (b * scale, c * scale, d * scale);
             square = 0.0;
@@ -298,7 +294,7 @@ impl Header {
     }
 }
 
-/// Whether steps are independent and all is finite.
+/// Whether the steps are independent and all numbers are finite.
 fn is_usable((steps, origin): &([DVec3; 3], DVec3)) -> bool {
     let volume = steps[0].dot(steps[1].cross(steps[2])).abs();
     let lengths = steps.iter().map(|s| s.length()).product::<f64>();
@@ -307,5 +303,5 @@ fn is_usable((steps, origin): &([DVec3; 3], DVec3)) -> bool {
 
 const HEADER_1_BYTES: u64 = 348;
 const HEADER_2_BYTES: u64 = 540;
-/// Extensions before the voxels are smaller than this.
+/// Most bytes before the voxels.
 const MAX_SKIP: f64 = 1e12;

@@ -1,21 +1,21 @@
-//! NumPy arrays: `.npy`, and `.npz`, whose arrays are the channels, the largest first seen.
+//! NumPy arrays: `.npy` and `.npz`. The arrays of an archive are channels, and the largest is shown first.
 //!
-//! An array names neither its axes nor distances. The axis that is fastest in memory is taken as x, the next as y and z; of
-//! more, an axis of three or four entries that is fastest holds colours, and the slower ones channels and time.
+//! An array names neither its axes nor their distances. The fastest axis in memory is x, then come y and z. If there
+//! are more, a fastest axis with three or four entries contains colours. The slower axes are channels and time.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::axes::Geometry;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
-use crate::zip::Archive;
+use crate::zip;
 
 /// The first bytes of an array.
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
@@ -24,15 +24,15 @@ pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 pub(crate) struct NpyFile {
     plan: Plan,
     path: PathBuf,
-    /// Where the array is in the file.
-    place: Place,
+    /// The location of the array in the file.
+    place: ArrayLocation,
     /// Bytes before the first number.
     skip: u64,
 }
 
-/// A part of a file.
+/// The location of an array in a file.
 #[derive(Clone, Copy)]
-struct Place {
+struct ArrayLocation {
     offset: u64,
     length: Option<u64>,
     packing: Packing,
@@ -41,27 +41,18 @@ struct Place {
 impl NpyFile {
     /// `file` is the array at `path`.
     pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
-        let place = Place { offset: 0, length: None, packing: Packing::Plain };
+        let place = ArrayLocation { offset: 0, length: None, packing: Packing::Plain };
         let mut stream = Unpacked::open(file, path, 0, None, Packing::Plain)?;
         let (plan, skip) = header(&mut stream, path, "NumPy array")?;
         Ok(Self { plan, path: path.to_owned(), place, skip })
     }
 
-    /// `file` is the archive at `path`, of which the options choose an array.
-    pub(crate) fn open_archive(
-        mut file: File,
-        path: &Path,
-        options: &OpenOptions,
-    ) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "NumPy archive".into(),
-            problem,
-        };
-        let archive = Archive::read(&mut file, path)?;
+    /// `file` is the archive at `path`. The options choose an array.
+    pub(crate) fn open_archive(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
+        let bad = malformed(path, "NumPy archive");
         let mut arrays = Vec::new();
         let mut first_problem = None;
-        for entry in archive.entries.iter().filter(|e| e.name.ends_with(".npy")).take(MAX_ARRAYS) {
+        for entry in zip::entries(file, path, ".npy", MAX_ARRAYS)? {
             options.check_cancelled(path)?;
             let packing = match entry.method {
                 0 => Packing::Plain,
@@ -73,9 +64,8 @@ impl NpyFile {
                     continue;
                 }
             };
-            let offset = entry.data_offset(&mut file, path)?;
-            let place = Place { offset, length: Some(entry.packed_bytes), packing };
-            let mut stream = Unpacked::open(open_file(path)?, path, offset, place.length, packing)?;
+            let place = ArrayLocation { offset: entry.offset, length: Some(entry.packed_bytes), packing };
+            let mut stream = Unpacked::open(open_file(path)?, path, place.offset, place.length, packing)?;
             match header(&mut stream, path, "NumPy archive") {
                 Ok((plan, skip)) => {
                     let name = entry.name.trim_end_matches(".npy");
@@ -87,7 +77,7 @@ impl NpyFile {
             }
         }
         let names: Vec<String> = arrays.iter().map(|a| a.0.clone()).collect();
-        // Of the largest in space there is one to be shown; beside it are masks, axes and tables.
+        // An archive often has masks and tables beside an image, so the largest array in space is the default.
         let in_space = |plan: &Plan| {
             let sizes =
                 [0, 1, 2].map(|i| plan.axes.iter().find(|a| a.role == Role::Space(i)).map_or(1, |a| a.size));
@@ -98,18 +88,14 @@ impl NpyFile {
         let is_one = arrays.get(usual).is_some_and(|a| has_channels(&a.1));
         let index = if is_one { usual } else { options.selection.channel.map_or(usual, |n| n as usize) };
         let Some((_, mut plan, place, skip)) = arrays.into_iter().nth(index) else {
-            let what = "channel";
-            return Err(match (names.len() as u64, first_problem) {
+            return Err(match (names.len(), first_problem) {
                 (0, Some(problem)) => problem,
-                (0, None) if archive.entries.iter().any(|e| e.name.ends_with(".npy")) => {
-                    bad("no array was found in it".into())
-                }
                 (0, None) => FormatError::Unsupported {
                     path: shown(path),
                     found: "a ZIP archive without NumPy arrays",
                     expected: "what is in it: unpack it, and open the file or folder",
                 },
-                (found, _) => FormatError::Selection { path: shown(path), what, asked: index as u64, found },
+                (found, _) => not_there(path, "channel", index as u64, found),
             });
         };
         if names.len() > 1 && !is_one && has_channels(&plan) {
@@ -134,17 +120,17 @@ impl VolumeFile for NpyFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
-        let Place { offset, length, packing } = self.place;
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
+        let ArrayLocation { offset, length, packing } = self.place;
         let data = Unpacked::open(open_file(&self.path)?, &self.path, offset, length, packing)?;
-        let num_bytes = taker.num_bytes();
-        data.take(taker, &self.path, self.skip, num_bytes)
+        let num_bytes = collector.num_bytes();
+        data.take(collector, &self.path, self.skip, num_bytes)
     }
 }
 
 /// The header of an array and its length in bytes.
 fn header(stream: &mut dyn Read, path: &Path, format: &str) -> Result<(Plan, u64), FormatError> {
-    let bad = |problem: String| FormatError::Malformed { path: shown(path), format: format.into(), problem };
+    let bad = malformed(path, format);
     let io = io_error(path);
     let mut start = Vec::new();
     stream.take(8).read_to_end(&mut start).map_err(&io)?;
@@ -169,9 +155,9 @@ fn header(stream: &mut dyn Read, path: &Path, format: &str) -> Result<(Plan, u64
     Ok((plan, 8 + length_bytes as u64 + u64::from(length)))
 }
 
-/// What the dictionary in `text` says.
+/// The plan of the dictionary in `text`.
 fn plan(text: &str, format: &str) -> Result<Plan, String> {
-    // After the key: the value, and what follows.
+    // Returns the text after a key, which begins with its value.
     let value = |key: &str| {
         let quoted_key = [format!("'{key}'"), format!("\"{key}\"")];
         let after = quoted_key.iter().find_map(|k| text.split_once(k.as_str()));
@@ -201,7 +187,7 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
     if !is_fortran {
         sizes.reverse();
     }
-    // Axes of one entry beyond the third say nothing, slow ones or fast.
+    // Slow or fast axes with one entry have no meaning if there are more than three axes.
     while sizes.len() > 3 && sizes.last() == Some(&1) {
         sizes.pop();
     }
@@ -229,9 +215,9 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
     Ok(plan)
 }
 
-/// Headers of arrays with many fields are larger, but those are not read.
+/// Longest header in bytes. Only unsupported arrays of structures have longer ones.
 const MAX_HEADER_BYTES: u32 = 1 << 16;
-/// Arrays that a sentence names.
+/// Most arrays in a warning.
 const MAX_NAMED: usize = 8;
-/// Arrays of an archive that are looked at.
+/// Most arrays of an archive.
 const MAX_ARRAYS: usize = 256;

@@ -1,17 +1,17 @@
-//! What a file holds and what of it would be shown: known before any voxel is read.
+//! The contents of a file, known before any voxel is read.
 
 use std::fmt;
 
-use crate::select::Selection;
+use crate::selection::Selection;
 use crate::warning::Warning;
 
-/// What there is in a file or folder, and the part of it that the options take.
+/// What a file or folder contains, and the part that the options select.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outline {
     /// File name or name of the built-in volume.
     #[serde(skip)]
     pub name: String,
-    /// What would be shown: channel, time, level and series are named.
+    /// The selected part. Channel, time, level and series are always set.
     #[serde(skip)]
     pub shown: Selection,
     /// Format, such as `NIfTI-1, gzip`.
@@ -19,7 +19,7 @@ pub struct Outline {
     /// Type of a voxel in the file.
     #[serde(skip)]
     pub dtype: String,
-    /// Voxels along x, y, z of what would be shown.
+    /// Voxels along x, y, z of the selected part.
     #[serde(skip)]
     pub dims: [u32; 3],
     /// Distances between voxel centres along x, y, z.
@@ -27,40 +27,40 @@ pub struct Outline {
     pub spacing: [f32; 3],
     /// Unit of the spacing, if known.
     pub unit: Option<String>,
-    /// Where the axes of the volume point, such as `RAS`, if known.
+    /// The directions of the volume's axes, such as `RAS`, if known.
     #[serde(skip)]
     pub orientation: Option<String>,
-    /// Where the axes of the file point, such as `LPS`, or `+x+y+z` where no body is known.
+    /// The directions of the file's axes, such as `LPS`, or `+x+y+z` without a body.
     pub file_axes: String,
-    /// Voxels along x, y, z of the whole, of which a region may be taken.
+    /// Voxels along x, y, z of the whole volume.
     pub whole_dims: [u64; 3],
-    /// Names of the channels, or their numbers; empty for one without a name.
+    /// Names or numbers of the channels; empty for one channel without a name.
     pub channels: Vec<String>,
-    /// How many channels there are: names are listed up to a limit.
+    /// Number of channels. The list of names has an upper limit.
     pub num_channels: u64,
     /// Points in time.
     pub num_times: u64,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub levels: Vec<Level>,
-    /// The level that would be shown.
+    /// The selected level.
     pub level: u32,
-    /// Series of a folder in words; empty if there is one.
+    /// Descriptions of the series of a folder; empty if there is only one.
     pub series: Vec<String>,
-    /// How the volume was taken (`CT`, `MR`, …), if known.
+    /// The imaging modality (`CT`, `MR`, …), if known.
     pub modality: Option<String>,
     /// Unit of the values, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value_unit: Option<String>,
-    /// Centre of the volume in the world of the file, RAS+ for a body, if known.
+    /// Centre of the volume in the world of the file, which is RAS+ for a body; `None` if unknown.
     pub center: Option<[f64; 3]>,
     /// Directions of x, y and z in that world, if known.
     pub directions: Option<[[f64; 3]; 3]>,
-    /// Bytes the volume will take in memory, on the GPU as well.
+    /// Bytes that the volume takes in memory and on the GPU.
     #[serde(skip)]
     pub bytes_in_memory: u64,
-    /// Bytes the voxels take while they are read.
+    /// Bytes that the voxels take during reading.
     pub bytes_while_reading: u64,
-    /// What is odd about the header, or was chosen.
+    /// Warnings about the header and the selection.
     #[serde(skip)]
     pub warnings: Vec<Warning>,
 }
@@ -75,14 +75,14 @@ pub struct Level {
 }
 
 impl Outline {
-    /// Bytes of memory that there must be to open it: while it is read or after, whichever is more.
+    /// Bytes of memory that are needed to open the volume: the larger of the needs during and after reading.
     pub fn bytes_needed(&self) -> u64 {
         self.bytes_in_memory.max(self.bytes_while_reading)
     }
 }
 
 impl fmt::Display for Outline {
-    /// What a person wants to know beside dimensions, type and memory; a few lines, each ending in a line feed.
+    /// Prints a few lines beside dimensions, type and memory. Each ends with a line feed.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(f, "  format       {}", self.format)?;
         let sides = |dims: &[u64; 3]| format!("{} × {} × {}", dims[0], dims[1], dims[2]);
@@ -119,5 +119,5 @@ impl fmt::Display for Outline {
     }
 }
 
-/// Channels that a line names.
+/// Most channels in a line.
 const MAX_NAMED: usize = 16;

@@ -1,4 +1,4 @@
-//! What a header says, in the terms of all formats, and what of it becomes the volume.
+//! The contents of a header in the terms of all formats, and the selection of a volume.
 
 use std::ops::Range;
 use std::path::Path;
@@ -6,12 +6,12 @@ use std::path::Path;
 use isinglass_core::volume::{Volume, VolumeInfo};
 
 use crate::axes::{Geometry, Grid};
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, shown};
+use crate::error::{FormatError, malformed, shown};
 use crate::outline::{Level, Outline};
-use crate::select::Selection;
+use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
-use crate::taker::Taker;
 use crate::warning::{Warning, WarningKind};
 
 /// An axis of the numbers in a file.
@@ -21,67 +21,67 @@ pub(crate) struct Axis {
     pub(crate) role: Role,
 }
 
-/// What an axis runs along.
+/// The meaning of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
-    /// The first, second or third axis in space, the fastest first, as [`Geometry`] counts them. Each occurs once.
+    /// The first, second or third spatial axis, the fastest first. Each occurs once.
     Space(usize),
     Channel,
     Time,
-    /// What the reader has chosen on its own: this entry.
+    /// The reader itself selects this entry.
     Picked(u64),
-    /// Nothing: it has one entry.
+    /// The axis has one entry and no meaning.
     Single,
 }
 
 impl Axis {
-    /// Three axes in space, fastest first.
+    /// Three spatial axes, the fastest first.
     pub(crate) fn in_space(dims: [u64; 3]) -> Vec<Self> {
         dims.into_iter().enumerate().map(|(i, size)| Self { size, role: Role::Space(i) }).collect()
     }
 }
 
-/// What a header says.
+/// The contents of a header.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
-    /// Name of the format and what matters of its kind, such as `NIfTI-1, gzip`.
+    /// Name and variant of the format, such as `NIfTI-1, gzip`.
     pub(crate) format: String,
     pub(crate) dtype: Dtype,
     pub(crate) endian: Endian,
-    /// The axes of the numbers, fastest first. A channel or time that the reader has chosen on its own is none.
+    /// The axes of the numbers, the fastest first. An axis along which the reader selects may be missing.
     pub(crate) axes: Vec<Axis>,
     pub(crate) geometry: Geometry,
-    /// Slope and intercept: from numbers to values.
+    /// Slope and intercept that turn numbers into values.
     pub(crate) value_map: (f64, f64),
-    /// Names of the channels, as far as they have some.
+    /// Names of the channels, as far as they are known.
     pub(crate) channel_names: Vec<String>,
-    /// Number of channels if they are no axis.
+    /// Number of channels if no axis has them.
     pub(crate) num_channels: u64,
-    /// The channel that is shown if none is asked for.
+    /// The default channel.
     pub(crate) channel: u64,
-    /// Number of points in time if they are no axis.
+    /// Number of points in time if no axis has them.
     pub(crate) num_times: u64,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
-    /// The level that is taken.
+    /// The selected level.
     pub(crate) level: usize,
-    /// Series of a folder, each in words; empty if there is one.
+    /// Descriptions of the series of a folder; empty if there is only one.
     pub(crate) series: Vec<String>,
-    /// The series that is shown if none is asked for.
+    /// The default series.
     pub(crate) usual_series: u32,
     pub(crate) modality: Option<String>,
-    /// Unit of the values, by [`unit_of_values`].
+    /// Unit of the values, from [`crate::units::value_unit`].
     pub(crate) value_unit: Option<String>,
-    /// What to say of the spacing if the file does not know it, and the options neither.
+    /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
-    /// Whether a float that is not a number stands for a voxel without a value. In a file without a header it stands for a
-    /// wrong guess.
+    /// Whether a float that is not a number is a voxel without a value. In a raw file, it hints at a wrong type
+    /// instead.
     pub(crate) has_gaps: bool,
     pub(crate) warnings: Vec<Warning>,
 }
 
 impl Plan {
-    /// A plan of one channel at one time with values as they are.
+    /// A plan with one channel at one time, and values equal to the numbers.
     pub(crate) fn new(
         format: impl Into<String>,
         dtype: Dtype,
@@ -116,7 +116,7 @@ impl Plan {
         self.warnings.push(Warning::new(kind, text));
     }
 
-    /// Entries along the axis of this role; 1 if there is none.
+    /// Entries along the axis with this role; 1 if there is no such axis.
     fn size(&self, role: Role) -> u64 {
         self.axes.iter().find(|a| a.role == role).map_or(1, |a| a.size)
     }
@@ -129,7 +129,7 @@ impl Plan {
         self.size(Role::Time).max(self.num_times)
     }
 
-    /// Names of all channels that a list can show.
+    /// Names of the channels, up to the limit of a list.
     fn names(&self) -> Vec<String> {
         let num_shown = self.channels().min(MAX_LISTED) as usize;
         (0..num_shown)
@@ -139,21 +139,20 @@ impl Plan {
             .collect()
     }
 
-    /// How many numbers the file holds, if that can be counted.
+    /// How many numbers the file holds; `None` if their bytes overflow.
     fn num_elements(&self) -> Option<u64> {
         let count = self.axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.size))?;
         count.checked_mul(self.dtype.num_bytes() as u64).map(|_| count)
     }
 
-    /// What the options take of it.
+    /// The part that the options select.
     pub(crate) fn choose(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
-        let bad =
-            |problem| FormatError::Malformed { path: shown(path), format: self.format.clone(), problem };
+        let bad = malformed(path, &self.format);
         let selection = options.selection;
         let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
         let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
             let sizes: Vec<String> = self.axes.iter().map(|a| a.size.to_string()).collect();
-            bad(format!("sizes {} are none or too many to count", sizes.join(" ")))
+            bad(format!("sizes {} are zero or too large", sizes.join(" ")))
         })?;
         let geometry = match options.spacing {
             Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
@@ -193,7 +192,7 @@ impl Plan {
             Role::Single => 0..axis.size,
         });
         let ranges: Vec<Range<u64>> = ranges.collect();
-        // At most 2048³: no product can overflow.
+        // The product is at most 2048³.
         let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
         let (channel, time) = (channel as u32, time as u32);
         let chosen = Chosen { grid, channel, time, ranges, num_voxels, in_file, warnings };
@@ -201,7 +200,7 @@ impl Plan {
         Ok(chosen)
     }
 
-    /// What there is, and what would be taken.
+    /// The outline of the file with the selected part.
     pub(crate) fn outline(&self, path: &Path, chosen: &Chosen, options: &OpenOptions) -> Outline {
         let grid = &chosen.grid;
         let level = options.selection.level.unwrap_or(self.level as u32);
@@ -236,7 +235,7 @@ impl Plan {
             value_unit: self.value_unit.clone(),
             center: grid.placement.map(|p| p.center),
             directions: grid.placement.map(|p| p.axes),
-            // One more byte for the brightness of each voxel, as `Volume::bytes_in_memory` counts.
+            // The brightness of each voxel takes one byte more, as in `Volume::bytes_in_memory`.
             bytes_in_memory: chosen.num_voxels * (self.dtype.num_bytes_in_memory() as u64 + 1),
             bytes_while_reading: chosen.bytes_while_reading(self.dtype),
             warnings: chosen.warnings.clone(),
@@ -244,16 +243,16 @@ impl Plan {
     }
 }
 
-/// What is taken of a file.
+/// The selected part of a file.
 #[derive(Debug)]
 pub(crate) struct Chosen {
     pub(crate) grid: Grid,
     pub(crate) channel: u32,
     pub(crate) time: u32,
-    /// Along each axis of the plan.
+    /// The range along each axis of the plan.
     pub(crate) ranges: Vec<Range<u64>>,
     pub(crate) num_voxels: u64,
-    /// Numbers in the whole file; their bytes can be counted too.
+    /// Numbers in the whole file. Their bytes fit into 64 bits.
     pub(crate) in_file: u64,
     pub(crate) warnings: Vec<Warning>,
 }
@@ -268,20 +267,20 @@ impl Chosen {
 pub(crate) trait VolumeFile {
     fn plan(&self) -> &Plan;
 
-    /// Gives the voxels that are wanted to `taker`, in the order of the file.
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError>;
+    /// Passes the selected voxels to `collector`, in the order of the file.
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError>;
 }
 
-/// Reads what the options take of `file`, the file at `path`.
+/// Reads the selected part of `file`, the file at `path`.
 pub(crate) fn read_volume(
     mut file: Box<dyn VolumeFile + '_>,
     path: &Path,
     options: &OpenOptions,
 ) -> Result<Volume, FormatError> {
     let chosen = file.plan().choose(path, options)?;
-    let mut taker = Taker::new(file.plan(), &chosen, path, options);
-    file.read(&mut taker)?;
-    let decoded = taker.finish()?;
+    let mut collector = Collector::new(file.plan(), &chosen, path, options);
+    file.read(&mut collector)?;
+    let decoded = collector.finish()?;
     let plan = file.plan();
     let mut warnings = chosen.warnings;
     warnings.extend(decoded.warnings);
@@ -302,16 +301,16 @@ pub(crate) fn read_volume(
         .map_err(|cause| FormatError::Volume { path: shown(path), cause })
 }
 
-/// A unit in the words of a file, cut to what fits beside a number; none where they say that there is none.
-pub(crate) fn unit_of_values(words: &str) -> Option<String> {
-    let is_none = ["", "none", "unknown", "relative", "gray value"]
-        .contains(&words.trim().to_ascii_lowercase().as_str());
-    let unit = || words.trim().chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect();
-    (!is_none).then(unit)
+/// The names of the channels of an RGB or RGBA voxel with `num_channels` numbers.
+pub(crate) fn color_names(num_channels: u64) -> Vec<String> {
+    ["red", "green", "blue", "alpha"]
+        .into_iter()
+        .zip(0..num_channels)
+        .map(|(name, _)| name.to_owned())
+        .collect()
 }
 
-const MAX_UNIT_CHARS: usize = 24;
-/// Channels that are listed at all.
+/// Most channels in a list.
 const MAX_LISTED: u64 = 256;
-/// Channels that a sentence names.
+/// Most channels in a warning.
 const MAX_NAMED: usize = 8;

@@ -1,4 +1,4 @@
-//! Pictures as PNG files in memory.
+//! Encodes pictures as PNG files in memory.
 
 use std::io::Cursor;
 
@@ -14,10 +14,10 @@ pub struct PngError {
     cause: String,
 }
 
-/// The file of a picture of 8-bit sRGB, three bytes a pixel, row by row from the top.
+/// The PNG file of a picture in 8-bit sRGB, with three bytes for each pixel, row by row from the top.
 ///
 /// # Errors
-/// If the bytes are not so many.
+/// The number of bytes does not match the size.
 pub fn encode(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, PngError> {
     let failed = |cause: String| PngError { width, height, cause };
     let expected = width as usize * height as usize * 3;

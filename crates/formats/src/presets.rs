@@ -1,4 +1,4 @@
-//! The transfer functions that come with the program, and which of them suits a volume.
+//! The built-in transfer functions, and the choice of one for a volume.
 
 use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_core::volume::procedural::Builtin;
@@ -6,7 +6,7 @@ use isinglass_core::volume::{Histogram, Volume};
 
 use crate::transfer::transfer_from_toml;
 
-/// The preset of this name.
+/// The preset with this name.
 pub fn preset(name: &str) -> Option<TransferFunction> {
     let (_, text) = PRESETS.iter().find(|(n, _)| *n == name)?;
     Some(transfer_from_toml(text, name).expect("every preset is parsed by a test"))
@@ -17,8 +17,9 @@ pub fn preset_names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The preset to start with for a volume opened from `source`: built-in volumes have their own, CT and MR that say so the
-/// one of their modality, and others are judged by their voxels (never by their names). `histogram` must be the volume's own.
+/// The initial preset for a volume that is opened from `source`. Built-in volumes have their own, and CT and MR use
+/// the one of their modality. Other volumes are judged by their voxels, never by their names. `histogram` must be
+/// that of the volume.
 pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &'static str {
     let builtin =
         source.strip_prefix("builtin:").map(|name| name.split_once('@').map_or(name, |(kind, _)| kind));
@@ -27,15 +28,15 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         Some(Builtin::Cubus) => "cubus",
         Some(Builtin::Shells) => "shells",
         None => of_modality(volume).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
-            // A body, then, and not a plant or a stone.
+            // A volume with an orientation shows a body, not a plant or a stone.
             "ct" if volume.info.orientation.is_some() => "ct-windowed",
             name => name,
         }),
     }
 }
 
-/// [`default_preset`] as a transfer function. What a scanned thing stands in, resin or the gel of a dish, would hide it: where the
-/// volume's sides have nearly one value and the preset shows it, the domain begins so high that it is clear.
+/// [`default_preset`] as a transfer function. A scanned thing often stands in resin or gel, which would hide it. If
+/// the sides of the volume have nearly one visible value, the domain begins so high that this value is clear.
 pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
     let name = default_preset(source, volume, histogram);
     let mut transfer = preset(name).expect("the default is one of the presets");
@@ -44,7 +45,7 @@ pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) ->
         let Some(surroundings) = surroundings(volume, 0.2 * (hi - lo)) else { return transfer };
         let clear_below = transfer.points[0].x;
         let begin = (surroundings - clear_below * hi) / (1.0 - clear_below);
-        // Noise of a clear background is left alone.
+        // A background that is already clear stays as it is.
         if surroundings - lo > (clear_below + 0.1) * (hi - lo) && begin > lo && begin < hi {
             transfer.domain = Domain::Values(begin, hi);
         }
@@ -52,7 +53,7 @@ pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) ->
     transfer
 }
 
-/// The greatest value, but for a fiftieth, on the sides of a volume if nearly all of them lie within `span`.
+/// The 98th percentile of the values on the sides of a volume, if 96 % of them lie within `span`.
 fn surroundings(volume: &Volume, span: f32) -> Option<f32> {
     let dims = volume.dims().map(|d| d as i32);
     let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
@@ -74,7 +75,7 @@ fn surroundings(volume: &Volume, span: f32) -> Option<f32> {
     (at(0.98) - at(0.02) < span).then(|| at(0.98))
 }
 
-/// CT only in Hounsfield units, that is, with air of about −1000.
+/// The preset of the modality. CT must be in Hounsfield units, with air at about −1000.
 fn of_modality(volume: &Volume) -> Option<&'static str> {
     let (lo, hi) = volume.value_range();
     match volume.info.modality.as_deref()? {
@@ -84,17 +85,18 @@ fn of_modality(volume: &Volume) -> Option<&'static str> {
     }
 }
 
-/// What tells kinds of volumes apart. Values are taken relative to the range from the least to the 99.9th percentile.
+/// Statistics that distinguish kinds of volumes. Values are relative to the range from the least value to the 99.9th
+/// percentile.
 #[derive(Clone, Copy, Debug)]
 struct Statistics {
-    /// How many times the range the greatest value is away: large for a tail of few bright voxels.
+    /// The greatest value in units of the range. It is large if there are a few very bright voxels.
     tail: f32,
-    /// Share of voxels in the lowest tenth: air, or nothing.
+    /// Fraction of voxels in the lowest tenth, which are air or empty.
     air: f32,
-    /// Of the voxels above the lowest tenth, the share above 0.4.
+    /// Fraction of the voxels above the lowest tenth that exceed 0.4.
     dense: f32,
-    /// Of the voxels above the lowest tenth, median and mean difference to the mean of their six neighbours: noise and
-    /// fine structure.
+    /// Median and mean difference between a voxel above the lowest tenth and the mean of its six neighbours. It
+    /// measures noise and fine structure.
     roughness_median: f32,
     roughness_mean: f32,
 }
@@ -121,10 +123,10 @@ impl Statistics {
         }
     }
 
-    /// The bounds lie between the figures of real volumes of the kinds, which a test prints and checks: angiography
-    /// has 0.98 of air and others at most 0.91; a simulation has a median roughness of 0.002 and scans 0.005 or more;
-    /// a head in MRI has a mean roughness of 0.03 and CT below 0.015; a machine part has 0.77 of dense voxels and a
-    /// plant 0.5; the bright specks of microscopy stretch the range 25 times and others 1.4 times.
+    /// The bounds lie between the figures of real volumes, which a test prints and checks. Angiography has 0.98 of
+    /// air, others at most 0.91. A simulation has a median roughness of 0.002, scans at least 0.005. An MRI of a head
+    /// has a mean roughness of 0.03, CT less than 0.015. A machine part has 0.77 of dense voxels, a plant 0.5. Bright
+    /// specks in microscopy stretch the range 25 times, others 1.4 times.
     fn preset(&self) -> &'static str {
         match self {
             s if s.air > 0.95 => "angio",
@@ -137,7 +139,7 @@ impl Statistics {
     }
 }
 
-/// For a regular sample of the voxels above the lowest tenth, the difference to the mean of their six neighbours.
+/// The differences to the mean of the six neighbours, for a regular sample of the voxels above the lowest tenth.
 fn roughness(volume: &Volume, lo: f32, range: f32) -> Vec<f32> {
     let dims = volume.dims().map(|d| d as i32);
     let stride = dims.map(|d| ((d - 2) / SAMPLES_PER_SIDE).max(1));
@@ -161,7 +163,7 @@ fn roughness(volume: &Volume, lo: f32, range: f32) -> Vec<f32> {
 
 macro_rules! presets {
     ($($name:literal),*) => {
-        /// Names and texts, in the order in which they are listed to people.
+        /// Names and texts, in the order of lists.
         const PRESETS: &[(&str, &str)] =
             &[$(($name, include_str!(concat!("../../../configs/presets/", $name, ".toml")))),*];
     };
@@ -185,7 +187,7 @@ presets![
     "shells"
 ];
 
-/// At most about this many voxels along each axis are looked at: a quarter of a million in all, enough for two digits.
+/// Sampled voxels along each axis. The quarter of a million in all gives two digits.
 const SAMPLES_PER_SIDE: i32 = 64;
 
 #[cfg(test)]
@@ -212,14 +214,14 @@ mod tests {
         let mut names: Vec<_> = preset_names().collect();
         names.sort_unstable();
         assert_eq!(names, found);
-        // Whoever adds another kind of file to the folder also adds its test here.
+        // A new kind of file in the folder needs a test here.
         let others = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name());
         let mut others: Vec<_> = others.collect();
         others.sort_unstable();
         assert_eq!(others, ["presets", "server.toml", "viewer.toml"]);
     }
 
-    /// A jump in opacity would show as a hard edge and alias; the first point must start from nothing.
+    /// A jump in opacity would appear as a hard edge, so the first point must be clear.
     #[test]
     fn opacities_ramp_without_jumps() {
         for name in preset_names() {
@@ -237,7 +239,7 @@ mod tests {
             assert_eq!(default_preset(&format!("builtin:{name}"), &volume, &histogram), name);
             assert_eq!(default_preset(&format!("builtin:{name}@64"), &volume, &histogram), name);
         }
-        // The name counts only after "builtin:"; from a file the same voxels are judged as any others.
+        // The name counts only after "builtin:". The same voxels from a file are judged like any others.
         assert_ne!(default_preset("cubus", &volume, &histogram), "cubus");
     }
 
@@ -270,7 +272,7 @@ mod tests {
 
     #[test]
     fn what_a_thing_stands_in_is_clear() {
-        // How far above the first point of the curve the value `around` is; none: the preset is as it comes.
+        // The height of `around` above the first point of the curve; `None` if the preset is unchanged.
         let shown = |around: u8, voxels: Vec<u8>| {
             let volume =
                 Volume::new([20; 3], Vec3::ONE, Voxels::U8(voxels), (1.0, 0.0), VolumeInfo::default());

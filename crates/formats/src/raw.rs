@@ -1,4 +1,4 @@
-//! Raw voxels: no header, the shape comes with the request.
+//! Raw voxels without a header. The request contains the shape.
 
 use std::fs::File;
 use std::io::{BufReader, Seek, SeekFrom};
@@ -9,13 +9,13 @@ use isinglass_core::volume::{Volume, VolumeError};
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::axes::Geometry;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
 use crate::plan::{Axis, Plan, VolumeFile};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
-/// What a raw file does not say of itself.
+/// The shape of a raw file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RawShape {
     /// Voxels along x (fastest), y and z.
@@ -50,7 +50,7 @@ mod in_numbers {
     }
 }
 
-/// TOML's numbers end at 2⁶³ − 1, as the sizes of files do.
+/// Integers in TOML are at most 2⁶³ − 1, like the sizes of files.
 fn offset_in_toml<S: Serializer>(offset: &u64, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_i64(i64::try_from(*offset).unwrap_or(i64::MAX))
 }
@@ -64,7 +64,7 @@ pub(crate) struct RawFile {
 }
 
 impl RawFile {
-    /// `file` is the file at `path`. Bytes after the last voxel are ignored with a warning.
+    /// `file` is the file at `path`. Bytes after the last voxel cause a warning.
     pub(crate) fn open(file: File, path: &Path, shape: &RawShape) -> Result<Self, FormatError> {
         let volume_error = |cause| FormatError::Volume { path: shown(path), cause };
         let RawShape { dims, dtype, spacing, endian, offset } = *shape;
@@ -78,7 +78,7 @@ impl RawFile {
         let mut plan = Plan::new("raw", dtype, endian, Axis::in_space(dims.map(u64::from)), geometry);
         plan.has_gaps = false;
         let found = file.metadata().map_err(io_error(path))?.len().saturating_sub(offset);
-        // At most 2048³ voxels of 8 bytes: no product can overflow.
+        // The product is at most 2048³ voxels of 8 bytes.
         let num_bytes = dims.iter().map(|&d| u64::from(d)).product::<u64>() * dtype.num_bytes() as u64;
         if found > num_bytes {
             plan.warn(
@@ -95,12 +95,12 @@ impl VolumeFile for RawFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let io = io_error(&self.path);
         let found = self.file.metadata().map_err(&io)?.len().saturating_sub(self.offset);
-        let num_bytes = taker.num_bytes();
+        let num_bytes = collector.num_bytes();
         if found < num_bytes {
-            let mut short = taker.short(&self.path, num_bytes, found, "bytes");
+            let mut short = collector.short(&self.path, num_bytes, found, "bytes");
             if let FormatError::Short { shape, .. } = &mut short {
                 *shape += &format!(" from byte {}", self.offset);
             }
@@ -108,6 +108,6 @@ impl VolumeFile for RawFile {
         }
         let mut reader = BufReader::new(&mut self.file);
         reader.seek(SeekFrom::Start(self.offset)).map_err(&io)?;
-        taker.pump(&mut reader, &self.path, num_bytes)
+        collector.pump(&mut reader, &self.path, num_bytes)
     }
 }

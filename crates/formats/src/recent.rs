@@ -1,37 +1,38 @@
-//! What was opened lately, as a small TOML file. It never holds a token or a fingerprint: a link is for one viewer and once.
+//! The list of recently opened servers and volumes, as a small TOML file. It never contains a token or a fingerprint,
+//! because a link is for one viewer and one use.
 
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
-use crate::select::{Region, Selection};
-use crate::state::{line_at, one_line};
+use crate::selection::{Region, Selection};
+use crate::source::read_file;
 use crate::volume_source::VolumeSource;
 
-/// Servers and volumes, the one that was used last first.
+/// Servers and volumes, the most recent first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recent {
-    /// The folder that was looked into last.
+    /// The last open folder.
     pub folder: Option<PathBuf>,
-    /// At most [`Recent::MAX`].
+    /// The entries, at most [`Recent::MAX`].
     pub entries: Vec<RecentEntry>,
 }
 
 /// Something that was opened.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecentEntry {
-    /// Where it is.
+    /// Its location.
     pub place: RecentPlace,
-    /// What it showed: the name of a volume.
+    /// The name of the volume that it showed.
     pub shows: String,
-    /// When it was used last, seconds since 1970.
+    /// When it was last used, in seconds since 1970.
     pub used_at: u64,
 }
 
-/// Where something was opened.
+/// The location of an entry.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecentPlace {
     /// A server.
@@ -41,15 +42,15 @@ pub enum RecentPlace {
         /// UDP port.
         port: u16,
     },
-    /// A volume of this machine.
+    /// A volume on this machine.
     Volume(VolumeSource),
 }
 
 impl Recent {
-    /// Entries that are kept.
+    /// Most entries in the list.
     pub const MAX: usize = 12;
 
-    /// Puts an entry first, in place of one of the same server or volume.
+    /// Puts an entry first and removes an older one of the same server or volume.
     pub fn note(&mut self, entry: RecentEntry) {
         let is_same = |other: &RecentEntry| match (&other.place, &entry.place) {
             (RecentPlace::Volume(a), RecentPlace::Volume(b)) => a.source == b.source,
@@ -60,7 +61,7 @@ impl Recent {
         self.entries.truncate(Self::MAX);
     }
 
-    /// Puts all of a newer list before this one.
+    /// Puts all entries of a newer list first.
     pub fn note_all(&mut self, newer: Self) {
         for entry in newer.entries.into_iter().rev() {
             self.note(entry);
@@ -68,35 +69,36 @@ impl Recent {
         self.folder = newer.folder.or(self.folder.take());
     }
 
-    /// Reads the file at `path`; one that is not there holds nothing.
+    /// Reads the file at `path`. A missing file is an empty list.
     ///
     /// # Errors
-    /// If it cannot be read, or is no such list.
+    /// The file cannot be read, or it is not such a list.
     pub fn read(path: &Path) -> Result<Self, FormatError> {
-        match std::fs::metadata(path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
-            Ok(found) if found.len() > MAX_BYTES => {
-                let expected = "a list of what was opened lately, of at most 64 kB";
-                return Err(FormatError::Unsupported { path: shown(path), found: "a longer file", expected });
-            }
-            _ => {}
+        if !path.try_exists().map_err(io_error(path))? {
+            return Ok(Self::default());
         }
-        let text = std::fs::read_to_string(path).map_err(io_error(path))?;
-        Self::parse(&text).map_err(|(line, problem)| FormatError::Syntax { path: shown(path), line, problem })
+        let unsupported = |found| FormatError::Unsupported {
+            path: shown(path),
+            found,
+            expected: "a list of what was opened lately, of at most 64 kB",
+        };
+        let bytes = read_file(path, MAX_BYTES)?.ok_or_else(|| unsupported("a longer file"))?;
+        let text = String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
+        Self::parse(&text).map_err(syntax_error(path, &text))
     }
 
-    /// What a list says, or the line and what is wrong with it.
-    fn parse(text: &str) -> Result<Self, (usize, String)> {
-        let stored: Stored<toml::Table> = toml::from_str(text)
-            .map_err(|e| (line_at(text, e.span().map_or(0, |s| s.start)), one_line(e.message())))?;
+    /// The list in a text.
+    fn parse(text: &str) -> Result<Self, toml::de::Error> {
+        let stored: Stored<toml::Table> = toml::from_str(text)?;
         let entry = |table: toml::Table| table.try_into::<StoredEntry>().ok()?.entry();
         let entries = stored.recent.into_iter().filter_map(entry).take(Self::MAX).collect();
         Ok(Self { folder: stored.folder.map(PathBuf::from), entries })
     }
 
-    /// As TOML that [`Recent::read`] takes: without the last entries and the folder, as far as they are too long for it.
+    /// The list as TOML for [`Recent::read`]. The last entries and the folder are left out if the text would be too
+    /// long.
     pub fn to_toml(&self) -> String {
-        // A path that is no text is found again by hand.
+        // A path that is not UTF-8 is not saved.
         let folder = self.folder.as_ref().and_then(|folder| folder.to_str()).map(str::to_owned);
         let mut stored = Stored { folder, recent: self.entries.iter().map(StoredEntry::of).collect() };
         loop {
@@ -104,7 +106,7 @@ impl Recent {
             if text.len() as u64 <= MAX_BYTES {
                 return text;
             }
-            // The folder alone is left at the end, and may be too long too.
+            // At the end only the folder remains, and it may be too long as well.
             if stored.recent.pop().is_none() {
                 stored.folder = None;
             }
@@ -112,11 +114,10 @@ impl Recent {
     }
 }
 
-/// Entries are read one by one, so that one that makes no sense takes no other with it.
+/// The file. Entries are read one by one, so that an invalid one does not affect the others.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored<E> {
-    #[serde(skip_serializing_if = "Option::is_none")]
     folder: Option<String>,
     #[serde(default)]
     recent: Vec<E>,
@@ -125,26 +126,17 @@ struct Stored<E> {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredEntry {
-    #[serde(skip_serializing_if = "Option::is_none")]
     server: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     volume: Option<String>,
     #[serde(default)]
     shows: String,
     used_at: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
     channel: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     time: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     level: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     series: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     region: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     spacing: Option<[f32; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     raw: Option<RawShape>,
 }
 
@@ -171,7 +163,7 @@ impl StoredEntry {
         }
     }
 
-    /// None for one that makes no sense: it is left out.
+    /// The entry, or `None` if it is invalid.
     fn entry(self) -> Option<RecentEntry> {
         let Self { channel, time, level, series, spacing, raw, .. } = self;
         let place = match (self.server, self.volume) {
@@ -195,9 +187,9 @@ impl StoredEntry {
     }
 }
 
-/// Longest list that is read.
+/// Longest file in bytes.
 const MAX_BYTES: u64 = 64 << 10;
-/// Longest name of a volume, characters.
+/// Longest name of a volume, in characters.
 const MAX_NAME: usize = 200;
 
 #[cfg(test)]
@@ -253,7 +245,7 @@ mod tests {
         let read = Recent::read(&path).unwrap();
         assert!((2..Recent::MAX).contains(&read.entries.len()), "{}", read.entries.len());
         assert_eq!((&read.folder, &read.entries[..]), (&list.folder, &list.entries[..read.entries.len()]));
-        // A folder alone that is too long, or is no text.
+        // The folder alone is too long, or it is not UTF-8.
         let list = Recent { folder: Some("/".repeat(1 << 17).into()), entries: vec![server(1, 2)] };
         assert_eq!(Recent::parse(&list.to_toml()), Ok(Recent::default()));
         #[cfg(unix)]
@@ -297,7 +289,8 @@ mod tests {
         for length in 0..good.len() {
             let _ = Recent::parse(&good[..length]);
         }
-        assert_eq!(Recent::parse("recent = 3").unwrap_err().0, 1);
+        let error = |text| syntax_error(Path::new("a"), text)(Recent::parse(text).unwrap_err()).to_string();
+        assert!(error("recent = 3").starts_with("a: line 1: "));
         assert!(Recent::parse("token = \"00\"").is_err(), "nothing else is in it");
         for bad in [
             "server = \"h\"",
@@ -319,14 +312,14 @@ mod tests {
             let text = format!("{good}\n[[recent]]\nused_at = 1\n{bad}\n\n{other}");
             assert_eq!(Recent::parse(&text).unwrap().entries, kept, "{bad}");
         }
-        // The control: a shape that is one.
+        // Control: a valid shape is kept.
         let raw = "volume = \"/a\"\nraw.dims = [5, 6, 7]\nraw.dtype = \"uint8\"";
         let read = Recent::parse(&format!("[[recent]]\nused_at = 1\n{raw}\n")).unwrap();
         let RecentPlace::Volume(VolumeSource { raw: Some(raw), .. }) = &read.entries[0].place else {
             panic!("{read:?}")
         };
         assert_eq!((raw.dims, raw.dtype, raw.offset), ([5, 6, 7], Dtype::Uint8, 0));
-        let (_, message) = Recent::parse(&format!("\"{}\" = 1", "\\u001b".repeat(5000))).unwrap_err();
+        let message = error(&format!("\"{}\" = 1", "\\u001b".repeat(5000)));
         assert!(message.len() < 400 && !message.contains(char::is_control), "{message:?}");
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("recent.toml");

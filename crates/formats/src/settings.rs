@@ -1,58 +1,52 @@
-//! Files of settings: TOML of sections with keys, read into a flat list in which each knows its line. What the keys mean is
-//! for whoever reads them.
+//! Reads settings from TOML with sections into a flat list. Each setting knows its line, and the caller interprets
+//! the keys.
 
-use std::io::Read;
 use std::path::Path;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::error::{FormatError, io_error, shown};
-use crate::source::open_file;
-use crate::state::{line_at, one_line};
+use crate::error::{FormatError, io_error, line_at, one_line, shown, syntax_error};
+use crate::source::read_file;
 use crate::transfer::text_literal;
 
-/// A setting of a file.
+/// A setting in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
-    /// The table that it stands in; empty at the top.
+    /// The section; empty at the top.
     pub section: String,
-    /// Its name there.
+    /// Its name in the section.
     pub key: String,
-    /// What it is set to.
+    /// Its value.
     pub value: SettingValue,
-    /// The line, from 1.
+    /// The line, counted from 1.
     pub line: usize,
 }
 
-/// What a setting is set to, as a command line would have it.
+/// The value of a setting, as on a command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SettingValue {
-    /// A string, or a number or truth value as it is written.
+    /// A string, or the text of a number or truth value.
     Text(String),
-    /// Several of them.
+    /// A list of these.
     List(Vec<String>),
 }
 
-/// The settings in a file; none if there is no such file.
+/// The settings in a file; `None` if there is no such file.
 ///
 /// # Errors
-/// One line, if it cannot be read or is no TOML of sections.
+/// The file cannot be read, or it is not TOML with sections. The message is one line.
 pub fn read_settings(path: &Path) -> Result<Option<Vec<Setting>>, FormatError> {
     if !path.try_exists().map_err(io_error(path))? {
         return Ok(None);
     }
     let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: "settings" };
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_SETTINGS_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    if bytes.len() as u64 > MAX_SETTINGS_BYTES {
-        return Err(unsupported("more than 1 MiB"));
-    }
+    let bytes = read_file(path, MAX_SETTINGS_BYTES)?.ok_or_else(|| unsupported("more than 1 MiB"))?;
     let text = String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
     settings_from_toml(&text, path).map(Some)
 }
 
-/// The settings in a text, in its order. `path` is for messages.
+/// The settings in a text, in order. `path` is for messages.
 ///
 /// # Errors
 /// As [`read_settings`].
@@ -62,8 +56,7 @@ pub fn settings_from_toml(text: &str, path: &Path) -> Result<Vec<Setting>, Forma
         line: line_at(text, at),
         problem,
     };
-    let whole =
-        DeTable::parse(text).map_err(|e| syntax(e.span().map_or(0, |s| s.start), one_line(e.message())))?;
+    let whole = DeTable::parse(text).map_err(syntax_error(path, text))?;
     let mut settings = Vec::new();
     for (section, value) in whole.get_ref() {
         let at = section.span().start;
@@ -119,7 +112,7 @@ fn scalar_of(text: &str, value: &Spanned<DeValue<'_>>) -> Option<String> {
 }
 
 impl SettingValue {
-    /// As TOML that reads back as this.
+    /// The value as TOML that reads back as the same value.
     pub fn literal(&self) -> String {
         match self {
             Self::Text(text) => scalar_literal(text),
@@ -130,7 +123,7 @@ impl SettingValue {
     }
 }
 
-/// Numbers and truth values stay what they are.
+/// Writes numbers and truth values without quotes.
 fn scalar_literal(text: &str) -> String {
     let digits = text.strip_prefix('-').unwrap_or(text);
     let (whole, part) = digits.split_once('.').map_or((digits, None), |(w, p)| (w, Some(p)));
@@ -140,7 +133,7 @@ fn scalar_literal(text: &str) -> String {
     if is_number || text == "true" || text == "false" { text.to_owned() } else { text_literal(text) }
 }
 
-/// A file larger than this holds no settings.
+/// Longest file of settings.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 
 #[cfg(test)]

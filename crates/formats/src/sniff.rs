@@ -1,15 +1,15 @@
-//! Tells formats apart by their first bytes, and by the end of the name where they have no mark of their own.
+//! Recognises formats by their first bytes. Formats without a mark need a known suffix.
 
 use std::path::Path;
 
 use crate::{dicom, metaimage, mrc, nifti, npy};
 
-/// A format, as far as the first bytes tell.
+/// The format of a file, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum FileKind {
     Nrrd,
     Nifti,
-    /// A NIfTI file, or anything else, in gzip.
+    /// Gzip data: a NIfTI file or anything else.
     Gzip,
     MetaImage,
     Npy,
@@ -18,17 +18,17 @@ pub(crate) enum Kind {
     Tiff,
     Dicom,
     Vti,
-    /// None that is read here; what it looks like.
+    /// An unsupported format, with a description.
     Other(&'static str),
 }
 
-impl Kind {
-    /// Whether one such file is a volume by itself, as far as this tells.
+impl FileKind {
+    /// Whether a single file of this format is a volume.
     pub(crate) fn is_whole_volume(self) -> bool {
         matches!(self, Self::Nrrd | Self::Nifti | Self::MetaImage | Self::Npy | Self::Mrc | Self::Vti)
     }
 
-    /// What a file of this kind is called in a message.
+    /// The name of such a file in a message.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Nrrd => "an NRRD file",
@@ -46,30 +46,30 @@ impl Kind {
     }
 }
 
-/// The kind of the file at `path` that begins with `start`.
-pub(crate) fn kind_of(start: &[u8], path: &Path) -> Kind {
+/// The format of the file at `path`, which begins with `start`.
+pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
-        () if start.is_empty() => Kind::Other("an empty file"),
-        () if is_at(0, b"NRRD") => Kind::Nrrd,
-        () if is_at(0, &[0x1f, 0x8b]) => Kind::Gzip,
-        () if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| is_at(0, *magic)) => Kind::Tiff,
-        () if is_at(0, b"<VTKFile") || (is_at(0, b"<?xml") && contains(start, b"<VTKFile")) => Kind::Vti,
-        () if nifti::is_header(start) => Kind::Nifti,
-        () if metaimage::is_header(start) => Kind::MetaImage,
-        () if is_at(0, npy::MAGIC) => Kind::Npy,
-        () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => Kind::Zip,
-        () if mrc::is_header(start, path) => Kind::Mrc,
-        () if dicom::is_header(start) => Kind::Dicom,
-        () => Kind::Other(named(start, path).unwrap_or_else(|| other_name(start))),
+        () if start.is_empty() => FileKind::Other("an empty file"),
+        () if is_at(0, b"NRRD") => FileKind::Nrrd,
+        () if is_at(0, &[0x1f, 0x8b]) => FileKind::Gzip,
+        () if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| is_at(0, *magic)) => FileKind::Tiff,
+        () if is_at(0, b"<VTKFile") || (is_at(0, b"<?xml") && contains(start, b"<VTKFile")) => FileKind::Vti,
+        () if nifti::is_header(start) => FileKind::Nifti,
+        () if metaimage::is_header(start) => FileKind::MetaImage,
+        () if is_at(0, npy::MAGIC) => FileKind::Npy,
+        () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => FileKind::Zip,
+        () if mrc::is_header(start, path) => FileKind::Mrc,
+        () if dicom::is_header(start) => FileKind::Dicom,
+        () => FileKind::Other(named(start, path).unwrap_or_else(|| other_name(start))),
     }
 }
 
-/// What a file is that only its name tells, or its name and a few bytes.
+/// Unsupported formats that are recognised by the name of the file.
 fn named(start: &[u8], path: &Path) -> Option<&'static str> {
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
     match () {
-        // The version of all MGH files, the highest byte first.
+        // All MGH files begin with the version 1, the highest byte first.
         () if name.ends_with(".mgh") && start.starts_with(&[0, 0, 0, 1]) => Some(MGH),
         () if name.ends_with(".img") && path.with_extension("hdr").is_file() => {
             Some("voxels of a pair of files")
@@ -79,7 +79,7 @@ fn named(start: &[u8], path: &Path) -> Option<&'static str> {
     }
 }
 
-/// What gzip data at `path` is that is no NIfTI file.
+/// A description of gzip data at `path` that is not NIfTI.
 pub(crate) fn gzip_name(path: &Path) -> &'static str {
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
     match () {
@@ -89,12 +89,12 @@ pub(crate) fn gzip_name(path: &Path) -> &'static str {
     }
 }
 
-/// What could be read in place of a file that was found to be `found`: the way to it, where there is one.
+/// What the user can open instead of a file that is `found`.
 pub(crate) fn expected_for(found: &str) -> &'static str {
     WAYS.iter().find(|(name, _)| *name == found).map_or(EXPECTED, |(_, way)| way)
 }
 
-/// What a file that is not read here looks like, so that the message helps.
+/// A description of an unsupported file.
 fn other_name(start: &[u8]) -> &'static str {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
@@ -111,7 +111,7 @@ fn other_name(start: &[u8]) -> &'static str {
         () if is_at(0, b"BZh") || is_at(0, b"\xfd7zXZ") || is_at(0, b"\x28\xb5\x2f\xfd") => "compressed data",
         () if is_at(0, &[0x5c, 1, 0, 0]) || is_at(0, &[0, 0, 1, 0x5c]) => "an Analyze header",
         () if is_at(0, b"ZISRAWFILE") => "a Zeiss CZI file",
-        // Leica's blocks: 0x70, their length, 0x2a.
+        // Leica's blocks begin with 0x70, their length and 0x2a.
         () if is_at(0, &[0x70, 0, 0, 0]) && is_at(8, &[0x2a]) => "a Leica LIF file",
         () if is_at(0, &[0xda, 0xce, 0xbe, 0x0a]) => "a Nikon ND2 file",
         () if is_at(0, b"\0\0\0\x0cjP  ") => "a JPEG 2000 picture or an old Nikon ND2 file",
@@ -126,7 +126,7 @@ fn contains(bytes: &[u8], word: &[u8]) -> bool {
 
 const MGH: &str = "a FreeSurfer MGH volume";
 
-/// How a volume comes out of files that are not read here.
+/// How a user converts unsupported files.
 const WAYS: [(&str, &str); 10] = [
     (MGH, "NIfTI, which `mri_convert FILE FILE.nii.gz` makes of it"),
     ("an Analyze header", "NIfTI, which `nib-convert FILE.hdr FILE.nii` (nibabel) makes of it"),
@@ -142,8 +142,8 @@ const WAYS: [(&str, &str); 10] = [
 
 const BIO_FORMATS: &str = "OME-TIFF, which `bfconvert FILE FILE.ome.tif` (Bio-Formats) makes of it";
 
-/// What could be read.
+/// The supported formats.
 pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTI, MRC, NumPy or OME-Zarr, or raw voxels with their dimensions and type given";
 
-/// Enough for the marks of the formats that are told apart.
+/// Bytes that are enough to recognise all formats.
 pub(crate) const SNIFFED_BYTES: u64 = 1024;

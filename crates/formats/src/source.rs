@@ -1,4 +1,4 @@
-//! Where a volume comes from: a file, a folder, or the name of a built-in volume.
+//! Opens a volume from a file, a folder or the name of a built-in volume.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -15,24 +15,24 @@ use crate::error::{FormatError, io_error, quoted, shown};
 use crate::outline::Outline;
 use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
-use crate::select::Selection;
-use crate::sniff::{self, Kind};
+use crate::selection::Selection;
+use crate::sniff::{self, FileKind};
 use crate::{dicom, metaimage, mrc, nifti, npy, nrrd, raw, tiff, vti, zarr};
 
 /// How to open a volume.
 #[derive(Clone, Copy)]
 pub struct OpenOptions<'a> {
-    /// The shape of a raw file; without it a file must say its own.
+    /// The shape of a raw file; `None` for files with a header.
     pub raw: Option<RawShape>,
-    /// Which part of a file with more than one volume.
+    /// The part of the file to read.
     pub selection: Selection,
-    /// Distances between voxels along x, y and z, in place of those that the file knows.
+    /// Distances between voxels along x, y and z, instead of those in the file.
     pub spacing: Option<Vec3>,
-    /// Most bytes of memory the voxels may take, counting the second copy that some files need while reading.
+    /// Most bytes of memory for the voxels, including the second copy that some files need during reading.
     pub max_bytes: u64,
-    /// Told the fraction that was read, 0 to 1, now and then.
+    /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
-    /// Reading ends soon after this becomes true.
+    /// Set this flag to stop reading.
     pub cancel: Option<&'a AtomicBool>,
 }
 
@@ -50,7 +50,7 @@ impl Default for OpenOptions<'_> {
 }
 
 impl OpenOptions<'_> {
-    /// Whether `needed` bytes are allowed.
+    /// Refuses to use more than the allowed bytes of memory.
     pub(crate) fn check_memory(&self, path: &Path, needed: u64) -> Result<(), FormatError> {
         if needed > self.max_bytes {
             return Err(FormatError::TooLarge { path: shown(path), needed, limit: self.max_bytes });
@@ -58,7 +58,7 @@ impl OpenOptions<'_> {
         Ok(())
     }
 
-    /// Whether reading may go on.
+    /// Returns an error if reading was cancelled.
     pub(crate) fn check_cancelled(&self, path: &Path) -> Result<(), FormatError> {
         match self.cancel {
             Some(cancel) if cancel.load(Ordering::Relaxed) => {
@@ -69,8 +69,11 @@ impl OpenOptions<'_> {
     }
 }
 
-/// Opens `source`: the path of a file or folder in one of the formats of this crate, of a raw file whose shape the options
-/// tell, or `builtin:cloud|cubus|shells`, optionally with `@N` for N voxels along each side.
+/// Opens `source`: the path of a file or folder, or `builtin:cloud|cubus|shells`. A built-in name may end with `@N`
+/// for N voxels along each side. The path of a raw file needs [`OpenOptions::raw`].
+///
+/// # Errors
+/// The file cannot be read, or its format or selection is not supported. The message is one line.
 pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options),
@@ -81,7 +84,10 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
     }
 }
 
-/// Reads the header of `source` alone: what there is, what [`open`] would take of it, and how much memory that needs.
+/// Reads only the header of `source`. Returns its contents, what [`open`] would select, and the memory it needs.
+///
+/// # Errors
+/// As [`open`], except for errors in the voxels.
 pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
     let path = Path::new(source);
     if let Some(name) = source.strip_prefix("builtin:") {
@@ -103,7 +109,7 @@ fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError
     Ok(builtin.volume(side))
 }
 
-/// A built-in volume and its side.
+/// A built-in volume and the number of voxels along its side.
 fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
     let (kind, side) = name.split_once('@').map_or((name, None), |(kind, side)| (kind, Some(side)));
     let side = match side {
@@ -132,29 +138,29 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
     let unsupported = |found, expected| FormatError::Unsupported { path: shown(path), found, expected };
     if let Some(shape) = &options.raw {
         return match kind {
-            Kind::Other(_) | Kind::Gzip | Kind::Mrc | Kind::Zip => {
+            FileKind::Other(_) | FileKind::Gzip | FileKind::Mrc | FileKind::Zip => {
                 Ok(Box::new(raw::RawFile::open(file, path, shape)?))
             }
             kind => Err(unsupported(kind.name(), "raw voxels, because a shape was given")),
         };
     }
     Ok(match kind {
-        Kind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path)?),
-        Kind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false)?),
-        Kind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true)?),
-        Kind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path)?),
-        Kind::Npy => Box::new(npy::NpyFile::open(file, path)?),
-        Kind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
-        Kind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
-        Kind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
-        Kind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
-        Kind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
-        Kind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),
+        FileKind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path)?),
+        FileKind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false)?),
+        FileKind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true)?),
+        FileKind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path)?),
+        FileKind::Npy => Box::new(npy::NpyFile::open(file, path)?),
+        FileKind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
+        FileKind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
+        FileKind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
+        FileKind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
+        FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
+        FileKind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),
     })
 }
 
-/// Reads the headers of a folder: an OME-Zarr image, slices in TIFF files if they are more than the DICOM files beside them, or
-/// else DICOM files in it and the folders below.
+/// Reads the headers of a folder. It may be an OME-Zarr image. TIFF files are slices if they outnumber the DICOM
+/// files beside them. Otherwise, the folder and those below it are searched for DICOM files.
 fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
@@ -168,7 +174,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     };
     let mut slices: Vec<PathBuf> = files.iter().filter(|f| is_tiff(f)).cloned().collect();
     let is_dicom = |file: &Path| read_start(file).is_some_and(|start| dicom::is_header(&start));
-    // A picture beside the slices of a series is none of them.
+    // A TIFF picture beside a DICOM series is not a slice.
     let num_dicom =
         || files.iter().filter(|f| f.parent() == Some(path) && !is_tiff(f) && is_dicom(f)).count();
     if !slices.is_empty() && num_dicom() < slices.len() {
@@ -183,7 +189,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
             !is_dicom && file.parent() == Some(path) && sniff::kind_of(&start, file).is_whole_volume();
         is_dicom
     });
-    // A series that lies somewhere below is not what such a folder is opened for.
+    // Somebody who opens a folder of volumes does not want a series in a folder below it.
     if has_others && files.iter().all(|file| file.parent() != Some(path)) {
         return Err(FormatError::Unsupported {
             path: shown(path),
@@ -201,14 +207,14 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
 }
 
-/// The first bytes of a file, if it can be read.
+/// The first bytes of a file; `None` if it cannot be read.
 fn read_start(file: &Path) -> Option<Vec<u8>> {
     let mut start = Vec::new();
     File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
     Some(start)
 }
 
-/// The files in a folder and those below, sorted, within bounds. Hidden ones, which systems leave there, are none.
+/// The files in a folder and those below it, sorted and limited in number. Hidden files are left out.
 fn list_files(
     folder: &Path,
     options: &OpenOptions,
@@ -236,7 +242,7 @@ fn list_files(
     }
     entries.sort_by(|a, b| a.0.cmp(&b.0));
     for (path, kind) in entries {
-        // A link to a file is one; a link to a folder may lead in circles.
+        // Links to folders are not followed, because they can form circles.
         if kind.is_dir() && depth < MAX_DEPTH {
             list_files(&path, options, depth + 1, num_folders, files)?;
         } else if kind.is_file() || (kind.is_symlink() && path.is_file()) {
@@ -246,7 +252,7 @@ fn list_files(
     Ok(())
 }
 
-/// Opens a regular file. Pipes and devices are refused: they have no length to check, and may never end.
+/// Opens a regular file. Pipes and devices are refused, because they have no length and may never end.
 pub(crate) fn open_file(path: &Path) -> Result<File, FormatError> {
     let metadata = std::fs::metadata(path).map_err(io_error(path))?;
     if !metadata.is_file() {
@@ -256,18 +262,25 @@ pub(crate) fn open_file(path: &Path) -> Result<File, FormatError> {
     File::open(path).map_err(io_error(path))
 }
 
+/// The bytes of the regular file at `path`; `None` if there are more than `max_bytes`.
+pub(crate) fn read_file(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, FormatError> {
+    let mut bytes = Vec::new();
+    open_file(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
+    Ok((bytes.len() as u64 <= max_bytes).then_some(bytes))
+}
+
 /// The last part of a path, for display.
 pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| shown(path), |name| shown(Path::new(name)))
 }
 
-/// Eight gigabytes: a volume of 2048³ bytes, about what a large GPU can hold.
+/// 8 GiB: a volume of 2048³ bytes, which about fills a large GPU.
 const DEFAULT_MAX_BYTES: u64 = 8 << 30;
-/// Files of a folder that are looked at.
+/// Most files in a folder.
 const MAX_FILES: usize = 1 << 17;
-/// Folders in it.
+/// Most folders in a folder.
 const MAX_FOLDERS: usize = 4096;
-/// How deep they may lie.
+/// Greatest depth of a folder.
 const MAX_DEPTH: usize = 8;
-/// Fewest voxels along a side of a built-in volume.
+/// Fewest voxels along the side of a built-in volume.
 const MIN_SIDE: u32 = 8;

@@ -1,4 +1,4 @@
-//! Streams of voxels from plain and compressed files.
+//! Streams of bytes from plain and compressed files.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -6,12 +6,12 @@ use std::path::Path;
 
 use flate2::bufread::{DeflateDecoder, GzDecoder, ZlibDecoder};
 
+use crate::collector::Collector;
 use crate::error::{FormatError, io_error, shown};
 use crate::source::file_name;
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
-/// How bytes are packed in a part of a file.
+/// The compression of a part of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Packing {
     Plain,
@@ -20,16 +20,16 @@ pub(crate) enum Packing {
     Deflate,
 }
 
-/// A part of a file, unpacked.
+/// A part of a file, decompressed.
 pub(crate) struct Unpacked {
     stream: Box<dyn Stream>,
     packing: Packing,
-    /// Most bytes it can give.
+    /// Upper limit of the decompressed bytes.
     most: u64,
 }
 
 impl Unpacked {
-    /// The part of `file`, the file at `path`, from byte `offset`, `length` bytes or to its end.
+    /// Opens `length` bytes of `file` from byte `offset`, or the rest of it. `path` is for messages.
     pub(crate) fn open(
         mut file: File,
         path: &Path,
@@ -54,34 +54,39 @@ impl Unpacked {
         Ok(Self { stream, packing, most })
     }
 
-    /// Gives the next bytes to `taker`, as many as its file holds, or `num_bytes`; `path` is for messages. The checksum of
-    /// what was read to its end is verified, and more data is noted.
+    /// Skips `skip` bytes and passes the next `num_bytes` bytes to `collector`. The checksum at the end is verified, and
+    /// further data cause a warning.
     pub(crate) fn take(
         mut self,
-        taker: &mut Taker,
+        collector: &mut Collector,
         path: &Path,
         skip: u64,
         num_bytes: u64,
     ) -> Result<(), FormatError> {
-        taker.check_length(path, num_bytes.saturating_add(skip), self.most)?;
+        collector.check_length(path, num_bytes, self.most.saturating_sub(skip))?;
         let damaged = |e: io::Error| {
             let problem = format!("compressed data is damaged or cut: {e}");
             FormatError::Data { path: shown(path), problem }
         };
         self.stream.pass(skip).map_err(damaged)?;
-        let before = taker.position();
-        taker.pump(&mut self.stream, path, num_bytes)?;
-        let is_all = taker.position() - before == num_bytes / taker.bytes_per_number();
+        let before = collector.position();
+        collector.pump(&mut self.stream, path, num_bytes)?;
+        let is_all = collector.position() - before == num_bytes / collector.bytes_per_number();
         let is_more = match self.packing {
             Packing::Plain => self.most > num_bytes + skip,
             _ => is_all && self.stream.read(&mut [0]).map_err(damaged)? > 0,
         };
         if is_more {
-            let text = format!("{} has more data than its shape needs; the rest is ignored", file_name(path));
-            taker.warn(WarningKind::Data, text);
+            warn_of_more(collector, path);
         }
         Ok(())
     }
+}
+
+/// Warns that the file at `path` continues after the last voxel.
+pub(crate) fn warn_of_more(collector: &mut Collector, path: &Path) {
+    let text = format!("{} has more data than its shape needs; the rest is ignored", file_name(path));
+    collector.warn(WarningKind::Data, text);
 }
 
 impl Unpacked {
@@ -97,9 +102,9 @@ impl Read for Unpacked {
     }
 }
 
-/// A stream of bytes of which some may not be wanted.
+/// A stream that can skip bytes.
 pub(crate) trait Stream: Read {
-    /// Passes `num_bytes` bytes, or to the end.
+    /// Skips `num_bytes` bytes, or the rest.
     fn pass(&mut self, num_bytes: u64) -> io::Result<()>;
 }
 
@@ -143,19 +148,18 @@ impl Stream for &[u8] {
     }
 }
 
-/// Passes bytes by reading them.
+/// Skips bytes by reading them.
 pub(crate) fn read_past(reader: &mut dyn Read, num_bytes: u64) -> io::Result<()> {
     io::copy(&mut reader.take(num_bytes), &mut io::sink()).map(drop)
 }
 
-/// The members of a gzip file one after the other. What follows them and is not gzip is left alone, as other readers
-/// do.
-pub(crate) struct GzipMembers<R> {
+/// The members of a gzip file, one after the other. Other data after them are ignored, as in other readers.
+struct GzipMembers<R> {
     member: Option<GzDecoder<R>>,
 }
 
 impl<R: BufRead> GzipMembers<R> {
-    pub(crate) fn new(reader: R) -> Self {
+    fn new(reader: R) -> Self {
         Self { member: Some(GzDecoder::new(reader)) }
     }
 }
@@ -176,6 +180,5 @@ impl<R: BufRead> Read for GzipMembers<R> {
     }
 }
 
-/// Deflate cannot pack tighter than 258 bytes in two bits (RFC 1951), so this many times its length is the most that
-/// compressed data can hold.
+/// Greatest ratio of deflate, which packs at most 258 bytes into two bits (RFC 1951).
 pub(crate) const MAX_DEFLATE_RATIO: u64 = 1032;

@@ -1,4 +1,4 @@
-//! Transfer functions as TOML files of control points, read and written.
+//! Reads and writes transfer functions as TOML files of control points.
 //!
 //! ```toml
 //! name = "bone"                        # optional, else the name of the file
@@ -12,21 +12,22 @@
 //! ```
 
 use std::fmt;
-use std::io::Read;
 use std::path::Path;
 
 use isinglass_core::transfer::{ControlPoint, Domain, TransferError, TransferFunction, UnitLength};
 use serde::de::{Deserializer, Error, SeqAccess, Visitor};
 use serde::{Deserialize, de};
 
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, quoted, shown, syntax_error};
 use crate::presets::{preset, preset_names};
-use crate::source::open_file;
-use crate::state::{line_at, one_line};
+use crate::source::read_file;
 use crate::transfer_import::{EXPECTED, first_transfer};
 
-/// The preset of this name, or else the file at this path: TOML, or the first look of another program's file. A colour map
-/// comes onto a plain ramp.
+/// Loads the preset with this name, or else the file at this path. It may be TOML, or a file of another program,
+/// whose first look counts. A colour map gets a plain ramp of opacity.
+///
+/// # Errors
+/// The name is unknown, or the file has no valid transfer function. The message is one line.
 pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError> {
     if let Some(transfer) = preset(name_or_path) {
         return Ok(transfer);
@@ -43,11 +44,7 @@ pub fn load_transfer(name_or_path: &str) -> Result<TransferFunction, FormatError
 /// The text of a file of at most [`MAX_TRANSFER_BYTES`].
 pub(crate) fn read_text(path: &Path) -> Result<String, FormatError> {
     let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: EXPECTED };
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_TRANSFER_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    if bytes.len() as u64 > MAX_TRANSFER_BYTES {
-        return Err(unsupported("more than 8 MiB"));
-    }
+    let bytes = read_file(path, MAX_TRANSFER_BYTES)?.ok_or_else(|| unsupported("more than 8 MiB"))?;
     String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))
 }
 
@@ -82,13 +79,13 @@ pub fn transfer_to_toml(transfer: &TransferFunction) -> String {
     out
 }
 
-/// The shortest literal that is this number when it is read, as numbers of files are, in double precision first.
+/// The shortest literal that reads back as this number. Readers parse in double precision first.
 pub(crate) fn number_literal(x: f32) -> String {
     let short = format!("{x:?}");
     if short.parse::<f64>().is_ok_and(|y| y as f32 == x) { short } else { format!("{:?}", f64::from(x)) }
 }
 
-/// A string of TOML in quotes.
+/// A TOML string in quotes.
 pub(crate) fn text_literal(text: &str) -> String {
     let mut out = String::from('"');
     for c in text.chars() {
@@ -101,19 +98,18 @@ pub(crate) fn text_literal(text: &str) -> String {
     out + "\""
 }
 
-/// The transfer function written in `text`. `path` is for messages, and its stem is the name if the text has none.
+/// Parses a transfer function. `path` is for messages, and its stem is the default name.
+///
+/// # Errors
+/// The text is not valid TOML, or its control points are invalid. The message is one line.
 pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, FormatError> {
     let path = Path::new(path);
-    let file: TransferFile = toml::from_str(text).map_err(|e| FormatError::Syntax {
-        path: shown(path),
-        line: line_at(text, e.span().map_or(0, |s| s.start)),
-        problem: one_line(e.message()),
-    })?;
+    let file: TransferFile = toml::from_str(text).map_err(syntax_error(path, text))?;
     let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
     let transfer = TransferFunction {
         name: file.name.or(stem).unwrap_or_default(),
-        domain: file.domain.into(),
-        unit_length: file.unit_length.into(),
+        domain: file.domain,
+        unit_length: file.unit_length,
         points: file.point.into_iter().map(ControlPoint::from).collect(),
     };
     let transfer_error = |cause| FormatError::Transfer { path: shown(path), cause };
@@ -124,55 +120,25 @@ pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, Fo
     }
 }
 
-/// The file as a whole.
+/// The whole file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TransferFile {
     name: Option<String>,
-    #[serde(default)]
-    domain: DomainText,
-    #[serde(default)]
-    unit_length: UnitLengthText,
+    #[serde(default = "full")]
+    domain: Domain,
+    #[serde(default = "voxel")]
+    unit_length: UnitLength,
     #[serde(default)]
     point: Vec<PointText>,
 }
 
-#[derive(Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum DomainText {
-    #[default]
-    Full,
-    Values([f32; 2]),
-    Percentiles([f32; 2]),
+fn full() -> Domain {
+    Domain::Full
 }
 
-impl From<DomainText> for Domain {
-    fn from(text: DomainText) -> Self {
-        match text {
-            DomainText::Full => Self::Full,
-            DomainText::Values([a, b]) => Self::Values(a, b),
-            DomainText::Percentiles([a, b]) => Self::Percentiles(a, b),
-        }
-    }
-}
-
-#[derive(Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum UnitLengthText {
-    #[default]
-    Voxel,
-    World(f32),
-    Radius(f32),
-}
-
-impl From<UnitLengthText> for UnitLength {
-    fn from(text: UnitLengthText) -> Self {
-        match text {
-            UnitLengthText::Voxel => Self::Voxel,
-            UnitLengthText::World(l) => Self::World(l),
-            UnitLengthText::Radius(r) => Self::Radius(r),
-        }
-    }
+fn voxel() -> UnitLength {
+    UnitLength::Voxel
 }
 
 #[derive(Deserialize)]
@@ -189,7 +155,7 @@ impl From<PointText> for ControlPoint {
     }
 }
 
-/// `"#rrggbb"` or three numbers.
+/// A colour as `"#rrggbb"` or three numbers.
 struct ColorText([f32; 3]);
 
 impl<'de> Deserialize<'de> for ColorText {
@@ -203,11 +169,8 @@ impl<'de> Deserialize<'de> for ColorText {
             }
 
             fn visit_str<E: Error>(self, text: &str) -> Result<ColorText, E> {
-                let is_hex = |h: &&str| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit());
-                let number =
-                    text.strip_prefix('#').filter(is_hex).and_then(|h| u32::from_str_radix(h, 16).ok());
-                let [_, rgb @ ..] =
-                    number.ok_or_else(|| E::invalid_value(de::Unexpected::Str(text), &self))?.to_be_bytes();
+                let rgb =
+                    rgb_from_hex(text).ok_or_else(|| E::invalid_value(de::Unexpected::Str(text), &self))?;
                 Ok(ColorText(rgb.map(|c| f32::from(c) / 255.0)))
             }
 
@@ -226,7 +189,15 @@ impl<'de> Deserialize<'de> for ColorText {
     }
 }
 
-/// A file larger than this holds no transfer function: ParaView's own list of 199 maps takes 0.3 MB.
+/// The bytes of a colour such as `#aabbcc`.
+pub(crate) fn rgb_from_hex(text: &str) -> Option<[u8; 3]> {
+    let digits =
+        text.strip_prefix('#').filter(|h| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit()))?;
+    let [_, rgb @ ..] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
+    Some(rgb)
+}
+
+/// Longest file of transfer functions. ParaView's list of 199 maps has 0.3 MB.
 pub const MAX_TRANSFER_BYTES: u64 = 8 << 20;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! Transfer functions and colour maps of other programs: ParaView's colour maps in JSON, Slicer's `presets.xml` (and any
-//! other XML with `VolumeProperty` elements) and `.vp.json`. Read leniently: what is missing has the default of its
-//! program, what cannot be read is left out.
+//! Imports transfer functions and colour maps of other programs: ParaView's colour maps in JSON, and Slicer's
+//! `presets.xml` and `.vp.json`. Any XML with `VolumeProperty` elements works. Missing fields have the defaults of
+//! their program, and invalid ones are ignored.
 
 use std::path::Path;
 
@@ -11,22 +11,23 @@ use crate::error::{FormatError, shown};
 use crate::transfer::{read_text, transfer_from_toml};
 use crate::transfer_json::{Json, lenient_number, parse};
 use crate::transfer_maps::{ColorSpace, color_between, recolored};
+use crate::xml::{Tags, XmlTag};
 
-/// What a file says of one look. [`ImportedTransfer::onto`] makes a transfer function of it.
+/// A look in a file. [`ImportedTransfer::onto`] turns it into a transfer function.
 #[derive(Clone, Debug)]
 pub struct ImportedTransfer {
     name: String,
     shaded: Option<bool>,
-    kind: Kind,
+    kind: LookKind,
 }
 
 #[derive(Clone, Debug)]
-enum Kind {
-    /// One of our own.
+enum LookKind {
+    /// A complete transfer function.
     Whole(TransferFunction),
-    /// Colours over positions of any unit, from the first to the last.
+    /// Colours over positions in any unit.
     Colors(Curve),
-    /// Colours and opacities over values of the volume, or of any unit.
+    /// Colours and opacities over values of the volume, or over any unit.
     Curves { colors: Curve, opacities: Vec<(f32, f32)>, unit_length: Option<UnitLength>, is_physical: bool },
 }
 
@@ -37,25 +38,25 @@ struct Curve {
 }
 
 impl ImportedTransfer {
-    /// What the file calls it.
+    /// Its name in the file.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Whether gradients shade it, if the file says.
+    /// Whether it is shaded by gradients, if the file says.
     pub fn shaded(&self) -> Option<bool> {
         self.shaded
     }
 
-    /// The transfer function. What the file does not say is taken from `current`: of a colour map all but the colours.
+    /// The transfer function. Missing parts come from `current`, such as the opacities of a colour map.
     pub fn onto(&self, current: &TransferFunction) -> TransferFunction {
         let mut transfer = match &self.kind {
-            Kind::Whole(transfer) => transfer.clone(),
-            Kind::Colors(colors) => {
+            LookKind::Whole(transfer) => transfer.clone(),
+            LookKind::Colors(colors) => {
                 let (lo, hi) = span(colors.points.iter().map(|p| p.0));
                 recolored(current, &|x| color_between(&colors.points, colors.space, lo + (hi - lo) * x))
             }
-            Kind::Curves { colors, opacities, unit_length, is_physical } => {
+            LookKind::Curves { colors, opacities, unit_length, is_physical } => {
                 let positions = colors.points.iter().map(|p| p.0).chain(opacities.iter().map(|p| p.0));
                 let (lo, hi) = span(positions);
                 let color_at = |x: f32| color_between(&colors.points, colors.space, lo + (hi - lo) * x);
@@ -78,22 +79,22 @@ impl ImportedTransfer {
     }
 }
 
-/// Every look in a file: a TOML file of ours holds one, those of other programs one or many.
+/// Reads all looks in a file. A TOML file has one, files of other programs have one or many.
 ///
 /// # Errors
-/// If it cannot be read, or holds none.
+/// The file cannot be read, or it has no look.
 pub fn import_transfers(path: &Path) -> Result<Vec<ImportedTransfer>, FormatError> {
     let text = read_text(path)?;
     imported_from_text(&text, path)
 }
 
-/// The same for the text of a file; `path` is for messages and for what has no name.
+/// The same for the text of a file. `path` is for messages and for looks without a name.
 pub(crate) fn imported_from_text(text: &str, path: &Path) -> Result<Vec<ImportedTransfer>, FormatError> {
     let stem = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let stem = stem.trim_end_matches(".vp");
     let start = text.trim_start_matches('\u{feff}').trim_start();
     let mut found = match start.chars().next() {
-        Some('<') => volume_properties(start).iter().filter_map(|a| slicer_preset(a)).collect(),
+        Some('<') => volume_properties(start).filter_map(|tag| slicer_preset(&tag)).collect(),
         Some('{' | '[') if !looks_like_toml(start) => {
             let json = parse(text).map_err(|problem| FormatError::Syntax {
                 path: shown(path),
@@ -108,7 +109,11 @@ pub(crate) fn imported_from_text(text: &str, path: &Path) -> Result<Vec<Imported
         }
         _ => {
             let transfer = transfer_from_toml(text, &path.to_string_lossy())?;
-            vec![ImportedTransfer { name: transfer.name.clone(), shaded: None, kind: Kind::Whole(transfer) }]
+            vec![ImportedTransfer {
+                name: transfer.name.clone(),
+                shaded: None,
+                kind: LookKind::Whole(transfer),
+            }]
         }
     };
     found.truncate(MAX_FOUND);
@@ -131,12 +136,12 @@ fn looks_like_toml(start: &str) -> bool {
         .is_some_and(|rest| rest.trim_start().starts_with(|c: char| c.is_ascii_alphabetic()))
 }
 
-/// An entry of ParaView's list of colour maps: `RGBPoints` are position, red, green, blue; `Points`, where there are
-/// some, position, opacity, midpoint, sharpness. Indexed maps, for categories, have no use here.
+/// An entry of ParaView's list of colour maps. `RGBPoints` has position, red, green and blue. The optional `Points`
+/// has position, opacity, midpoint and sharpness. Indexed maps for categories are ignored.
 fn paraview_map(map: &Json) -> Option<ImportedTransfer> {
     let space = match map.get("ColorSpace").and_then(Json::text).unwrap_or("RGB") {
         "HSV" => ColorSpace::Hsv,
-        // The newer formula of differences bends the way between two colours too little to see.
+        // The newer formula for colour differences changes the path between two colours invisibly.
         "Lab" | "CIELAB" | "LabCIEDE2000" => ColorSpace::Lab,
         "Diverging" => ColorSpace::Diverging,
         "Step" => ColorSpace::Step,
@@ -146,14 +151,14 @@ fn paraview_map(map: &Json) -> Option<ImportedTransfer> {
     let colors = Curve { points: color_points(&numbers)?, space };
     let points = map.get("Points").map(|p| pairs(&p.numbers(), 4)).filter(|p| !p.is_empty());
     let kind = match points {
-        None => Kind::Colors(colors),
-        Some(opacities) => Kind::Curves { colors, opacities, unit_length: None, is_physical: false },
+        None => LookKind::Colors(colors),
+        Some(opacities) => LookKind::Curves { colors, opacities, unit_length: None, is_physical: false },
     };
     let name = map.get("Name").and_then(Json::text).unwrap_or_default();
     Some(ImportedTransfer { name: name.into(), shaded: None, kind })
 }
 
-/// An entry of `volumeProperties`, by the schema of version 1.0.0. Of several components the first is taken.
+/// An entry of `volumeProperties` in version 1.0.0 of the schema. Only the first component is read.
 fn vp_property(property: &Json) -> Option<ImportedTransfer> {
     let component = property.get("components")?.list().first()?;
     let points = |key: &str| component.get(key).and_then(|f| f.get("points")).map_or(&[][..], Json::list);
@@ -179,21 +184,20 @@ fn vp_property(property: &Json) -> Option<ImportedTransfer> {
     slicer_look(name, shaded, &numbers, &opacities, unit)
 }
 
-/// A `VolumeProperty` element of Slicer's: lists are strings of numbers, their count first.
-fn slicer_preset(attributes: &[(String, String)]) -> Option<ImportedTransfer> {
-    let of = |key: &str| attributes.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str());
+/// A `VolumeProperty` element of Slicer. Lists are strings of numbers that begin with their count.
+fn slicer_preset(tag: &XmlTag) -> Option<ImportedTransfer> {
     let numbers = |key: &str| -> Vec<f32> {
-        let mut words = of(key).unwrap_or_default().split_whitespace();
+        let mut words = tag.get(key).unwrap_or_default().split_whitespace();
         let count = words.next().and_then(lenient_number).unwrap_or(0.0) as usize;
         words.take(count).map_while(|w| lenient_number(w).map(|n| n as f32)).collect()
     };
-    let unit = of("scalarOpacityUnitDistance").and_then(lenient_number).map(|n| n as f32);
-    let shaded = of("shade").and_then(lenient_number).map(|n| n != 0.0);
-    let name = of("name").unwrap_or_default();
+    let unit = tag.get("scalarOpacityUnitDistance").and_then(lenient_number).map(|n| n as f32);
+    let shaded = tag.get("shade").and_then(lenient_number).map(|n| n != 0.0);
+    let name = tag.get("name").unwrap_or_default();
     slicer_look(name, shaded, &numbers("colorTransfer"), &numbers("scalarOpacity"), unit)
 }
 
-/// Slicer's opacities are those of one world unit if nothing else is said.
+/// The default unit length of Slicer's opacities is one world unit.
 fn slicer_look(
     name: &str,
     shaded: Option<bool>,
@@ -205,12 +209,12 @@ fn slicer_look(
     let opacities = pairs(opacities, 2);
     let unit = unit.filter(|u| *u > 0.0 && u.is_finite()).unwrap_or(1.0);
     let unit_length = Some(UnitLength::World(unit));
-    let kind = Kind::Curves { colors, opacities, unit_length, is_physical: true };
-    let has_opacity = !matches!(&kind, Kind::Curves { opacities, .. } if opacities.is_empty());
+    let kind = LookKind::Curves { colors, opacities, unit_length, is_physical: true };
+    let has_opacity = !matches!(&kind, LookKind::Curves { opacities, .. } if opacities.is_empty());
     has_opacity.then(|| ImportedTransfer { name: name.into(), shaded, kind })
 }
 
-/// Position and colour of every four numbers, ascending; none if there is no such.
+/// Position and colour from every four numbers, sorted; `None` if there are none.
 fn color_points(numbers: &[f32]) -> Option<Vec<(f32, [f32; 3])>> {
     let point = |p: &[f32]| (bounded(p[0]), [p[1], p[2], p[3]].map(|c| c.clamp(0.0, 1.0)));
     let is_finite = |p: &&[f32]| p.iter().all(|n| n.is_finite());
@@ -219,7 +223,7 @@ fn color_points(numbers: &[f32]) -> Option<Vec<(f32, [f32; 3])>> {
     (!points.is_empty()).then_some(points)
 }
 
-/// Position and opacity, the first two of every `stride` numbers, ascending.
+/// Position and opacity, the first two of every `stride` numbers, sorted.
 fn pairs(numbers: &[f32], stride: usize) -> Vec<(f32, f32)> {
     let is_finite = |p: &&[f32]| p[0].is_finite() && p[1].is_finite();
     let chunks = numbers.chunks_exact(stride).filter(is_finite);
@@ -228,72 +232,26 @@ fn pairs(numbers: &[f32], stride: usize) -> Vec<(f32, f32)> {
     points
 }
 
-/// No volume holds larger numbers, and their differences must be finite.
+/// Limits a position to the numbers of a volume, so that differences are finite.
 fn bounded(position: f32) -> f32 {
     position
         .clamp(-isinglass_core::volume::Volume::MAX_MAGNITUDE, isinglass_core::volume::Volume::MAX_MAGNITUDE)
 }
 
-/// Least and greatest position, made different if they are one.
+/// Least and greatest position. They differ even for a single position.
 fn span(positions: impl Iterator<Item = f32>) -> (f32, f32) {
     let (lo, hi) = positions.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), x| (lo.min(x), hi.max(x)));
     if hi > lo { (lo, hi) } else { (lo, lo + (lo.abs() * 1e-3).max(1e-3)) }
 }
 
-/// The attributes of every `VolumeProperty` tag in a text of XML.
-fn volume_properties(text: &str) -> Vec<Vec<(String, String)>> {
-    let mut found = Vec::new();
-    let mut rest = text;
-    while let Some(start) = rest.find('<') {
-        rest = &rest[start..];
-        if rest.starts_with("<!--") {
-            rest = rest.find("-->").map_or("", |end| &rest[end + 3..]);
-            continue;
-        }
-        rest = &rest[1..];
-        let name_ends = rest.find(|c: char| c.is_whitespace() || c == '>' || c == '/').unwrap_or(rest.len());
-        let is_property = rest[..name_ends].ends_with("VolumeProperty");
-        rest = &rest[name_ends..];
-        if is_property && found.len() < MAX_FOUND {
-            let (attributes, after) = attributes(rest);
-            found.push(attributes);
-            rest = after;
-        }
-    }
-    found
+/// The first `VolumeProperty` elements of an XML document, up to where it is damaged.
+fn volume_properties(text: &str) -> impl Iterator<Item = XmlTag> {
+    let mut tags = Tags::new(text.as_bytes());
+    let all = std::iter::from_fn(move || tags.next().ok().flatten());
+    all.filter(|tag| !tag.is_end && tag.name.ends_with("VolumeProperty")).take(MAX_FOUND)
 }
 
-/// Names and values up to the end of a tag, and what follows it.
-fn attributes(mut rest: &str) -> (Vec<(String, String)>, &str) {
-    let mut found = Vec::new();
-    loop {
-        rest = rest.trim_start_matches(|c: char| c.is_whitespace() || c == '/');
-        let Some(name_ends) = rest.find(|c: char| c.is_whitespace() || "=></".contains(c)) else {
-            return (found, "");
-        };
-        let name = &rest[..name_ends];
-        rest = rest[name_ends..].trim_start();
-        if !rest.starts_with('=') || name.is_empty() {
-            return (found, rest);
-        }
-        rest = rest[1..].trim_start();
-        let Some(quote) = rest.chars().next().filter(|c| "\"'".contains(*c)) else { return (found, rest) };
-        let Some(length) = rest[1..].find(quote) else { return (found, "") };
-        found.push((name.to_owned(), unescaped(&rest[1..1 + length])));
-        rest = &rest[length + 2..];
-        if found.len() > MAX_FOUND {
-            return (found, rest);
-        }
-    }
-}
-
-/// The five entities that need no declaration.
-fn unescaped(text: &str) -> String {
-    let text = text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&apos;", "'");
-    text.replace("&amp;", "&")
-}
-
-/// What the first look of a file makes of a plain ramp, for where no curve is at hand.
+/// The first look of a file on a plain ramp of opacity.
 pub(crate) fn first_transfer(text: &str, path: &Path) -> Result<TransferFunction, FormatError> {
     let p = |x, opacity| ControlPoint { x, color: [x; 3], opacity };
     let ramp = TransferFunction {
@@ -308,10 +266,10 @@ pub(crate) fn first_transfer(text: &str, path: &Path) -> Result<TransferFunction
     Ok(transfer)
 }
 
-/// What can be read, for messages.
+/// The supported formats, for messages.
 pub(crate) const EXPECTED: &str =
     "control points in TOML, ParaView's colour maps in JSON, or Slicer's presets.xml or .vp.json";
-/// Looks that are taken from one file.
+/// Most looks of a file.
 const MAX_FOUND: usize = 1000;
 
 #[cfg(test)]
@@ -351,7 +309,7 @@ mod tests {
         );
         assert_eq!(cool.at(0.3).1, ramp().at(0.3).1);
         let middle = cool.points.iter().find(|p| (p.x - 0.5).abs() < 0.02).unwrap();
-        // Between its ends it goes by the lightness of 0.865.
+        // The lightness in the middle is 0.865.
         assert!(middle.color.iter().all(|c| (c - 0.865).abs() < 0.03), "{middle:?}");
         let step = found[1].onto(&ramp());
         assert_eq!(step.at(0.25).1, 0.25, "its own opacities, to the third of four points");
@@ -360,7 +318,7 @@ mod tests {
         assert_eq!(nearly_at_its_end.color, [1.0, 0.0, 0.0], "no colour in between");
     }
 
-    /// The second has the number as Slicer's own file has it.
+    /// The second look has a malformed number, as in Slicer's own file.
     const SLICER: &str = r#"<?xml version="1.0"?><!-- <VolumeProperty name="not this"/> -->
         <SlicerVolumeRenderingPresets version="2">
         <VolumeProperty id="v1" name="CT &amp; bone" interpolation="1" shade="1" ambient="0.2"
@@ -434,7 +392,7 @@ mod tests {
         }
     }
 
-    /// Cut, doubled and changed texts give errors or usable transfer functions, never a panic.
+    /// Damaged texts give errors or valid transfer functions, and never a panic.
     #[test]
     fn any_text_is_survived() {
         let vp = r#"{"volumeProperties": [{"components": [{"rgbTransferFunction": {"points": [{"x": 1e38, "color": [1, 2, -3]}]}, "scalarOpacity": {"points": [{"x": -1e38, "y": 7}, {"x": "nan", "y": 0}]}}]}]}"#;

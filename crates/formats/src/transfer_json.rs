@@ -1,5 +1,5 @@
-//! JSON as programs and people write it: comments, commas before a closing bracket, `NaN`, and numbers with something
-//! behind them are read too. Total on any text, bounded in depth and number of values.
+//! A lenient JSON parser, because `serde_json` refuses what ParaView and Slicer write: comments, commas before a
+//! closing bracket, `NaN`, and numbers such as `-250.0.0`. Depth and number of values are bounded.
 
 /// A value.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,27 +14,27 @@ pub(crate) enum Json {
     Text(String),
     /// `[…]`.
     List(Vec<Json>),
-    /// `{…}`, in the order of the file.
+    /// `{…}`, with keys in the order of the file.
     Map(Vec<(String, Json)>),
 }
 
-/// What is wrong, and where.
+/// A syntax error.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Problem {
-    /// Counted from 1.
+pub(crate) struct JsonError {
+    /// The line, counted from 1.
     pub(crate) line: usize,
     /// What was expected there.
     pub(crate) expected: &'static str,
 }
 
 impl Json {
-    /// The value of a key, or of the last one where it is given twice.
+    /// The value of a key. If it occurs twice, the last one counts.
     pub(crate) fn get(&self, key: &str) -> Option<&Self> {
         let Self::Map(entries) = self else { return None };
         entries.iter().rev().find(|(k, _)| k == key).map(|(_, v)| v)
     }
 
-    /// A finite number, also one written as a string.
+    /// A finite number, which may be a string.
     pub(crate) fn number(&self) -> Option<f32> {
         let number = match self {
             Self::Number(n) => *n,
@@ -49,17 +49,17 @@ impl Json {
         if let Self::Text(text) = self { Some(text) } else { None }
     }
 
-    /// The elements of a list; none of anything else.
+    /// The elements of a list; none for other values.
     pub(crate) fn list(&self) -> &[Self] {
         if let Self::List(list) = self { list } else { &[] }
     }
 
-    /// The numbers of a list; what is no finite one is NaN, so that the others keep their places.
+    /// The numbers of a list. Other elements become NaN, so that all keep their places.
     pub(crate) fn numbers(&self) -> Vec<f32> {
         self.list().iter().map(|value| value.number().unwrap_or(f32::NAN)).collect()
     }
 
-    /// Whether it says yes: `true`, or a number that is not 0.
+    /// Whether it is `true`, or a number other than 0.
     pub(crate) fn flag(&self) -> Option<bool> {
         match self {
             Self::Bool(b) => Some(*b),
@@ -68,45 +68,45 @@ impl Json {
     }
 }
 
-/// The number that a text begins with: Slicer's own file has `-250.0.0`.
+/// The number at the start of a text. Slicer's own file has `-250.0.0`.
 pub(crate) fn lenient_number(text: &str) -> Option<f64> {
     let text = text.trim();
     let ends = text.char_indices().map(|(i, c)| i + c.len_utf8()).take(MAX_NUMBER_CHARS);
     ends.collect::<Vec<_>>().into_iter().rev().find_map(|end| text[..end].parse().ok())
 }
 
-/// Reads one value and nothing behind it.
-pub(crate) fn parse(text: &str) -> Result<Json, Problem> {
-    let mut parser = Parser { text, at: 0, values_left: MAX_VALUES };
+/// Parses a text with exactly one value.
+pub(crate) fn parse(text: &str) -> Result<Json, JsonError> {
+    let mut parser = JsonParser { text, at: 0, values_left: MAX_VALUES };
     parser.skip_byte_order_mark();
     let value = parser.value(0)?;
     parser.skip_blanks();
     if parser.at < text.len() { Err(parser.problem("the end of the text")) } else { Ok(value) }
 }
 
-struct Parser<'a> {
+struct JsonParser<'a> {
     text: &'a str,
     at: usize,
     values_left: usize,
 }
 
-impl Parser<'_> {
+impl JsonParser<'_> {
     fn skip_byte_order_mark(&mut self) {
         if self.text.starts_with('\u{feff}') {
             self.at = '\u{feff}'.len_utf8();
         }
     }
 
-    fn problem(&self, expected: &'static str) -> Problem {
+    fn problem(&self, expected: &'static str) -> JsonError {
         let line = 1 + self.text.as_bytes()[..self.at].iter().filter(|&&b| b == b'\n').count();
-        Problem { line, expected }
+        JsonError { line, expected }
     }
 
     fn rest(&self) -> &str {
         &self.text[self.at..]
     }
 
-    /// Blanks and comments.
+    /// Skips white space and comments.
     fn skip_blanks(&mut self) {
         loop {
             let rest = self.rest();
@@ -126,7 +126,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Takes `c` if it is next.
+    /// Consumes `c` if it is next.
     fn takes(&mut self, c: char) -> bool {
         self.skip_blanks();
         let is_next = self.rest().starts_with(c);
@@ -134,7 +134,7 @@ impl Parser<'_> {
         is_next
     }
 
-    fn value(&mut self, depth: usize) -> Result<Json, Problem> {
+    fn value(&mut self, depth: usize) -> Result<Json, JsonError> {
         self.skip_blanks();
         if depth > MAX_DEPTH {
             return Err(self.problem("lists no deeper than 32"));
@@ -149,7 +149,7 @@ impl Parser<'_> {
         }
     }
 
-    fn list(&mut self, depth: usize) -> Result<Json, Problem> {
+    fn list(&mut self, depth: usize) -> Result<Json, JsonError> {
         self.at += 1;
         let mut list = Vec::new();
         while !self.takes(']') {
@@ -161,7 +161,7 @@ impl Parser<'_> {
         Ok(Json::List(list))
     }
 
-    fn map(&mut self, depth: usize) -> Result<Json, Problem> {
+    fn map(&mut self, depth: usize) -> Result<Json, JsonError> {
         self.at += 1;
         let mut map = Vec::new();
         while !self.takes('}') {
@@ -180,8 +180,8 @@ impl Parser<'_> {
         Ok(Json::Map(map))
     }
 
-    /// At a quote.
-    fn string(&mut self) -> Result<String, Problem> {
+    /// Parses a string. The parser is at its opening quote.
+    fn string(&mut self) -> Result<String, JsonError> {
         let mut out = String::new();
         let mut chars = self.text[self.at + 1..].char_indices();
         while let Some((i, c)) = chars.next() {
@@ -210,7 +210,7 @@ impl Parser<'_> {
         Err(self.problem("a closing quote"))
     }
 
-    fn word(&mut self) -> Result<Json, Problem> {
+    fn word(&mut self) -> Result<Json, JsonError> {
         let is_part = |c: char| c.is_ascii_alphanumeric() || "+-.".contains(c);
         let length = self.rest().find(|c| !is_part(c)).unwrap_or(self.rest().len());
         let word = &self.text[self.at..self.at + length];
@@ -228,11 +228,11 @@ impl Parser<'_> {
     }
 }
 
-/// Lists in lists: preset files have six.
+/// Deepest nesting. Files with presets have six levels.
 const MAX_DEPTH: usize = 32;
-/// Values of a file: ParaView's own has 40 000.
+/// Most values of a file. ParaView's own has 40 000.
 const MAX_VALUES: usize = 1 << 20;
-/// Longer numbers are no numbers.
+/// Longest number, in characters.
 const MAX_NUMBER_CHARS: usize = 40;
 
 #[cfg(test)]
@@ -270,7 +270,7 @@ mod tests {
             ("[]\n[]", 2, "the end of the text"),
             ("[1, x]", 1, "a value"),
         ] {
-            assert_eq!(parse(text), Err(Problem { line, expected }), "{text:?}");
+            assert_eq!(parse(text), Err(JsonError { line, expected }), "{text:?}");
         }
         assert_eq!(parse(&"[".repeat(100_000)).unwrap_err().expected, "lists no deeper than 32");
         assert_eq!(parse(&format!("[{}]", "0,".repeat(MAX_VALUES))).unwrap_err().expected, "fewer values");

@@ -1,4 +1,4 @@
-//! Colour maps, and how they come onto the opacities of a transfer function.
+//! Colour maps, and their combination with the opacities of a transfer function.
 
 use isinglass_core::transfer::{ControlPoint, MAX_POINTS, TransferFunction};
 
@@ -6,11 +6,11 @@ use isinglass_core::transfer::{ControlPoint, MAX_POINTS, TransferFunction};
 #[derive(Clone, Copy, Debug)]
 pub struct ColorMap {
     name: &'static str,
-    kind: Kind,
+    kind: MapKind,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Kind {
+enum MapKind {
     Gradient(colorous::Gradient),
     /// Positions and colours, linear between them.
     Points(&'static [(f32, [f32; 3])]),
@@ -19,7 +19,7 @@ enum Kind {
 }
 
 impl ColorMap {
-    /// All maps, in the order in which they are listed to people.
+    /// All maps, in the order of lists.
     pub fn all() -> impl Iterator<Item = Self> {
         MAPS.iter().map(|&(name, kind)| Self { name, kind })
     }
@@ -34,41 +34,41 @@ impl ColorMap {
         self.name
     }
 
-    /// The colour at a position; outside of 0 to 1 that of the end.
+    /// The colour at a position. Positions outside of 0 to 1 have the colour of the end.
     pub fn at(&self, t: f32) -> [f32; 3] {
         let t = t.clamp(0.0, 1.0);
         match self.kind {
-            Kind::Gradient(gradient) => {
+            MapKind::Gradient(gradient) => {
                 let c = gradient.eval_continuous(f64::from(t));
                 [c.r, c.g, c.b].map(|c| f32::from(c) / 255.0)
             }
-            Kind::Points(points) => color_between(points, ColorSpace::Rgb, t),
-            Kind::Diverging(low, high) => diverging(low, high, t),
+            MapKind::Points(points) => color_between(points, ColorSpace::Rgb, t),
+            MapKind::Diverging(low, high) => diverging(low, high, t),
         }
     }
 
-    /// `transfer` with the colours of this map over its whole domain, and its own opacities.
+    /// Returns `transfer` with the colours of this map over its whole domain. Its opacities stay.
     pub fn onto(&self, transfer: &TransferFunction) -> TransferFunction {
         recolored(transfer, &|x| self.at(x))
     }
 }
 
-/// Where colours between two points lie on a straight line.
+/// The space in which colours between two points are interpolated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ColorSpace {
     /// sRGB.
     Rgb,
-    /// Hue, saturation and value; the hue takes the shorter way.
+    /// Hue, saturation and value. The hue takes the shorter way.
     Hsv,
     /// CIELAB under D65.
     Lab,
-    /// Moreland's Msh, by way of white between hues that are far apart.
+    /// Moreland's Msh, through white between distant hues.
     Diverging,
     /// The colour of the point before.
     Step,
 }
 
-/// The colour at `x` between points of ascending positions. There must be a point.
+/// The colour at `x` between points with ascending positions. There must be a point.
 pub(crate) fn color_between(points: &[(f32, [f32; 3])], space: ColorSpace, x: f32) -> [f32; 3] {
     let after = points.partition_point(|p| p.0 <= x);
     let Some(&(x1, b)) = points.get(after) else { return points[points.len() - 1].1 };
@@ -92,11 +92,11 @@ pub(crate) fn color_between(points: &[(f32, [f32; 3])], space: ColorSpace, x: f3
     }
 }
 
-/// `transfer` with other colours and the same opacity everywhere. Points that only colours needed are left out, and so
-/// many are put between the others that no colour is off by more than a few steps of eight bits.
+/// Returns `transfer` with other colours and the same opacities. Points that only serve colours are removed. New
+/// points keep every colour within [`COLOR_TOLERANCE`].
 pub(crate) fn recolored(transfer: &TransferFunction, color_at: &dyn Fn(f32) -> [f32; 3]) -> TransferFunction {
     let mut ends = transfer.points.clone();
-    // Beyond the points the opacity of the last one holds, but not its colour.
+    // Beyond the last point its opacity holds, but its colour does not.
     if let Some(first) = ends.first().filter(|p| p.x > 0.0 && p.opacity > 0.0) {
         ends.insert(0, ControlPoint { x: 0.0, ..*first });
     }
@@ -109,7 +109,7 @@ pub(crate) fn recolored(transfer: &TransferFunction, color_at: &dyn Fn(f32) -> [
         let mut points = Vec::with_capacity(2 * skeleton.len());
         for (i, p) in skeleton.iter().enumerate() {
             points.push(ControlPoint { color: color_at(p.x), ..*p });
-            // What is clear has no colour.
+            // Colours between clear points are invisible.
             let is_seen = |next: &&ControlPoint| next.x > p.x && p.opacity.max(next.opacity) > 0.0;
             if let Some(next) = skeleton.get(i + 1).filter(is_seen) {
                 fill(&mut points, p, next, color_at, tolerance, MAX_SPLITS);
@@ -123,12 +123,12 @@ pub(crate) fn recolored(transfer: &TransferFunction, color_at: &dyn Fn(f32) -> [
     }
 }
 
-/// The points without those at which the opacity runs straight on.
+/// Removes the points at which the opacity is straight.
 fn without_straight_points(points: &[ControlPoint]) -> Vec<ControlPoint> {
     let mut kept: Vec<ControlPoint> = Vec::with_capacity(points.len());
     for (i, p) in points.iter().enumerate() {
         let is_straight = match (kept.last(), points.get(i + 1)) {
-            // Against the last kept point, so that no error adds up.
+            // Comparing with the last kept point keeps errors from adding up.
             (Some(a), Some(b)) if a.x < p.x && p.x < b.x => {
                 let t = (p.x - a.x) / (b.x - a.x);
                 (a.opacity + (b.opacity - a.opacity) * t - p.opacity).abs() < OPACITY_TOLERANCE
@@ -142,7 +142,7 @@ fn without_straight_points(points: &[ControlPoint]) -> Vec<ControlPoint> {
     kept
 }
 
-/// Puts points between two of them until the colours between are as good as straight.
+/// Adds points between two others until colours between points are nearly straight.
 fn fill(
     points: &mut Vec<ControlPoint>,
     a: &ControlPoint,
@@ -170,8 +170,8 @@ fn fill(
     fill(points, &middle, b, color_at, tolerance, splits);
 }
 
-/// Between `low` and `high` in polar CIELAB, with white in the middle if the hues are far apart (Moreland 2009, Diverging
-/// Color Maps for Scientific Visualization).
+/// The colour between `low` and `high` in polar CIELAB. White is in the middle of distant hues (Moreland 2009,
+/// Diverging Color Maps for Scientific Visualization).
 fn diverging(low: [f32; 3], high: [f32; 3], t: f32) -> [f32; 3] {
     let (mut a, mut b, mut t) = (msh_from_rgb(low), msh_from_rgb(high), t);
     let apart = (a[2] - b[2]).abs();
@@ -189,7 +189,7 @@ fn diverging(low: [f32; 3], high: [f32; 3], t: f32) -> [f32; 3] {
     rgb_from_msh(std::array::from_fn(|i| a[i] + (b[i] - a[i]) * t))
 }
 
-/// The hue of the unsaturated end of magnitude `m` that keeps the way to `from` even.
+/// The hue of an unsaturated end of magnitude `m` that makes the way to `from` even.
 fn adjusted_hue([from_m, s, h]: [f32; 3], m: f32) -> f32 {
     if from_m >= m {
         return h;
@@ -209,7 +209,7 @@ fn rgb_from_msh([m, s, h]: [f32; 3]) -> [f32; 3] {
     rgb_from_lab([m * s.cos(), m * s.sin() * h.cos(), m * s.sin() * h.sin()])
 }
 
-/// IEC 61966-2-1 and CIE 15: by way of XYZ.
+/// Converts through XYZ (IEC 61966-2-1 and CIE 15).
 fn lab_from_rgb(rgb: [f32; 3]) -> [f32; 3] {
     let [r, g, b] = rgb.map(isinglass_core::picture::linear_from_srgb);
     let f = |v: f32| if v > 0.008_856 { v.cbrt() } else { 7.787 * v + 16.0 / 116.0 };
@@ -252,44 +252,47 @@ fn rgb_from_hsv([h, s, v]: [f32; 3]) -> [f32; 3] {
     [channel(5.0), channel(3.0), channel(1.0)]
 }
 
-/// D65.
+/// White point of D65.
 const WHITE: [f32; 3] = [0.9505, 1.0, 1.089];
-/// Less saturated colours have no hue to speak of (Moreland 2009).
+/// Saturation below which a colour has no hue (Moreland 2009).
 const GREY_SATURATION: f32 = 0.05;
 
-/// Two steps of eight bits: as much as maps that are tables of bytes are off by themselves.
+/// Colour tolerance: two steps of eight bits, the error of maps that are tables of bytes.
 const COLOR_TOLERANCE: f32 = 2.5 / 255.0;
-/// A point that moves the opacity by less is there for its colour.
+/// A point that changes the opacity by less only serves its colour.
 const OPACITY_TOLERANCE: f32 = 1e-5;
 /// Positions between two points at which colours are compared.
 const SAMPLES: u32 = 32;
-/// Halvings between two points: 2⁶ of them make a curve straight, and a jump a ramp of a thousandth.
+/// Most halvings between two points. 2⁶ parts make a curve straight, and a jump a ramp of a thousandth.
 const MAX_SPLITS: u32 = 6;
 
 const BLACK: [f32; 3] = [0.0; 3];
 const WHITE_RGB: [f32; 3] = [1.0; 3];
 
-const MAPS: &[(&str, Kind)] = &[
-    ("viridis", Kind::Gradient(colorous::VIRIDIS)),
-    ("inferno", Kind::Gradient(colorous::INFERNO)),
-    ("magma", Kind::Gradient(colorous::MAGMA)),
-    ("plasma", Kind::Gradient(colorous::PLASMA)),
-    ("cividis", Kind::Gradient(colorous::CIVIDIS)),
-    ("turbo", Kind::Gradient(colorous::TURBO)),
-    ("cubehelix", Kind::Gradient(colorous::CUBEHELIX)),
-    ("cool to warm", Kind::Diverging([0.2314, 0.2980, 0.7529], [0.7059, 0.0157, 0.1490])),
-    ("spectral", Kind::Gradient(colorous::SPECTRAL)),
+const MAPS: &[(&str, MapKind)] = &[
+    ("viridis", MapKind::Gradient(colorous::VIRIDIS)),
+    ("inferno", MapKind::Gradient(colorous::INFERNO)),
+    ("magma", MapKind::Gradient(colorous::MAGMA)),
+    ("plasma", MapKind::Gradient(colorous::PLASMA)),
+    ("cividis", MapKind::Gradient(colorous::CIVIDIS)),
+    ("turbo", MapKind::Gradient(colorous::TURBO)),
+    ("cubehelix", MapKind::Gradient(colorous::CUBEHELIX)),
+    ("cool to warm", MapKind::Diverging([0.2314, 0.2980, 0.7529], [0.7059, 0.0157, 0.1490])),
+    ("spectral", MapKind::Gradient(colorous::SPECTRAL)),
     (
         "black body",
-        Kind::Points(&[(0.0, BLACK), (0.4, [0.9, 0.0, 0.0]), (0.8, [0.9, 0.9, 0.0]), (1.0, WHITE_RGB)]),
+        MapKind::Points(&[(0.0, BLACK), (0.4, [0.9, 0.0, 0.0]), (0.8, [0.9, 0.9, 0.0]), (1.0, WHITE_RGB)]),
     ),
-    ("greys", Kind::Points(&[(0.0, BLACK), (1.0, WHITE_RGB)])),
-    ("X-ray", Kind::Points(&[(0.0, WHITE_RGB), (1.0, BLACK)])),
-    ("bone", Kind::Points(&[(0.0, [0.35, 0.16, 0.09]), (0.5, [0.85, 0.68, 0.50]), (1.0, [1.0, 0.98, 0.93])])),
-    ("green", Kind::Points(&[(0.0, BLACK), (1.0, [0.1, 1.0, 0.2])])),
-    ("magenta", Kind::Points(&[(0.0, BLACK), (1.0, [1.0, 0.15, 1.0])])),
-    ("cyan", Kind::Points(&[(0.0, BLACK), (1.0, [0.1, 0.95, 1.0])])),
-    ("rainbow", Kind::Gradient(colorous::SINEBOW)),
+    ("greys", MapKind::Points(&[(0.0, BLACK), (1.0, WHITE_RGB)])),
+    ("X-ray", MapKind::Points(&[(0.0, WHITE_RGB), (1.0, BLACK)])),
+    (
+        "bone",
+        MapKind::Points(&[(0.0, [0.35, 0.16, 0.09]), (0.5, [0.85, 0.68, 0.50]), (1.0, [1.0, 0.98, 0.93])]),
+    ),
+    ("green", MapKind::Points(&[(0.0, BLACK), (1.0, [0.1, 1.0, 0.2])])),
+    ("magenta", MapKind::Points(&[(0.0, BLACK), (1.0, [1.0, 0.15, 1.0])])),
+    ("cyan", MapKind::Points(&[(0.0, BLACK), (1.0, [0.1, 0.95, 1.0])])),
+    ("rainbow", MapKind::Gradient(colorous::SINEBOW)),
 ];
 
 #[cfg(test)]
@@ -304,7 +307,7 @@ mod tests {
         assert!(off <= tolerance, "{what}: {a:?} is not {b:?}");
     }
 
-    /// Jumps aside: linear colours there, as the kernels read them.
+    /// The colour at a position, linear between points as in the kernels.
     fn color_of(transfer: &TransferFunction, x: f32) -> [f32; 3] {
         let points: Vec<_> = transfer.points.iter().map(|p| (p.x, p.color)).collect();
         color_between(&points, ColorSpace::Rgb, x)
@@ -314,7 +317,7 @@ mod tests {
     fn a_map_changes_colours_and_no_opacity() {
         for name in preset_names() {
             let transfer = preset(name).unwrap();
-            // Control: the colours are none of the map's before.
+            // Control: the preset does not have the colours of the map.
             let (last, green) =
                 (transfer.points.last().unwrap().color, ColorMap::named("green").unwrap().at(1.0));
             assert!((0..3).any(|i| (last[i] - green[i]).abs() > 0.1), "{name} is green already");
@@ -325,14 +328,14 @@ mod tests {
                 for i in 0..=1000 {
                     let x = i as f32 / 1000.0;
                     let (opacity, before) = (mapped.at(x).1, transfer.at(x).1);
-                    // Rounding, and points that were straight to a hundred thousandth.
+                    // The tolerance covers rounding and removed points.
                     assert!(
                         (opacity - before).abs() < 3e-5,
                         "{} onto {name} at {x}: {opacity} {before}",
                         map.name()
                     );
                     if before > 0.0 {
-                        // What `recolored` aims at, and half as much again between its samples.
+                        // `recolored` keeps its tolerance at its samples, and half as much again between them.
                         assert_near(color_of(&mapped, x), map.at(x), 1.5 * COLOR_TOLERANCE, map.name());
                     }
                 }
@@ -360,7 +363,7 @@ mod tests {
 
     #[test]
     fn ends_and_middles_of_maps_are_known() {
-        // The figures of Moreland's paper for its own example.
+        // The figures of the example in Moreland's paper.
         let map = ColorMap::named("cool to warm").unwrap();
         for (t, rgb) in
             [(0.0, [59, 76, 192]), (0.5, [221, 221, 221]), (1.0, [180, 4, 38]), (0.25, [141, 176, 254])]

@@ -1,38 +1,39 @@
-//! VTK's XML images (`.vti`): point or cell data as text, in base64 or as they are, inline or appended, plain, in zlib or LZ4.
-//! Each component of each array is a channel.
+//! XML images of VTK (`.vti`) with point or cell data. These are text, base64 or raw, inline or appended, and plain,
+//! zlib or LZ4. Each component of each array is a channel.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
+use base64::prelude::{BASE64_STANDARD, Engine};
 use flate2::bufread::ZlibDecoder;
 use glam::DVec3;
 
 use crate::axes::Geometry;
-use crate::decode::next_number;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{MAX_DEFLATE_RATIO, Stream, read_past};
-use crate::taker::Taker;
-use crate::xml::{Tag, Tags};
+use crate::xml::{Tags, XmlTag};
 
 /// A file whose header was read.
 pub(crate) struct VtiFile {
     plan: Plan,
     path: PathBuf,
-    array: Array,
-    header: Header,
-    /// Where appended data begin, and whether they are in base64.
+    array: DataArray,
+    header: FileAttributes,
+    /// Offset of appended data, and whether they are in base64.
     appended: Option<(u64, bool)>,
 }
 
-/// What the outermost elements say.
+/// The attributes of the outermost element.
 #[derive(Clone, Debug)]
-struct Header {
+struct FileAttributes {
     endian: Endian,
-    /// Bytes of a size.
+    /// Bytes of a size field.
     size_bytes: usize,
     compressor: Compressor,
 }
@@ -44,35 +45,31 @@ enum Compressor {
     Lz4,
 }
 
-/// One array.
+/// A `DataArray` element.
 #[derive(Clone, Debug)]
-struct Array {
+struct DataArray {
     name: String,
     dtype: Dtype,
     components: u64,
     is_cells: bool,
-    place: Place,
+    place: DataLocation,
 }
 
-/// Where its numbers are.
+/// The location of its numbers.
 #[derive(Clone, Copy, Debug)]
-enum Place {
-    /// This far into the appended data.
+enum DataLocation {
+    /// At this offset in the appended data.
     Appended(u64),
-    /// In the element that ends here, in base64.
+    /// As base64, after the tag that ends at this offset.
     Base64(u64),
-    /// The same, as text.
+    /// As text, after the tag that ends at this offset.
     Text(u64),
 }
 
 impl VtiFile {
-    /// `file` is the file at `path`, of which the options choose an array.
+    /// `file` is the file at `path`. The options choose an array.
     pub(crate) fn open(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "VTK header".into(),
-            problem,
-        };
+        let bad = malformed(path, "VTK header");
         let mut document = Document::default();
         let mut tags = Tags::new(BufReader::new(file));
         loop {
@@ -87,13 +84,13 @@ impl VtiFile {
             }
         }
         if let Some((_, is_base64)) = document.appended {
-            // An underscore marks the first byte.
-            let start = tags.place_after(b'_').map_err(io_error(path))?;
+            // An underscore precedes the first byte.
+            let start = tags.offset_after(b'_').map_err(io_error(path))?;
             document.appended = start.map(|at| (at, is_base64));
         }
         let channel = options.selection.channel.map(u64::from);
         let (plan, array) = document.plan(channel).map_err(bad)?;
-        if matches!(array.place, Place::Appended(_)) && document.appended.is_none() {
+        if matches!(array.place, DataLocation::Appended(_)) && document.appended.is_none() {
             return Err(bad(format!("array {} is appended, but no data are", quoted(&array.name))));
         }
         let header = document.header.ok_or_else(|| bad("there is no VTKFile element".into()))?;
@@ -106,37 +103,32 @@ impl VolumeFile for VtiFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let path = &self.path;
         let io = io_error(path);
         let mut file = open_file(path)?;
         let length = file.metadata().map_err(&io)?.len();
         let (start, is_base64) = match (self.array.place, self.appended) {
-            (Place::Text(at), _) => return self.read_text(file, at, length, taker),
-            (Place::Base64(at), _) => (at, true),
-            (Place::Appended(offset), Some((at, is_base64))) => (at.saturating_add(offset), is_base64),
-            (Place::Appended(_), None) => return Ok(()),
+            (DataLocation::Text(at), _) => return self.read_text(file, at, length, collector),
+            (DataLocation::Base64(at), _) => (at, true),
+            (DataLocation::Appended(offset), Some((at, is_base64))) => (at.saturating_add(offset), is_base64),
+            (DataLocation::Appended(_), None) => return Ok(()),
         };
         let left = length.saturating_sub(start);
         file.seek(SeekFrom::Start(start.min(length))).map_err(&io)?;
         let mut reader: Box<dyn Stream> = match is_base64 {
-            true => Box::new(Base64 {
-                reader: BufReader::new(file),
-                pending: [0; 3],
-                num_pending: 0,
-                is_done: false,
-            }),
+            true => Box::new(Base64::new(BufReader::new(file))),
             false => Box::new(BufReader::new(file)),
         };
         let cut = |e: io::Error| FormatError::Data {
             path: shown(path),
             problem: format!("sizes of the array: {e}"),
         };
-        let num_bytes = taker.num_bytes();
+        let num_bytes = collector.num_bytes();
         if self.header.compressor == Compressor::None {
             let told = self.size(&mut reader).map_err(cut)?;
-            taker.check_length(path, num_bytes, told.min(left))?;
-            return taker.pump(&mut reader, path, num_bytes);
+            collector.check_length(path, num_bytes, told.min(left))?;
+            return collector.pump(&mut reader, path, num_bytes);
         }
         let [num_blocks, block_bytes, last_bytes] =
             [self.size(&mut reader), self.size(&mut reader), self.size(&mut reader)];
@@ -149,13 +141,13 @@ impl VolumeFile for VtiFile {
             let problem = format!(
                 "{num_blocks} blocks of {block_bytes} bytes, the last of {last_bytes}, in {left} bytes"
             );
-            return Err(taker.data_error(path, problem));
+            return Err(collector.data_error(path, problem));
         }
         let full = num_blocks - u64::from(last_bytes > 0 && num_blocks > 0);
-        taker.check_length(path, num_bytes, full * block_bytes + last_bytes)?;
+        collector.check_length(path, num_bytes, full * block_bytes + last_bytes)?;
         let ratio =
             if self.header.compressor == Compressor::Zlib { MAX_DEFLATE_RATIO } else { MAX_LZ4_RATIO };
-        taker.check_length(path, num_bytes, left.saturating_mul(ratio))?;
+        collector.check_length(path, num_bytes, left.saturating_mul(ratio))?;
         let mut sizes = Vec::new();
         for _ in 0..num_blocks {
             sizes.push(self.size(&mut reader).map_err(cut)?);
@@ -170,7 +162,7 @@ impl VolumeFile for VtiFile {
             block: Vec::new(),
             at: 0,
         };
-        taker.pump(&mut blocks, path, num_bytes)
+        collector.pump(&mut blocks, path, num_bytes)
     }
 }
 
@@ -187,61 +179,52 @@ impl VtiFile {
         })
     }
 
-    fn read_text(&self, mut file: File, at: u64, length: u64, taker: &mut Taker) -> Result<(), FormatError> {
-        let path = &self.path;
-        let num_elements = taker.num_elements();
-        // A number has at least one digit, and a gap before the next.
-        let found = length.saturating_sub(at).div_ceil(2);
-        if found < num_elements {
-            return Err(taker.short(path, num_elements, found, "numbers"));
-        }
-        file.seek(SeekFrom::Start(at)).map_err(io_error(path))?;
-        let mut reader = BufReader::new(file);
-        (0..num_elements).try_for_each(|i| match next_number(&mut reader).map_err(io_error(path))? {
-            Some(number) => taker.push_number(path, number),
-            None => Err(taker.short(path, num_elements, i, "numbers")),
-        })
+    fn read_text(
+        &self,
+        mut file: File,
+        at: u64,
+        length: u64,
+        collector: &mut Collector,
+    ) -> Result<(), FormatError> {
+        file.seek(SeekFrom::Start(at)).map_err(io_error(&self.path))?;
+        let count = collector.num_elements();
+        collector.push_text(&mut BufReader::new(file), &self.path, count, length.saturating_sub(at))
     }
 }
 
 /// The elements of a document.
 #[derive(Default)]
 struct Document {
-    header: Option<Header>,
+    header: Option<FileAttributes>,
     extent: Option<[i64; 6]>,
     origin: [f64; 3],
     spacing: Option<[f64; 3]>,
     direction: Option<[f64; 9]>,
     num_pieces: usize,
     piece: Option<[i64; 6]>,
-    /// Name of the array that is meant, of points and of cells.
+    /// Names of the active arrays of points and of cells.
     active: [Option<String>; 2],
-    /// Whether what follows are points or cells.
+    /// Whether the current element has cells; `None` outside of such elements.
     is_cells: Option<bool>,
-    arrays: Vec<Array>,
+    arrays: Vec<DataArray>,
     refused: Option<String>,
     appended: Option<(u64, bool)>,
 }
 
 impl Document {
-    /// Takes a tag; `false` if none after it matters.
-    fn take(&mut self, tag: Tag) -> Result<bool, String> {
-        let numbers =
-            |name: &str| tag.get(name).map(|text| (text, text.split_ascii_whitespace().collect::<Vec<_>>()));
+    /// Handles a tag. Returns `false` if later tags do not matter.
+    fn take(&mut self, tag: XmlTag) -> Result<bool, String> {
         match (tag.name.as_str(), tag.is_end) {
-            ("VTKFile", false) => self.header = Some(Header::of(&tag)?),
+            ("VTKFile", false) => self.header = Some(FileAttributes::of(&tag)?),
             ("ImageData", false) => {
-                self.extent =
-                    numbers("WholeExtent").map(|(text, w)| parsed(&w, "WholeExtent", text)).transpose()?;
-                self.spacing = numbers("Spacing").map(|(text, w)| parsed(&w, "Spacing", text)).transpose()?;
-                self.origin =
-                    numbers("Origin").map_or(Ok([0.0; 3]), |(text, w)| parsed(&w, "Origin", text))?;
-                self.direction =
-                    numbers("Direction").map(|(text, w)| parsed(&w, "Direction", text)).transpose()?;
+                self.extent = numbers(&tag, "WholeExtent")?;
+                self.spacing = numbers(&tag, "Spacing")?;
+                self.origin = numbers(&tag, "Origin")?.unwrap_or_default();
+                self.direction = numbers(&tag, "Direction")?;
             }
             ("Piece", false) => {
                 self.num_pieces += 1;
-                self.piece = numbers("Extent").map(|(text, w)| parsed(&w, "Extent", text)).transpose()?;
+                self.piece = numbers(&tag, "Extent")?;
             }
             ("PointData" | "CellData", is_end) => {
                 let is_cells = tag.name == "CellData";
@@ -276,8 +259,8 @@ impl Document {
         Ok(true)
     }
 
-    /// The plan of a channel, and the array it is in.
-    fn plan(&mut self, channel: Option<u64>) -> Result<(Plan, Array), String> {
+    /// The plan of a channel, and its array.
+    fn plan(&mut self, channel: Option<u64>) -> Result<(Plan, DataArray), String> {
         let header = self.header.as_ref().ok_or("there is no VTKFile element")?;
         if self.num_pieces > 1 {
             return Err(format!("the image has {} pieces, expected one", self.num_pieces));
@@ -312,14 +295,14 @@ impl Document {
         };
         let array = self.arrays[chosen].clone();
         let cells = u64::from(array.is_cells);
-        // A slice one point thick is one cell thick.
+        // A slice of one point has one cell.
         let sizes = dims.map(|n| if n > 1 { n - cells } else { n });
         let mut axes = vec![Axis { size: array.components, role: Role::Picked(component) }];
         axes.extend(Axis::in_space(sizes));
         let spacing = self.spacing.unwrap_or([1.0; 3]);
         let mut geometry = Geometry::along_axes(spacing, None);
         if let Some(d) = self.direction {
-            // By rows: the columns are the directions of the axes.
+            // The matrix is in rows, and its columns are the directions of the axes.
             let direction = |c: usize| DVec3::new(d[c], d[3 + c], d[6 + c]);
             geometry.steps = std::array::from_fn(|i| direction(i) * spacing[i]);
         }
@@ -332,13 +315,13 @@ impl Document {
             Compressor::Lz4 => "LZ4",
         };
         let place = match array.place {
-            Place::Appended(_) if self.appended.is_some_and(|a| !a.1) => "appended raw",
-            Place::Appended(_) => "appended base64",
-            Place::Base64(_) => "inline base64",
-            Place::Text(_) => "text",
+            DataLocation::Appended(_) if self.appended.is_some_and(|a| !a.1) => "appended raw",
+            DataLocation::Appended(_) => "appended base64",
+            DataLocation::Base64(_) => "inline base64",
+            DataLocation::Text(_) => "text",
         };
         let packing =
-            if matches!(array.place, Place::Text(_)) { String::new() } else { format!(", {packing}") };
+            if matches!(array.place, DataLocation::Text(_)) { String::new() } else { format!(", {packing}") };
         let mut plan =
             Plan::new(format!("VTK image, {place}{packing}"), array.dtype, header.endian, axes, geometry);
         plan.num_channels = choices.len() as u64;
@@ -351,8 +334,8 @@ impl Document {
     }
 }
 
-impl Header {
-    fn of(tag: &Tag) -> Result<Self, String> {
+impl FileAttributes {
+    fn of(tag: &XmlTag) -> Result<Self, String> {
         let kind = tag.get("type").unwrap_or_default();
         if kind != "ImageData" {
             return Err(format!("the file is of type {}, expected ImageData", quoted(kind)));
@@ -386,7 +369,7 @@ impl Header {
     }
 }
 
-fn array(tag: &Tag, is_cells: bool) -> Result<Array, String> {
+fn array(tag: &XmlTag, is_cells: bool) -> Result<DataArray, String> {
     let kind = tag.get("type").unwrap_or_default();
     let dtype = match kind {
         "Int8" => Dtype::Int8,
@@ -409,15 +392,15 @@ fn array(tag: &Tag, is_cells: bool) -> Result<Array, String> {
     let place = match tag.get("format").unwrap_or("ascii") {
         "appended" => {
             let offset = tag.get("offset").unwrap_or("0");
-            Place::Appended(
+            DataLocation::Appended(
                 offset.parse().map_err(|_| format!("an offset is {}, expected a number", quoted(offset)))?,
             )
         }
-        "binary" => Place::Base64(tag.end),
-        "ascii" => Place::Text(tag.end),
+        "binary" => DataLocation::Base64(tag.end),
+        "ascii" => DataLocation::Text(tag.end),
         other => return Err(format!("an array is {}, expected appended, binary or ascii", quoted(other))),
     };
-    Ok(Array {
+    Ok(DataArray {
         name: tag.get("Name").unwrap_or_default().to_owned(),
         dtype,
         components: count,
@@ -426,79 +409,49 @@ fn array(tag: &Tag, is_cells: bool) -> Result<Array, String> {
     })
 }
 
-/// `N` numbers of an attribute.
-fn parsed<T: std::str::FromStr, const N: usize>(
-    words: &[&str],
-    name: &str,
-    text: &str,
-) -> Result<[T; N], String> {
-    let numbers: Option<Vec<T>> = words.iter().map(|w| w.parse().ok()).collect();
-    numbers
-        .and_then(|n| n.try_into().ok())
-        .ok_or_else(|| format!("{name} is {}, expected {N} numbers", quoted(text)))
+/// The `N` numbers of an attribute, if there is one.
+fn numbers<T: FromStr, const N: usize>(tag: &XmlTag, name: &str) -> Result<Option<[T; N]>, String> {
+    let Some(text) = tag.get(name) else { return Ok(None) };
+    let numbers: Option<Vec<T>> = text.split_ascii_whitespace().map(|word| word.parse().ok()).collect();
+    let numbers = numbers.and_then(|n| n.try_into().ok());
+    numbers.map(Some).ok_or_else(|| format!("{name} is {}, expected {N} numbers", quoted(text)))
 }
 
-/// Text in base64; padding ends a part, after which another may follow.
+/// Text in base64. Padding ends a part, and another part may follow.
 struct Base64<R> {
     reader: R,
-    /// Bytes that were decoded and not yet asked for, the next one first.
-    pending: [u8; 3],
-    num_pending: usize,
-    is_done: bool,
+    decoded: Cursor<Vec<u8>>,
 }
 
 impl<R: BufRead> Base64<R> {
-    /// Decodes the next four letters.
+    fn new(reader: R) -> Self {
+        Self { reader, decoded: Cursor::default() }
+    }
+
+    /// Decodes the next letters, up to a padding.
     fn refill(&mut self) -> io::Result<()> {
-        let (mut word, mut count, mut num_padding) = (0u32, 0, 0);
-        while count < 4 {
-            let Some(&byte) = self.reader.fill_buf()?.first() else { break };
-            let value = match byte {
-                b'A'..=b'Z' => byte - b'A',
-                b'a'..=b'z' => byte - b'a' + 26,
-                b'0'..=b'9' => byte - b'0' + 52,
-                b'+' => 62,
-                b'/' => 63,
-                b'=' => {
-                    num_padding += 1;
-                    0
-                }
-                b' ' | b'\t' | b'\n' | b'\r' => {
-                    self.reader.consume(1);
-                    continue;
-                }
-                _ => break,
-            };
+        let mut letters = Vec::with_capacity(BASE64_LETTERS);
+        while letters.len() < BASE64_LETTERS && !(letters.len() % 4 == 0 && letters.ends_with(b"=")) {
+            match self.reader.fill_buf()?.first() {
+                None | Some(b'<') => break,
+                Some(byte) if byte.is_ascii_whitespace() => {}
+                Some(byte) => letters.push(*byte),
+            }
             self.reader.consume(1);
-            word = word << 6 | u32::from(value);
-            count += 1;
         }
-        if count < 4 || num_padding > 2 {
-            self.is_done = true;
-            return Ok(());
-        }
-        self.pending = [(word >> 16) as u8, (word >> 8) as u8, word as u8];
-        self.num_pending = 3 - num_padding;
+        letters.truncate(letters.len() / 4 * 4);
+        let decoded = BASE64_STANDARD.decode(letters).map_err(|e| invalid(e.to_string()))?;
+        self.decoded = Cursor::new(decoded);
         Ok(())
     }
 }
 
 impl<R: BufRead> Read for Base64<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let mut n = 0;
-        while n < out.len() {
-            if self.num_pending == 0 && !self.is_done {
-                self.refill()?;
-            }
-            if self.num_pending == 0 {
-                break;
-            }
-            out[n] = self.pending[0];
-            self.pending.rotate_left(1);
-            self.num_pending -= 1;
-            n += 1;
+        if self.decoded.position() == self.decoded.get_ref().len() as u64 {
+            self.refill()?;
         }
-        Ok(n)
+        self.decoded.read(out)
     }
 }
 
@@ -508,14 +461,14 @@ impl<R: BufRead> Stream for Base64<R> {
     }
 }
 
-/// Compressed blocks one after the other.
+/// A sequence of compressed blocks.
 struct Blocks {
     reader: Box<dyn Stream>,
     compressor: Compressor,
-    /// Bytes of the blocks that follow.
+    /// Compressed sizes of the next blocks, in bytes.
     sizes: std::vec::IntoIter<u64>,
     block_bytes: usize,
-    /// Most bytes that a block can have in the file.
+    /// Most bytes of a block in the file.
     most: u64,
     block: Vec<u8>,
     at: usize,
@@ -523,7 +476,6 @@ struct Blocks {
 
 impl Blocks {
     fn next_block(&mut self, size: u64) -> io::Result<()> {
-        let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidData, what);
         if size > self.most {
             return Err(invalid(format!("a block of {size} bytes is longer than the file")));
         }
@@ -569,9 +521,15 @@ impl Stream for Blocks {
     }
 }
 
-/// The largest block of a compressor; VTK's own are 32 KiB.
+fn invalid(problem: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, problem)
+}
+
+/// Largest block, decompressed. VTK's own blocks have 32 KiB.
 const MAX_BLOCK_BYTES: u64 = 256 << 20;
-/// A byte of length adds at most 255 bytes.
+/// Greatest ratio of LZ4. A byte of length adds at most 255 bytes.
 const MAX_LZ4_RATIO: u64 = 256;
+/// Letters that are decoded at a time, a multiple of four.
+const BASE64_LETTERS: usize = 1 << 14;
 const MAX_ARRAYS: usize = 256;
 const MAX_COMPONENTS: u64 = 256;

@@ -1,34 +1,34 @@
-//! What is odd about a file, told before and after it is read.
+//! Warnings about a file, before and after it is read.
 
 use std::fmt;
 
-/// What a warning is about, so that a viewer can mark the ones that matter to it.
+/// The subject of a warning, so that a viewer can mark the relevant ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WarningKind {
-    /// The volume lies in space in another way than it is shown.
+    /// The position or orientation of the volume differs from what is shown.
     Geometry,
-    /// The file does not say something that was assumed.
+    /// Something that the file does not state was assumed.
     Guess,
     /// Numbers were changed.
     Values,
-    /// Data was left out, or is not what it should be.
+    /// Data were ignored, or are not as expected.
     Data,
-    /// The file holds more than what is shown.
+    /// The file contains more than is shown.
     Choice,
 }
 
-/// One sentence without its full stop.
+/// A warning: one sentence without its full stop.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Warning {
-    /// What it is about.
+    /// Its subject.
     pub kind: WarningKind,
     /// The sentence.
     pub text: String,
 }
 
 impl Warning {
-    /// A warning; text from a file must be quoted.
+    /// A warning with this text. Text from a file must be quoted.
     pub(crate) fn new(kind: WarningKind, text: impl Into<String>) -> Self {
         Self { kind, text: text.into() }
     }

@@ -1,21 +1,28 @@
-//! The tags of an XML document with their places, as far as headers of volumes need them: text between tags is passed over,
-//! and documents are not validated.
+//! The tags of an XML document with their places.
+//!
+//! `quick-xml` reads them as a stream. `roxmltree` needs the document as one text in memory, and a VTK file has gigabytes
+//! of numbers between its tags.
 
+use std::borrow::Cow;
 use std::io::{self, BufRead};
+
+use quick_xml::events::attributes::Attribute;
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, XmlVersion};
 
 /// A tag.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Tag {
+pub(crate) struct XmlTag {
     /// Its name, without a prefix.
     pub(crate) name: String,
     /// Whether it ends an element, `</name>`.
     pub(crate) is_end: bool,
     attributes: Vec<(String, String)>,
-    /// Byte after it.
+    /// Offset of the byte after it.
     pub(crate) end: u64,
 }
 
-impl Tag {
+impl XmlTag {
     /// The value of an attribute.
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
@@ -27,182 +34,114 @@ impl Tag {
     }
 }
 
-/// Tags of a document, in order.
-pub(crate) struct Tags<R> {
-    reader: R,
-    at: u64,
-}
+/// The tags of a document, in order. The document is not validated.
+pub(crate) struct Tags<R>(Reader<io::Take<R>>);
 
 impl<R: BufRead> Tags<R> {
     pub(crate) fn new(reader: R) -> Self {
-        Self { reader, at: 0 }
+        let mut reader = Reader::from_reader(reader.take(0));
+        let config = reader.config_mut();
+        (config.check_end_names, config.allow_unmatched_ends) = (false, true);
+        Self(reader)
     }
 
     /// The next tag, `None` at the end. An error of kind `InvalidData` says what is wrong.
-    pub(crate) fn next(&mut self) -> io::Result<Option<Tag>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<XmlTag>> {
         loop {
-            if !self.pass(b'<')? {
-                return Ok(None);
-            }
-            let mut bytes = Vec::new();
-            if !self.inside(&mut bytes)? {
-                return Ok(None);
-            }
-            if !matches!(bytes.first(), Some(b'?' | b'!')) {
-                return Ok(Some(Tag::parse(&bytes, self.at)));
-            }
-        }
-    }
-
-    /// The place after the next `byte`, wherever it is; `None` if there is none.
-    pub(crate) fn place_after(&mut self, byte: u8) -> io::Result<Option<u64>> {
-        Ok(self.pass(byte)?.then_some(self.at))
-    }
-
-    /// Reads up to the `>` that is not in quotes, without it; of a comment, which may be long, only its beginning is kept.
-    /// `false` if a comment does not end.
-    fn inside(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
-        let invalid = |what: &str| Err(io::Error::new(io::ErrorKind::InvalidData, what));
-        let mut quote = None;
-        // How many of the bytes before are dashes, for the end of a comment.
-        let mut dashes = 0;
-        loop {
-            let is_comment = bytes.starts_with(b"!--");
-            let Some(byte) = self.byte()? else {
-                return if is_comment { Ok(false) } else { invalid("the document ends within a tag") };
+            // `quick-xml` would keep the text between two tags in memory.
+            self.skip_to(b'<')?;
+            self.0.get_mut().set_limit(MAX_TAG_BYTES);
+            let mut buffer = Vec::new();
+            let event = self.0.read_event_into(&mut buffer).map_err(|e| match e {
+                quick_xml::Error::Io(e) => io::Error::new(e.kind(), e.to_string()),
+                other => io::Error::new(io::ErrorKind::InvalidData, other.to_string()),
+            })?;
+            let (name, attributes, is_end) = match &event {
+                Event::Start(tag) | Event::Empty(tag) => (tag.local_name(), attributes(tag), false),
+                Event::End(tag) => (tag.local_name(), Vec::new(), true),
+                Event::Eof => return Ok(None),
+                _ => continue,
             };
-            match (quote, byte) {
-                (_, b'>') if is_comment && dashes >= 2 => return Ok(true),
-                _ if is_comment => {
-                    dashes = if byte == b'-' { dashes + 1 } else { 0 };
-                    continue;
-                }
-                (None, b'>') => return Ok(true),
-                (None, b'"' | b'\'') => quote = Some(byte),
-                (Some(q), b) if q == b => quote = None,
-                _ => {}
-            }
-            if bytes.len() == MAX_TAG_BYTES {
-                return invalid("a tag is too long");
-            }
-            bytes.push(byte);
+            let name = lossy(name.as_ref());
+            return Ok(Some(XmlTag { name, is_end, attributes, end: self.0.buffer_position() }));
         }
     }
 
-    fn byte(&mut self) -> io::Result<Option<u8>> {
-        let byte = self.reader.fill_buf()?.first().copied();
-        if byte.is_some() {
-            self.reader.consume(1);
-            self.at += 1;
-        }
-        Ok(byte)
+    /// The offset after the next `byte`; `None` if there is none.
+    pub(crate) fn offset_after(&mut self, byte: u8) -> io::Result<Option<u64>> {
+        let is_found = self.skip_to(byte)?;
+        Ok(is_found.then_some(self.0.buffer_position() + 1))
     }
 
-    /// Passes everything up to and including `byte`; `false` if it does not come.
-    fn pass(&mut self, byte: u8) -> io::Result<bool> {
+    /// Reads up to the next `byte`, without it; `false` if there is none.
+    fn skip_to(&mut self, byte: u8) -> io::Result<bool> {
+        self.0.get_mut().set_limit(u64::MAX);
+        let mut stream = self.0.stream();
         loop {
-            let buffer = self.reader.fill_buf()?;
-            let found = buffer.iter().position(|&b| b == byte);
-            let n = found.map_or(buffer.len(), |i| i + 1);
-            let is_end = buffer.is_empty();
-            self.reader.consume(n);
-            self.at += n as u64;
-            if found.is_some() || is_end {
+            let buffer = stream.fill_buf()?;
+            let (found, length) = (buffer.iter().position(|&b| b == byte), buffer.len());
+            stream.consume(found.unwrap_or(length));
+            if found.is_some() || length == 0 {
                 return Ok(found.is_some());
             }
         }
     }
 }
 
-impl Tag {
-    /// From what is between `<` and `>`.
-    fn parse(bytes: &[u8], end: u64) -> Self {
-        let text = String::from_utf8_lossy(bytes);
-        let text = text.trim().trim_end_matches('/');
-        let (is_end, text) = text.strip_prefix('/').map_or((false, text), |rest| (true, rest));
-        let (name, mut rest) = text.split_once(|c: char| c.is_ascii_whitespace()).unwrap_or((text, ""));
-        let mut attributes = Vec::new();
-        while let Some((name, after)) = rest.split_once('=') {
-            let after = after.trim_start();
-            let Some(quote) = after.chars().next().filter(|c| matches!(c, '"' | '\'')) else { break };
-            let Some((value, after)) = after[1..].split_once(quote) else { break };
-            attributes.push((local(name.trim()).to_owned(), unescaped(value)));
-            rest = after;
-        }
-        Self { name: local(name).to_owned(), is_end, attributes, end }
-    }
+/// The attributes up to the first that is malformed. A value with an unknown entity stays as it is written.
+fn attributes(tag: &BytesStart) -> Vec<(String, String)> {
+    let value = |a: &Attribute| {
+        let text = a.normalized_value(XmlVersion::Implicit1_0).ok();
+        text.map_or_else(|| lossy(&a.value), Cow::into_owned)
+    };
+    let mut attributes = tag.attributes();
+    let valid = attributes.with_checks(false).map_while(Result::ok);
+    valid.map(|a| (lossy(a.key.local_name().as_ref()), value(&a))).collect()
 }
 
-fn local(name: &str) -> &str {
-    name.rsplit_once(':').map_or(name, |(_, local)| local)
+fn lossy(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Text with its entities replaced; what is none stays.
-fn unescaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some((before, after)) = rest.split_once('&') {
-        out += before;
-        let entity = after.split_once(';').and_then(|(name, after)| {
-            let number =
-                |digits: &str, radix| u32::from_str_radix(digits, radix).ok().and_then(char::from_u32);
-            let c = match name {
-                "lt" => '<',
-                "gt" => '>',
-                "amp" => '&',
-                "quot" => '"',
-                "apos" => '\'',
-                _ => match name.strip_prefix('#')?.strip_prefix(['x', 'X']) {
-                    Some(hex) => number(hex, 16)?,
-                    None => number(name.strip_prefix('#')?, 10)?,
-                },
-            };
-            Some((c, after))
-        });
-        match entity {
-            Some((c, after)) => {
-                out.push(c);
-                rest = after;
-            }
-            None => {
-                out.push('&');
-                rest = after;
-            }
-        }
-    }
-    out + rest
-}
-
-/// A longer tag is none.
-const MAX_TAG_BYTES: usize = 1 << 16;
+/// Longest tag or comment.
+const MAX_TAG_BYTES: u64 = 1 << 20;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn tags(text: &str) -> Vec<Tag> {
+    fn tags(text: &str) -> Vec<XmlTag> {
         let mut tags = Tags::new(text.as_bytes());
         std::iter::from_fn(|| tags.next().unwrap()).collect()
     }
 
     #[test]
     fn tags_come_with_their_attributes_and_places() {
-        let text = "<?xml version=\"1.0\"?>\n<!-- <no a=\"1\"> > -- -->\n<o:A b = '>\"' c:d=\"&lt;&#181;&amp;&x\">text<B/></o:A >";
+        let text = "<?xml version=\"1.0\"?>\n<!-- <no a=\"1\"> > -- -->\n<o:A b = '>\"' c:d=\"&lt;&#181;&amp;\" e=\"&x;\">text<B/></o:A >";
         let found = tags(text);
         let names: Vec<(&str, bool)> = found.iter().map(|t| (t.name.as_str(), t.is_end)).collect();
         assert_eq!(names, [("A", false), ("B", false), ("A", true)]);
-        assert_eq!((found[0].get("b"), found[0].get("d")), (Some(">\""), Some("<µ&&x")));
+        assert_eq!(["b", "d", "e"].map(|name| found[0].get(name)), [Some(">\""), Some("<µ&"), Some("&x;")]);
         assert_eq!(&text[found[0].end as usize..][..4], "text");
         assert!(found[0].has_attributes() && !found[1].has_attributes());
-        assert!(tags("no tags").is_empty() && tags("<!-- open > -- >").is_empty());
+        assert!(tags("no tags").is_empty());
+        assert_eq!(tags(&format!("<A>{}</B>", "& ".repeat(1 << 20))).len(), 2, "neither balanced nor short");
+    }
+
+    #[test]
+    fn data_between_tags_are_found_by_a_mark() {
+        let mut tags = Tags::new(&b"<A> _\xff<"[..]);
+        assert_eq!(tags.next().unwrap().unwrap().end, 3);
+        assert_eq!(tags.offset_after(b'_').unwrap(), Some(5));
+        assert_eq!(tags.offset_after(b'!').unwrap(), None);
     }
 
     #[test]
     fn what_does_not_end_is_an_error() {
-        for text in ["<A b=\"", "<", "<A"] {
+        for text in ["<A b=\"", "<", "<A", "<!-- open > -- >"] {
             assert!(Tags::new(text.as_bytes()).next().is_err(), "{text}");
         }
-        let long = format!("<A b=\"{}\">", "x".repeat(MAX_TAG_BYTES));
+        let long = format!("<A b=\"{}\">", "x".repeat(MAX_TAG_BYTES as usize));
         assert!(Tags::new(long.as_bytes()).next().is_err());
     }
 }

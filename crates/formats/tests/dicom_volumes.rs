@@ -1,4 +1,5 @@
-//! DICOM series that are more than one volume, or not quite one: is each volume whole, and is what is odd told?
+//! DICOM series with several or incomplete volumes. The tests check that each volume is complete, and that warnings
+//! report the rest.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -51,7 +52,7 @@ fn slice(z: f64, value: u16, more: &[Vec<u8>]) -> Vec<u8> {
     file(PLAIN, [more, &place].concat(), &[value])
 }
 
-/// Writes files under names that say nothing of their order.
+/// Writes files under names without an order.
 fn folder(files: &[Vec<u8>]) -> TempDir {
     let folder = TempDir::new().unwrap();
     for (i, bytes) in files.iter().enumerate() {
@@ -68,7 +69,7 @@ fn outline_of(path: &Path) -> Outline {
     outline(path.to_str().unwrap(), &options(None, None)).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// The values of the slices of a part from below, and what was said of it.
+/// The values of the slices of a part from below, and the warnings.
 fn part(path: &Path, series: Option<u32>, time: Option<u32>) -> (Vec<f32>, Vec<String>) {
     let volume: Volume =
         open(path.to_str().unwrap(), &options(series, time)).unwrap_or_else(|e| panic!("{e}"));
@@ -79,7 +80,8 @@ fn part(path: &Path, series: Option<u32>, time: Option<u32>) -> (Vec<f32>, Vec<S
     (slices.collect(), volume.info.warnings.iter().filter(|w| kept(w)).cloned().collect())
 }
 
-/// Checks that a folder has so many times of three slices, whose values are 10 t + k, and returns what is said of time 0.
+/// Checks that a folder has this number of times with three slices of the values 10 t + k. Returns the warnings of
+/// time 0.
 fn check_times(path: &Path, num_times: u32) -> Vec<String> {
     let before = outline_of(path);
     assert_eq!((before.num_times, before.series.len()), (u64::from(num_times), 0), "{before:?}");
@@ -90,7 +92,7 @@ fn check_times(path: &Path, num_times: u32) -> Vec<String> {
     part(path, None, Some(0)).1
 }
 
-/// Three slices at each of so many times, with what `more` adds to slice k of time t.
+/// Three slices at each of several times. `more` adds elements to slice k of time t.
 fn times(num_times: usize, more: impl Fn(usize, usize) -> Vec<Vec<u8>>) -> Vec<Vec<u8>> {
     let one = |t: usize, k: usize| slice(3.0 * k as f64, (10 * t + k) as u16, &more(t, k));
     (0..num_times).flat_map(|t| (0..3).map(move |k| (t, k))).map(|(t, k)| one(t, k)).collect()
@@ -98,7 +100,7 @@ fn times(num_times: usize, more: impl Fn(usize, usize) -> Vec<Vec<u8>>) -> Vec<V
 
 #[test]
 fn what_differs_in_a_place_divides_it_into_times() {
-    // Numbers that count the other way, so that nothing but the key can be right.
+    // The numbers count backwards, so that only the key gives the right order.
     let number = |t: usize, k: usize| integer(INSTANCE_NUMBER, 100 - 3 * t - k);
     let time = |t: usize| text(ACQUISITION_TIME, "TM", &format!("1359{:02}.5", 10 + t));
     type More<'a> = &'a dyn Fn(usize, usize) -> Vec<Vec<u8>>;
@@ -107,12 +109,12 @@ fn what_differs_in_a_place_divides_it_into_times() {
         ("trigger time", &|t, k| vec![decimals(TRIGGER_TIME, &[9.5 * t as f64]), number(t, k)]),
         ("acquisition number", &|t, k| vec![integer(ACQUISITION_NUMBER, t + 3), number(t, k)]),
         ("acquisition time", &|t, k| vec![time(t), number(t, k)]),
-        // Every slice has its own time, as scanners that take one after the other write it.
+        // Every slice has its own time, as scanners write it that take slices one by one.
         ("times of slices", &|t, k| {
             vec![text(CONTENT_TIME, "TM", &format!("10{:02}{:02}", t, 10 * k)), number(t, k)]
         }),
         ("heartbeats", &|t, k| vec![decimals(TRIGGER_TIME, &[30.0 * t as f64 + k as f64]), number(t, k)]),
-        // Neither of the two alone.
+        // Neither of the two keys is enough alone.
         ("two keys", &|t, k| {
             vec![integer(TEMPORAL_POSITION, t / 2), double(B_VALUE, (t % 2) as f64), number(t, k)]
         }),
@@ -148,7 +150,7 @@ fn kinds_of_pictures_and_echoes_are_series() {
     assert_eq!(part(both.path(), Some(0), Some(1)).0, [10.0, 11.0, 12.0]);
     assert_eq!(part(both.path(), Some(1), Some(1)).0, [110.0, 111.0, 112.0]);
 
-    // Echoes that are named by number or by time alone; the last lacks a slice.
+    // Echoes have only a number or only a time. The last lacks a slice.
     for tag in [ECHO_NUMBERS, ECHO_TIME] {
         let echo = |i: usize| {
             let value = (10 * (i / 3) + i % 3) as u16;
@@ -162,7 +164,7 @@ fn kinds_of_pictures_and_echoes_are_series() {
         assert_eq!(part(echoes.path(), Some(2), None).0, [20.0, 21.0]);
     }
 
-    // Types and echoes that change along the stack divide nothing.
+    // Types and echoes that change along the stack do not divide it.
     let along = |k: usize| {
         let kind = text(IMAGE_TYPE, "CS", kinds[usize::from(k > 3)]);
         slice(3.0 * k as f64, k as u16, &[kind, decimals(ECHO_TIME, &[k as f64])])
@@ -180,7 +182,7 @@ fn what_nothing_divides_is_told() {
     let expected = "nothing but their numbers tells which of the 2 slices in each place belong together; they are taken as points in time in that order";
     assert_eq!(said, [expected]);
 
-    // A scan that was ended early: the last time lacks a slice.
+    // A scan was stopped early, and the last time lacks a slice.
     let mut files = times(3, |t, k| vec![integer(TEMPORAL_POSITION, t), number(t, k)]);
     files.pop();
     let said = check_times(folder(&files).path(), 2);
@@ -193,7 +195,7 @@ fn what_nothing_divides_is_told() {
     assert_eq!(said, [expected]);
 }
 
-/// The groups of a frame of an enhanced file: position, orientation and what its content says.
+/// The groups of a frame in an enhanced file: position, orientation and content.
 fn frame(position: [f64; 3], orientation: [f64; 6], content: Vec<Vec<u8>>) -> Vec<Vec<u8>> {
     vec![
         sequence((0x0020, 0x9111), &[content]),
@@ -202,7 +204,7 @@ fn frame(position: [f64; 3], orientation: [f64; 6], content: Vec<Vec<u8>>) -> Ve
     ]
 }
 
-/// An enhanced file of these frames, whose values count from 0.
+/// An enhanced file of these frames. Their values count from 0.
 fn enhanced(frames: &[Vec<Vec<u8>>]) -> TempDir {
     let measures = sequence((0x0028, 0x9110), &[vec![decimals((0x0028, 0x0030), &[1.0, 1.0])]]);
     let groups = [sequence((0x5200, 0x9229), &[vec![measures]]), sequence((0x5200, 0x9230), frames)];
@@ -223,7 +225,7 @@ fn frames_of_several_directions_are_series() {
     let second = outline(both.path().to_str().unwrap(), &options(Some(1), None)).unwrap();
     assert_eq!((second.dims, second.spacing), ([2, 2, 2], [1.0, 4.0, 1.0]));
 
-    // Three slices across each other, opened as the file they are in.
+    // Three slices cross each other. The path is that of the file.
     let planes = [AXIAL, CORONAL, [0.0, 1.0, 0.0, 0.0, 0.0, -1.0]];
     let scout = enhanced(&planes.map(|plane| frame([0.0; 3], plane, vec![])));
     let (values, said) =
@@ -237,7 +239,7 @@ fn frames_of_several_directions_are_series() {
 
 #[test]
 fn stacks_are_series_and_their_times_are_times() {
-    // Two stacks in one direction, which overlap; each three slices at two times.
+    // Two stacks in one direction overlap. Each has three slices at two times.
     let frames: Vec<_> = (0..12)
         .map(|i: u32| {
             let (stack, t, k) = (i / 6, i / 3 % 2, i % 3);
@@ -268,7 +270,7 @@ fn frames_are_divided_by_their_own_dimensions_echoes_and_types() {
         let bytes: Vec<u8> = list.iter().flat_map(|n| n.to_le_bytes()).collect();
         element((0x0020, 0x9157), "UL", &bytes)
     };
-    // Every frame calls itself a stack, which says nothing; the second number counts down.
+    // Every frame has its own stack, which has no meaning. The second number counts down.
     let own = |i: u32| vec![text((0x0020, 0x9056), "SH", &format!("s{i}")), index([1 + i % 3, 3 - i / 3])];
     let times = enhanced(&(0..9).map(|i| frame(at(i), AXIAL, own(i))).collect::<Vec<_>>());
     let before = outline_of(times.path());
@@ -305,13 +307,13 @@ fn what_lies_beside_slices_changes_nothing() {
     put("shot.png", b"\x89PNG\r\n\x1a\n");
     put("facts.json", b"{\"Modality\": \"MR\"}");
     put(".DS_Store", b"\0\0\0\x01Bud1");
-    // What is hidden may look like a slice.
+    // A hidden file may look like a slice.
     put("._IM0001", &slice(9.0, 9, &[]));
     put(".trash/IM0001", &slice(9.0, 9, &[]));
     assert_eq!(outline_of(series.path()).format, "DICOM, plain");
     assert_eq!(part(series.path(), None, None), (vec![0.0, 1.0, 2.0], vec![]));
 
-    // One slice of a series beside pages is a stray one.
+    // A single DICOM slice beside TIFF files is ignored.
     let pages = TempDir::new().unwrap();
     for name in ["a.tif", "b.tif"] {
         let page = fs::File::create(pages.path().join(name)).unwrap();
@@ -329,7 +331,7 @@ fn gaps_and_blocks_are_told() {
         let folder = folder(&slices);
         (outline_of(folder.path()).spacing[2], part(folder.path(), None, None).1)
     };
-    // Positions that scanners rounded to a fiftieth of a millimetre.
+    // The positions are rounded to a fiftieth of a millimetre.
     assert_eq!(at(&[0.0, 3.0, 6.02, 9.0, 12.0]), (3.0, vec![]));
     let missing = vec!["1 slice is missing, after slice 3; the gap is not shown".to_owned()];
     assert_eq!(at(&[0.0, 3.0, 6.0, 12.0, 15.0]), (3.0, missing));
@@ -357,7 +359,7 @@ fn mosaics_and_codings_that_are_not_read_are_told() {
     let expected = r#"DICOM: pixels are coded as JPEG Extended of 12 bits (transfer syntax "1.2.840.10008.1.2.4.51"), expected at most 8 bits in it"#;
     let e = extended(12);
     assert!(e.ends_with(expected), "{e}");
-    // Eight bits are read, if they are packed.
+    // Eight bits are supported, if they are compressed.
     let e = extended(8);
     assert!(e.ends_with("JPEG pixels are not in fragments"), "{e}");
 }

@@ -1,5 +1,5 @@
-//! Is what other libraries write read as what they meant? Every file of the archives holds the same volume, in another format,
-//! type, compression or orientation.
+//! Files that other libraries write are read correctly. Every file in the archives has the same volume in another
+//! format, type, compression or orientation.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -13,7 +13,7 @@ use isinglass_core::volume::{Volume, Voxels};
 use isinglass_formats::{OpenOptions, Outline, Selection, open, outline};
 use support::unpack;
 
-/// The files of a folder with one of these ends, sorted.
+/// The files of a folder with one of these suffixes, sorted.
 fn files(folder: &Path, ends: &[&str]) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.retain(|p| ends.iter().any(|end| p.to_str().unwrap().ends_with(end)));
@@ -21,8 +21,8 @@ fn files(folder: &Path, ends: &[&str]) -> Vec<PathBuf> {
     files
 }
 
-/// Checks that a volume is the one that `make.py` writes: 5×4×3 voxels, that at i, j, k of value i + 10 j + 100 k above the
-/// first. Returns the value of the first.
+/// Checks that a volume is the one of `make.py`. It has 5×4×3 voxels, and the voxel at i, j, k is i + 10 j + 100 k
+/// above the first. Returns the value of the first.
 fn check_values(volume: &Volume, name: &str) -> f32 {
     assert_eq!(volume.dims(), [5, 4, 3], "{name}");
     let value = |i: usize| volume.value_from_stored(volume.voxels().get(i));
@@ -34,9 +34,10 @@ fn check_values(volume: &Volume, name: &str) -> f32 {
     first
 }
 
-/// Checks spacing and place: 1.5, 2 and 3, and the first voxel at (-10, 20, 5), so the centre at (-7, 23, 8).
+/// Checks the spacing, 1.5, 2 and 3, and the position. The first voxel is at (-10, 20, 5), and the centre at (-7, 23,
+/// 8).
 fn check_place(volume: &Volume, name: &str) {
-    // Headers carry single precision: seven digits of numbers up to 23.
+    // Headers have single precision: seven digits of numbers up to 23.
     let is_near = |a: &[f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
     assert!(
         is_near(&volume.spacing().to_array().map(f64::from), [1.5, 2.0, 3.0]),
@@ -59,7 +60,7 @@ fn outline_of(path: &Path) -> Outline {
     outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap()
 }
 
-/// Opens a file, checks its voxels, and that what was told before agrees with what came.
+/// Opens a file, and checks its voxels and that its outline agrees with the volume.
 fn checked(path: &Path) -> (Volume, String, f32) {
     let name = path.file_name().unwrap().to_str().unwrap().to_owned();
     let (before, volume) = (outline_of(path), open_path(path));
@@ -70,7 +71,7 @@ fn checked(path: &Path) -> (Volume, String, f32) {
     (volume, name, first)
 }
 
-/// The value of the first voxel of a type, as `make.py` shifts it.
+/// The value of the first voxel of a type. `make.py` shifts it.
 fn first_of(code: &str) -> f32 {
     match code {
         "i1" => -120.0,
@@ -83,7 +84,7 @@ fn first_of(code: &str) -> f32 {
     }
 }
 
-/// Types in memory: 8 and 16 bits stay, the others become floats.
+/// The type in memory: types of 8 and 16 bits stay, and others become floats.
 fn check_type(volume: &Volume, code: &str, name: &str) {
     let is_kept = match volume.voxels() {
         Voxels::U8(_) => matches!(code, "u1" | "i1"),
@@ -93,7 +94,7 @@ fn check_type(volume: &Volume, code: &str, name: &str) {
     assert!(is_kept, "{name}");
 }
 
-/// What a body in this orientation is told to have been: nothing for RAS.
+/// The warning for a body in this orientation; none for RAS.
 fn check_body(volume: &Volume, letters: &str, name: &str) {
     assert_eq!(volume.info.orientation.as_deref(), Some("RAS"), "{name}");
     let expected = format!("the axes of the file point to {letters}; the voxels were reordered to RAS");
@@ -155,7 +156,7 @@ fn arrays_by_numpy() {
         assert_eq!(volume.info.warnings.len(), 2, "{name}: {:?}", volume.info.warnings);
         if name.len() == 7 {
             let code = &name[..2];
-            // Half floats have eleven bits: 234 is exact.
+            // Half floats have eleven bits, so 234 is exact.
             assert_eq!(first, if code == "f2" { 0.0 } else { first_of(code) }, "{name}");
             check_type(&volume, code, &name);
         }
@@ -201,14 +202,14 @@ fn nrrd_by_simple_itk() {
     }
 }
 
-/// Opens a channel at a time of a file.
+/// Opens a channel of a file at a time.
 fn open_part(path: &Path, channel: u32, time: u32) -> Volume {
     let selection = Selection { channel: Some(channel), time: Some(time), ..Selection::default() };
     open(path.to_str().unwrap(), &OpenOptions { selection, ..OpenOptions::default() })
         .unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Distances and unit of a file that knows them.
+/// Checks distances and unit of a file that has them.
 fn check_spacing(volume: &Volume, unit: &str, name: &str) {
     // Fractions of two 32-bit numbers.
     assert!(
@@ -284,7 +285,7 @@ fn dicom_by_pydicom() {
     }
 }
 
-/// Numbers that mean others, by the words of their files.
+/// Files with a slope, an intercept or a unit of values.
 #[test]
 fn calibrated_by_pydicom_and_tifffile() {
     let folder = unpack("calibrated");
@@ -354,14 +355,14 @@ fn pyramids_by_zarr() {
     assert_eq!((asked.dims(), asked.spacing()), ([3, 2, 2], Vec3::new(3.0, 4.0, 6.0)));
     let values: Vec<f32> = (0..12).map(|i| asked.voxels().get(i) - 40_000.0).collect();
     assert_eq!(values[..7], [0.0, 2.0, 4.0, 20.0, 22.0, 24.0, 200.0]);
-    // 60 voxels of two bytes do not fit into 100: the coarser level does.
+    // 60 voxels of two bytes do not fit into 100 bytes, but the coarser level does.
     let small = coarse(OpenOptions { max_bytes: 100, ..OpenOptions::default() });
     assert_eq!(small.dims(), [3, 2, 2]);
     assert_eq!(
         small.info.warnings,
         ["level 1 of 2 is shown, the finest that fits into memory and a texture"]
     );
-    // A region reads the chunks it needs, of every coding.
+    // A region is read from its chunks, in every coding.
     for name in ["v2-blosc", "v2-none", "v3-shards", "v3-transpose", "v3-u2"] {
         let region = Some("1:4,2:,1:2".parse().unwrap());
         let selection = Selection { region, ..Selection::default() };
@@ -377,7 +378,7 @@ fn pyramids_by_zarr() {
     }
 }
 
-/// What a DICOM series may be beside a plain stack of slices.
+/// DICOM series other than a plain stack of slices.
 #[test]
 fn odd_series_by_pydicom() {
     let folder = unpack("dicom_odd");

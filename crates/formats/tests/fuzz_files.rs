@@ -1,8 +1,8 @@
-//! Can any file make a reader do more than fail?
+//! A damaged file can only cause an error.
 //!
-//! A seeded fuzzer over the small volumes of `fixtures/`: it takes a file that opens and flips bits, puts numbers and
-//! digits at their limits, cuts, repeats and mixes parts of other files of its format, then asks for the outline and the
-//! volume. Panics, memory beyond what the limit allows and inputs that take long are findings.
+//! A seeded fuzzer damages the small volumes of `fixtures/`. It takes a valid file and flips bits, or sets numbers to
+//! their limits. It also cuts, repeats and mixes parts of other files of the format. Then it opens the outline and
+//! the volume. Panics, excess memory and long times are findings.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -20,19 +20,19 @@ use fuzzing::{ALLOCATED, MOST, Random};
 use isinglass_formats::{OpenOptions, Selection, open, outline};
 use support::unpack;
 
-/// One format at a time, so that what is allocated is its own.
+/// Runs one format at a time, so that its memory can be measured.
 static ONE: Mutex<()> = Mutex::new(());
 
-/// What is opened: a file, or a folder with all of its files.
+/// An input: a file, or a folder with all of its files.
 struct Seed {
-    /// Files, relative to where they are unpacked.
+    /// Files, relative to the folder of the archive.
     files: Vec<(PathBuf, Vec<u8>)>,
-    /// What to open.
+    /// The path to open.
     target: PathBuf,
 }
 
-/// Everything of an archive: each file at its top by itself, but with the files that only stand beside others; each folder as
-/// a whole.
+/// All inputs of an archive. Each file at its top is one, with the files that belong to it. Each folder is one as a
+/// whole.
 fn seeds(archive: &str) -> Vec<Seed> {
     let folder = unpack(archive);
     let mut top: Vec<PathBuf> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().path()).collect();
@@ -70,11 +70,11 @@ fn collect(folder: &Path, files: &mut Vec<(PathBuf, Vec<u8>)>) {
     }
 }
 
-/// Damages `bytes`; `other` is another file of the format.
+/// Damages `bytes`. `other` is another file of the format.
 fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
     for _ in 0..1 + random.below(4) {
         let len = bytes.len();
-        // Headers are where the decisions are.
+        // Most damage goes to headers, where readers decide.
         let reach = random.of(&[len, len, 400, 1200]).min(len);
         let at = random.below(reach);
         match random.below(11) {
@@ -108,7 +108,7 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
                     bytes[at..at + width].copy_from_slice(&number[..width]);
                 }
             }
-            // A number in text becomes another.
+            // A number in text becomes another number.
             5..=6 => {
                 let digits: Vec<usize> = (0..reach).filter(|&i| bytes[i].is_ascii_digit()).collect();
                 if !digits.is_empty() {
@@ -152,7 +152,7 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
     }
 }
 
-/// Runs for so long or so many inputs from one seed: inputs, and those of them that opened.
+/// Runs for `duration` or `most` inputs from a seed. Returns the number of inputs, and of those that opened.
 fn fuzz(archive: &str, duration: Duration, most: u64, seed: u64) -> (u64, u64) {
     let _one = ONE.lock().unwrap_or_else(|e| e.into_inner());
     let seeds = seeds(archive);
@@ -217,11 +217,11 @@ fn fuzz(archive: &str, duration: Duration, most: u64, seed: u64) -> (u64, u64) {
 
 fn some(archive: &str) {
     let (inputs, opened) = fuzz(archive, Duration::MAX, 400, 2);
-    // Damage that is never met, or nothing but damage, would test nothing.
+    // Some inputs must fail, and some must open.
     assert!(opened > 0 && opened < inputs, "{opened} of {inputs}");
 }
 
-/// `ISINGLASS_FUZZ_SECONDS`, 300 if it is not set, and `ISINGLASS_FUZZ_SEED`.
+/// Runs for `ISINGLASS_FUZZ_SECONDS`, by default 300, from `ISINGLASS_FUZZ_SEED`.
 fn many(archive: &str) {
     let number = |name: &str, otherwise| std::env::var(name).map_or(otherwise, |v| v.parse().unwrap());
     let duration = Duration::from_secs(number("ISINGLASS_FUZZ_SECONDS", 300));
@@ -247,8 +247,8 @@ macro_rules! targets {
 
 targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd calibrated vti zarr }
 
-/// Most that the voxels may take.
+/// Memory limit for the voxels.
 const MEMORY_LIMIT: u64 = 1 << 20;
-/// Most that is allocated at once: voxels and their second copy, what a file of a few kilobytes unpacks to at most, and a few
-/// megabytes of headers, tables of compressors and buffers.
+/// Memory limit in all: voxels and their second copy, the decompressed file, and a few megabytes of headers, tables
+/// and buffers.
 const MOST_BYTES: usize = 24 << 20;

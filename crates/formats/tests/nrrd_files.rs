@@ -1,5 +1,4 @@
-//! Small NRRD files made here: does every way of writing the same voxels give the same volume, and does no damage to a
-//! file do more than an error?
+//! Small NRRD files. Every way to write the same voxels gives the same volume, and damage only causes errors.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -45,7 +44,7 @@ fn values(volume: &Volume) -> Vec<f32> {
     (0..volume.voxels().len()).map(|i| volume.value_from_stored(volume.voxels().get(i))).collect()
 }
 
-/// Far above any file here, far below what a wild header can ask for.
+/// A limit far above any file here, and far below the sizes in damaged headers.
 const MEMORY_LIMIT: u64 = 1 << 20;
 
 #[test]
@@ -113,7 +112,7 @@ fn every_way_of_writing_gives_the_same_voxels() {
     }
     let same = |v: &Volume| matches!(v.voxels(), Voxels::U16(_));
     assert!(same(&open_bytes(&folder, &[&header(files[0].1), &files[0].2]).unwrap()), "16 bits stay 16 bits");
-    // Negative control: the wrong byte order is noticed by the comparison.
+    // Negative control: the comparison notices a wrong byte order.
     let swapped = open_bytes(&folder, &[&header(files[0].1), &int16(true)]).unwrap();
     assert_ne!(values(&swapped), expected);
 }
@@ -172,15 +171,15 @@ fn compressed_data_cannot_lie_about_its_size() {
         );
         open_bytes(&folder, &[header.as_bytes(), data])
     };
-    // 64 MiB of zeros in 64 KiB, 60 voxels wanted: the rest is never inflated, so the memory limit is not met.
+    // The file has 64 MiB of zeros in 64 KiB. Only 60 voxels are decompressed, so the memory limit holds.
     let bomb = gzip(&vec![0; 64 << 20]);
     assert_eq!(open_gzip("5 4 3", &bomb).unwrap().info.warnings.len(), 1);
     let message = open_gzip("2048 2048 16", &bomb).unwrap_err().to_string();
     assert!(message.contains("needs 67108864 bytes of memory, expected at most 1048576"), "{message}");
-    // Too short a file for its sizes is refused before memory is taken.
+    // A file that is too short is refused before memory is allocated.
     let message = open_gzip("100 100 100", &gzip(&[0; 60])).unwrap_err().to_string();
     assert!(message.contains("100×100×100 uint8 needs 1000000 bytes, found"), "{message}");
-    // Negative control for all below: undamaged noise opens.
+    // Negative control: the undamaged file opens.
     let noise: Vec<u8> = (0..60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let packed = gzip(&noise);
     assert!(open_gzip("5 4 3", &packed).unwrap().info.warnings.is_empty());
@@ -197,7 +196,7 @@ fn compressed_data_cannot_lie_about_its_size() {
     );
 }
 
-/// A step of xorshift64: enough to choose damage, the same on every machine.
+/// A step of xorshift64, which is the same on every machine.
 fn next_random(state: &mut u64) -> u64 {
     *state ^= *state << 13;
     *state ^= *state >> 7;
@@ -229,7 +228,7 @@ fn damaged_files_are_errors_or_volumes_but_never_panics() {
             }
             for _ in 0..next_random(&mut random) % 4 {
                 let at = next_random(&mut random) as usize % bytes.len().max(1);
-                // Digits make wild numbers, other bytes make wild words.
+                // Digits damage numbers, and other bytes damage words.
                 let value = next_random(&mut random);
                 let byte = if value & 1 == 0 { b'0' + (value >> 8) as u8 % 10 } else { (value >> 8) as u8 };
                 if let Some(b) = bytes.get_mut(at) {
@@ -251,6 +250,6 @@ fn damaged_files_are_errors_or_volumes_but_never_panics() {
             }
         }
     }
-    // Damage that never mattered, or always did, would test one side only.
+    // Some inputs must fail, and some must open.
     assert!(num_errors > 200 && num_volumes > 200, "{num_errors} errors, {num_volumes} volumes");
 }

@@ -19,7 +19,7 @@ fn array(shape: &[usize], first: u8) -> Vec<u8> {
     [&start.concat(), &numbers[..]].concat()
 }
 
-/// A `.zip` of files as they are (APPNOTE 4.3).
+/// A `.zip` of uncompressed files (APPNOTE 4.3).
 fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let (mut bytes, mut directory) = (Vec::new(), Vec::new());
     for (name, data) in files {
@@ -57,7 +57,7 @@ fn outline_of(path: &Path) -> Outline {
     outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Dimensions, the first voxel and what there is to say.
+/// Dimensions, the first voxel and the warnings.
 fn opened(path: &Path, channel: Option<u32>) -> ([u32; 3], f32, String) {
     let selection = Selection { channel, ..Selection::default() };
     let options = OpenOptions { selection, ..OpenOptions::default() };
@@ -72,7 +72,7 @@ fn axes_of_one_entry_say_nothing() {
         let before = outline_of(&save(folder.path(), "a.npy", &array(shape, 0)));
         assert_eq!((before.dims, before.num_channels, before.num_times), ([6, 5, 3], 1, 1), "{shape:?}");
     }
-    // One slice stays one.
+    // A single slice stays one.
     assert_eq!(outline_of(&save(folder.path(), "a.npy", &array(&[1, 5, 6], 0))).dims, [6, 5, 1]);
 }
 
@@ -92,7 +92,7 @@ fn the_largest_array_of_an_archive_is_shown() {
     assert!(warnings.contains(text), "{warnings}");
     assert_eq!(outline_of(&path).shown.channel, Some(2));
     assert_eq!(opened(&path, Some(1)).1, 2.0);
-    // Its channels are its own.
+    // The channels are those of the largest array.
     let files = [("table.npy", array(&[7, 7], 1)), ("image.npy", array(&[2, 3, 5, 6], 3))];
     let path = save(folder.path(), "b.npz", &zip(&files));
     let (dims, first, warnings) = opened(&path, Some(1));
@@ -106,4 +106,25 @@ fn other_archives_are_to_be_unpacked() {
     let path = save(folder.path(), "a.zip", &zip(&[("a.dcm", vec![0; 4])]));
     let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
     assert!(message.contains("found a ZIP archive without NumPy arrays, expected what is in it: unpack it"));
+}
+
+#[test]
+fn encrypted_and_damaged_archives_are_refused_in_one_line() {
+    let folder = TempDir::new().unwrap();
+    let message = |bytes: &[u8]| {
+        let path = save(folder.path(), "a.npz", bytes);
+        outline(path.to_str().unwrap(), &OpenOptions::default()).map(drop).map_err(|e| e.to_string())
+    };
+    let good = zip(&[("image.npy", array(&[3, 5, 6], 3))]);
+    assert_eq!(message(&good), Ok(()));
+    let directory = good.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
+    let mut encrypted = good.clone();
+    encrypted[directory + 8] |= 1;
+    assert!(message(&encrypted).unwrap_err().ends_with("ZIP archive: it is encrypted"));
+    let mut moved = good.clone();
+    moved[directory + 42] = 9;
+    for damaged in [&moved, &good[..directory + 20].to_vec()] {
+        let e = message(damaged).unwrap_err();
+        assert!(e.contains("a.npz: ZIP archive: ") && !e.contains('\n'), "{e}");
+    }
 }

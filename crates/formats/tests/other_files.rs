@@ -1,4 +1,4 @@
-//! Files of other programs: does the message say what they are, and how a volume comes out of them?
+//! Files of other programs. The message names them and tells how to convert them.
 
 use std::fs;
 use std::io::Write;

@@ -1,5 +1,4 @@
-//! Files with more than one volume: is the part that was asked for what comes, in every format, and is what is not there
-//! refused?
+//! Files with several volumes. Every format returns the requested part, and refuses a missing one.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -14,12 +13,12 @@ use tempfile::TempDir;
 /// Sizes along x, y, z, channels and times.
 const SIZES: [usize; 5] = [5, 4, 3, 3, 2];
 
-/// The value of a voxel, different for each.
+/// The value of a voxel. Each voxel has a different one.
 fn value(at: [usize; 5]) -> u16 {
     (at[0] + 5 * at[1] + 20 * at[2] + 100 * at[3] + 1000 * at[4]) as u16
 }
 
-/// All numbers, little-endian, with these axes from fast to slow.
+/// All numbers in little-endian order, with these axes from fast to slow.
 fn numbers(order: [usize; 5]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut at = [0; 5];
@@ -153,7 +152,7 @@ fn spacing_can_be_told_where_the_file_is_silent() {
     );
 }
 
-/// A part of a large file needs the memory of the part.
+/// A part of a large file only needs memory for the part.
 #[test]
 fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
     let folder = TempDir::new().unwrap();
@@ -169,15 +168,15 @@ fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
     let before = outline(path.to_str().unwrap(), &options).unwrap();
     assert_eq!((before.dims, before.whole_dims), ([100, 100, 50], [2000, 3000, 4000]));
     assert_eq!((before.bytes_in_memory, before.bytes_while_reading), (1_500_000, 1_000_000));
-    // The whole is beyond what a texture holds, and the file has no voxels at all.
+    // The whole does not fit into a texture, and the file has no voxels at all.
     let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
     assert!(
         message.contains("axis 1 has 3000 voxels, expected 1 to 2048; a region can be taken"),
         "{message}"
     );
     let message = open(path.to_str().unwrap(), &options).unwrap_err().to_string();
-    assert!(message.contains("needs 48000000128 bytes, found 128"), "{message}");
-    // With room for them (a file with a hole) the part is read by passing over the rest.
+    assert!(message.contains("needs 48000000000 bytes, found 0"), "{message}");
+    // If the file is long enough (it has a hole), the part is read and the rest skipped.
     fs::File::options().write(true).open(&path).unwrap().set_len(48_000_000_128).unwrap();
     assert_eq!(open(path.to_str().unwrap(), &options).unwrap().value_range(), (0.0, 0.0));
 }

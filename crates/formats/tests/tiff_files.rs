@@ -1,5 +1,5 @@
-//! What descriptions and tags of TIFF files say: images in several files, series, white as the least, arrays of tifffile and
-//! stacks of ImageJ. Files are put together here, byte for byte as the writers do.
+//! Descriptions and tags of TIFF files: images in several files, series, white as the least value, arrays of tifffile
+//! and stacks of ImageJ. The tests write the files byte by byte.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -16,12 +16,12 @@ use tempfile::TempDir;
 struct Page {
     sides: [u32; 2],
     description: Option<String>,
-    /// 0: white is the least; 1: black is.
+    /// 0 if the least value is white, 1 if it is black.
     photometric: u32,
-    /// 1: without sign, 2: with, 3: floats.
+    /// 1: unsigned, 2: signed, 3: floats.
     format: u32,
     resolution: Option<[u32; 2]>,
-    /// Tags of one number beside those.
+    /// More tags with one number.
     more: Vec<(u16, u32)>,
     pixels: Vec<u16>,
 }
@@ -37,13 +37,13 @@ impl Page {
     }
 }
 
-/// Pages of one size, numbered on from `first`.
+/// Pages of one size, numbered from `first`.
 fn pages(sides: [u32; 2], count: u16, first: u16) -> Vec<Page> {
     let n = (sides[0] * sides[1]) as u16;
     (0..count).map(|k| Page::new(sides, (first + k * n..first + (k + 1) * n).collect())).collect()
 }
 
-/// A little-endian file of one strip a page (TIFF 6.0).
+/// A little-endian file with one strip for each page (TIFF 6.0).
 fn tiff(pages: &[Page]) -> Vec<u8> {
     let mut bytes = b"II*\0\0\0\0\0".to_vec();
     let mut link = 4;
@@ -200,7 +200,7 @@ fn files_that_are_missing_are_told_of() {
     three_files(folder.path(), |_| ome(NAMES));
     fs::remove_file(folder.path().join(NAMES[1])).unwrap();
     let path = folder.path().join(NAMES[2]);
-    // What is there can be seen, and what is not is no empty volume.
+    // Existing planes can be shown, and a missing one is an error.
     let volume = part(&path, 2, 0);
     assert_eq!(values(&volume), numbers(200..212));
     has_warning(&volume, "1 of 3 files are missing: \"a_c1.ome.tif\"");
@@ -247,7 +247,7 @@ fn a_folder_of_several_images_is_no_volume_but_slices_are() {
     let text = message(folder.path(), Selection::default());
     assert!(text.contains("a folder of several OME-TIFF images, expected one of its files"), "{text}");
 
-    // A file that has nothing to do with the image in the others.
+    // A file that does not belong to the image.
     let folder = TempDir::new().unwrap();
     three_files(folder.path(), |_| ome(NAMES));
     write(folder.path(), "z.tif", &pages([3, 2], 1, 0));
@@ -294,8 +294,8 @@ fn white_as_the_least_is_turned_over() {
     let expected: Vec<f32> = (0..12).map(|x| 65535.0 - x as f32).collect();
     let path = write(folder.path(), "a.tif", &white);
     assert_eq!(values(&whole(&path)), expected);
-    has_warning(&whole(&path), "the least value is white (MinIsWhite); values were turned over");
-    // A slice a file, and planes behind one page, which nothing decodes.
+    has_warning(&whole(&path), "the least value is white (MinIsWhite); values were inverted");
+    // Slices in several files, and planes after one page, are not decoded.
     let slices = folder.path().join("slices");
     fs::create_dir(&slices).unwrap();
     white
@@ -307,7 +307,7 @@ fn white_as_the_least_is_turned_over() {
     let mut one = Page::new([3, 2], (0..12).collect()).described("ImageJ=1.54f\nimages=2\nslices=2\n");
     one.photometric = 0;
     assert_eq!(values(&whole(&write(folder.path(), "b.tif", &[one]))), expected);
-    // Nobody knows what white is of numbers with a sign.
+    // White is undefined for signed numbers.
     white[0].format = 2;
     let text = message(&write(folder.path(), "c.tif", &white), Selection::default());
     assert!(text.contains("MinIsWhite") && text.contains("type int16"), "{text}");
@@ -330,7 +330,7 @@ fn arrays_of_tifffile_have_their_axes() {
         let is_guess = part(&path, 2, 1).info.warnings.iter().any(|w| w.contains("have no names"));
         assert_eq!(is_guess, name == "old.tif", "{name}");
     }
-    // A description for each series, though their pages are alike; one of a single page is a page as any other.
+    // Each series has a description, although their pages are alike. A series of one page is an ordinary page.
     let mut two = [pages([3, 2], 2, 0), pages([3, 2], 2, 100)].concat();
     two[0].description = Some(r#"{"shape": [2, 2, 3]}"#.into());
     two[2].description = two[0].description.clone();
@@ -340,7 +340,7 @@ fn arrays_of_tifffile_have_their_axes() {
     assert_eq!(values(&try_open(&path, series).unwrap()), numbers(100..112));
     two.iter_mut().for_each(|p| p.description = Some(r#"{"shape": [2, 3]}"#.into()));
     assert_eq!(whole(&write(folder.path(), "loop.tif", &two)).dims(), [3, 2, 4]);
-    // More than the pages have.
+    // The description has more planes than there are pages.
     all[0].description = Some(r#"{"shape": [5, 3, 2, 2, 3], "axes": "TCZYX"}"#.into());
     has_warning(&whole(&write(folder.path(), "few.tif", &all)), "the description has 30 planes, the file 12");
 }
@@ -352,7 +352,7 @@ fn planes_behind_one_page_are_read_or_refused() {
     let mut page = Page::new([3, 2], (0..72).collect()).described(text);
     let path = write(folder.path(), "a.tif", &[page.clone()]);
     assert_eq!(values(&part(&path, 2, 1)), numbers(60..72));
-    // Too short, and packed (32773 is PackBits).
+    // The file is too short, or compressed (32773 is PackBits).
     let long = text.replace("[2,", "[200,");
     let short = page.clone().described(&long);
     let text = message(&write(folder.path(), "b.tif", &[short]), Selection::default());
@@ -360,7 +360,7 @@ fn planes_behind_one_page_are_read_or_refused() {
     page.more = vec![(259, 32_773)];
     let text = message(&write(folder.path(), "c.tif", &[page]), Selection::default());
     assert!(text.contains("its description has 12 planes, but there is one page, packed"), "{text}");
-    // A whole volume in a page (32997 is ImageDepth).
+    // A page contains a whole volume (32997 is ImageDepth).
     let mut deep = Page::new([3, 2], (0..12).collect());
     deep.more = vec![(32_997, 2)];
     let text = message(&write(folder.path(), "d.tif", &[deep]), Selection::default());
@@ -372,12 +372,12 @@ fn stacks_of_imagej_have_their_order_and_steps() {
     let folder = TempDir::new().unwrap();
     let text = "ImageJ=1.54f\nimages=12\nchannels=3\nslices=2\nframes=2\nhyperstack=true\nunit=\\u00B5m\nspacing=1.5\n";
     let mut all = pages([3, 2], 12, 0);
-    // 4 pixels a micrometre along x, 2 along y.
+    // There are 4 pixels per micrometre along x and 2 along y.
     all[0].resolution = Some([4000, 2000]);
     all[0].description = Some(text.into());
     let mut one = Page { pixels: (0..72).collect(), ..all[0].clone() };
     for path in [write(folder.path(), "a.tif", &all), write(folder.path(), "b.tif", &[one.clone()])] {
-        // Channels first, then slices, then frames.
+        // Channels come first, then slices, then frames.
         let volume = part(&path, 1, 1);
         assert_eq!(values(&volume), [numbers(42..48), numbers(60..66)].concat());
         assert_eq!((volume.spacing(), volume.info.unit.as_deref()), (Vec3::new(0.25, 0.5, 1.5), Some("µm")));
@@ -387,7 +387,7 @@ fn stacks_of_imagej_have_their_order_and_steps() {
     assert!(text.contains("its description has 12 planes, but there is one page, packed"), "{text}");
 }
 
-/// Of slides only what they are is told: most are in a JPEG 2000 (33003) of their own.
+/// Slides are only named, because most are in a JPEG 2000 variant (33003).
 #[test]
 fn slides_are_no_volumes() {
     let folder = TempDir::new().unwrap();
@@ -408,7 +408,7 @@ fn planes_beyond_four_gigabytes_are_found() {
     page = page.described("ImageJ=1.54f\nimages=1100\nframes=1100\nhyperstack=true\n");
     let path = write(folder.path(), "a.tif", &[page]);
     let bytes = fs::read(&path).unwrap();
-    // The numbers of the first plane end where the description begins; the rest is a hole, but for the last plane.
+    // The description follows the first plane. The rest is a hole, except for the last plane.
     let (plane, start) = (4 << 20, 8u64);
     let file = fs::File::options().write(true).open(&path).unwrap();
     file.set_len(start + 1100 * plane).unwrap();

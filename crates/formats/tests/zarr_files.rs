@@ -1,4 +1,4 @@
-//! What the metadata of OME-Zarr says: transformations, units, values of what is not stored, names of chunks.
+//! Metadata of OME-Zarr: transformations, units, fill values and names of chunks.
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
@@ -10,7 +10,7 @@ use isinglass_core::volume::Volume;
 use isinglass_formats::{FormatError, OpenOptions, Selection, open, outline};
 use tempfile::TempDir;
 
-/// An array of version 2 of bytes, uncompressed, in chunks of two a side, all of them `value`.
+/// An array of uncompressed bytes in version 2, all of them `value`. Its chunks have two numbers along each side.
 fn array(folder: &Path, shape: [u64; 3], separator: &str, fill: &str, value: Option<u8>) {
     fs::create_dir_all(folder).unwrap();
     let text = format!(
@@ -27,7 +27,7 @@ fn array(folder: &Path, shape: [u64; 3], separator: &str, fill: &str, value: Opt
     }
 }
 
-/// Steps of the whole image and of its two levels, along z, y, x.
+/// Transformations of the whole image and of its two levels, along z, y, x.
 fn image(folder: &Path, units: [&str; 3], all: &str, levels: [&str; 2]) {
     let axes: Vec<String> = ["z", "y", "x"]
         .iter()
@@ -106,7 +106,7 @@ fn a_level_that_tells_no_steps_covers_what_the_finest_does() {
     let folder = folder.path();
     let fine = r#"{"type": "scale", "scale": [3, 1, 1]}, {"type": "translation", "translation": [0, 0, 5]}"#;
     image(folder, UM, "", [fine, ""]);
-    // 6 and 5 voxels became 3 along x and y, 4 stayed 4 along z; the outer faces of x stay where they were.
+    // 6 and 5 voxels became 3 along x and y, and z kept its 4. The outer faces of x stay.
     let found = place(folder, 1);
     assert!(is_near(found, [2.0, 2.0, 3.0], [7.5, 2.5, 4.5]), "{found:?}");
     let before = outline(folder.to_str().unwrap(), &OpenOptions::default()).unwrap();
@@ -143,7 +143,7 @@ fn chunks_that_are_not_there_have_the_fill_value() {
     array(&path, [2, 2, 4], "/", "\"none\"", None);
     let message = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
     assert!(message.contains("its fill_value is") && message.contains("expected a number"), "{message}");
-    // Version 3: what was never written is not a number.
+    // In version 3, numbers that were never written are not a number.
     for (separator, name) in [("/", "c/0/0/0"), (".", "c.0.0.0")] {
         let path = folder.path().join(format!("v3{}", name.len()));
         let chunk = path.join(name);

@@ -1,4 +1,4 @@
-//! Series with several slices in each place: which of them are one volume.
+//! Divides series with several slices at each position into volumes.
 
 use std::collections::BTreeMap;
 
@@ -7,21 +7,22 @@ use super::keys::Key;
 use crate::error::quoted;
 use crate::warning::WarningKind;
 
-/// Frames in the order of their volumes.
+/// The frames of a series, in the order of their volumes.
 pub(super) struct Divided {
-    /// Along the normal first, then in time.
+    /// Sorted by time, then along the normal.
     pub(super) frames: Vec<Frame>,
     pub(super) num_slices: usize,
     pub(super) num_times: usize,
     pub(super) warnings: Vec<(WarningKind, String)>,
 }
 
-/// Pictures of different kinds, such as magnitude and phase, or of several echoes, that lie in the same places: each kind with
-/// what it is in words. `places` are those of the frames. One kind without words if there are no others.
+/// Separates kinds of pictures at the same positions, such as magnitude and phase, or echoes. Each kind has a
+/// description. `places` are the numbers of the frames' positions. Without several kinds, the result is one kind
+/// without a description.
 pub(super) fn by_kind(frames: Vec<Frame>, places: &[usize]) -> Vec<(Option<String>, Vec<Frame>)> {
     let types: Vec<&str> = frames.iter().map(|f| f.keys.image_type.as_deref().unwrap_or_default()).collect();
     if let Some((kinds, of)) = kinds(&types, places) {
-        // The first picture that was taken, which is the magnitude as a rule, comes first.
+        // The kind that was taken first comes first. Mostly it is the magnitude.
         let mut first = vec![f64::INFINITY; kinds.len()];
         for (frame, kind) in frames.iter().zip(&of) {
             first[*kind] = first[*kind].min(frame.order[2]);
@@ -45,7 +46,7 @@ pub(super) fn by_kind(frames: Vec<Frame>, places: &[usize]) -> Vec<(Option<Strin
     vec![(None, frames)]
 }
 
-/// A number that has an order.
+/// A float with a total order.
 #[derive(Clone, Copy, PartialEq)]
 struct Ordered(f64);
 
@@ -63,8 +64,8 @@ impl PartialOrd for Ordered {
     }
 }
 
-/// The different values, and of each frame which it has; `None` unless some value shares at least half of its places with
-/// others. Values that only change along the stack are no kinds.
+/// The different values, and the index of each frame's value. Returns `None` unless some value shares at least half
+/// of its positions with others. Values that only change along the stack are not kinds.
 fn kinds<V: Ord + Clone>(values: &[V], places: &[usize]) -> Option<(Vec<V>, Vec<usize>)> {
     let mut all = values.to_vec();
     all.sort();
@@ -76,7 +77,7 @@ fn kinds<V: Ord + Clone>(values: &[V], places: &[usize]) -> Option<(Vec<V>, Vec<
     let mut taken: Vec<(usize, usize)> = places.iter().copied().zip(of.iter().copied()).collect();
     taken.sort_unstable();
     taken.dedup();
-    // Of each value the places, and those where others are too.
+    // For each value: its positions, and those that it shares.
     let mut counts = vec![(0, 0); all.len()];
     for place in taken.chunk_by(|a, b| a.0 == b.0) {
         for (_, kind) in place {
@@ -87,7 +88,7 @@ fn kinds<V: Ord + Clone>(values: &[V], places: &[usize]) -> Option<(Vec<V>, Vec<
     counts.iter().any(|(num, shared)| 2 * shared >= *num).then_some((all, of))
 }
 
-/// The frames of each kind in this order, with its words.
+/// The frames of each kind in this order, with its description.
 fn split(
     frames: Vec<Frame>,
     of: &[usize],
@@ -101,7 +102,7 @@ fn split(
     order.iter().filter_map(|k| Some((Some(words[*k].clone()), parts.remove(k)?))).collect()
 }
 
-/// Of each type of picture the words that not all have.
+/// The words of each type of picture that not all types have.
 fn own_words(types: &[&str]) -> Vec<String> {
     let words = |t: &str| -> Vec<String> { t.split('\\').map(|w| w.trim().to_owned()).collect() };
     let all: Vec<Vec<String>> = types.iter().map(|t| words(t)).collect();
@@ -119,10 +120,10 @@ fn own_words(types: &[&str]) -> Vec<String> {
     all.iter().map(own).collect()
 }
 
-/// Divides frames of one kind into points in time with one slice in each place. `frames` are sorted by place, then by their
-/// order; `places` begin at 0 and leave none out.
+/// Divides frames of one kind into points in time, with one slice at each position. `frames` are sorted by position,
+/// then by their order. `places` count from 0 without gaps.
 pub(super) fn into_times(frames: &[Frame], places: &[usize]) -> Divided {
-    let slices = Slices { frames, places, num_places: places.last().map_or(0, |p| p + 1) };
+    let slices = PlacedFrames { frames, places, num_places: places.last().map_or(0, |p| p + 1) };
     let num_places = slices.num_places;
     let made = |list: Vec<usize>, warnings| Divided {
         num_slices: num_places,
@@ -158,16 +159,16 @@ pub(super) fn into_times(frames: &[Frame], places: &[usize]) -> Divided {
     made(by_number, vec![(WarningKind::Data, text)])
 }
 
-/// Frames with the numbers of their places.
-struct Slices<'a> {
+/// Frames with the numbers of their positions.
+struct PlacedFrames<'a> {
     frames: &'a [Frame],
     places: &'a [usize],
     num_places: usize,
 }
 
-impl Slices<'_> {
-    /// The frames of whole volumes one after the other, and the key that tells these apart: by equal numbers if there are such,
-    /// by the order of the numbers in each place otherwise, as each slice may have its own time.
+impl PlacedFrames<'_> {
+    /// The frames of complete volumes in order, and the key that distinguishes these. Equal numbers are best.
+    /// Otherwise, the order of the numbers at each position counts, because each slice may have its own time.
     fn divided(&self) -> Option<(Vec<usize>, Key)> {
         let keys: Vec<Key> = Key::TIMES.into_iter().filter(|k| self.differ(*k)).collect();
         let pairs =
@@ -186,17 +187,17 @@ impl Slices<'_> {
         (1..self.frames.len()).any(|i| self.number(i, key) != self.number(0, key))
     }
 
-    /// Frames by these numbers, then by place.
+    /// The frames, sorted by these numbers, then by position.
     fn sorted(&self, key: Key, second: Option<Key>) -> Vec<([f64; 2], usize)> {
         let values =
             |i: usize| [self.number(i, key), second.map_or(f64::NEG_INFINITY, |k| self.number(i, k))];
         let mut list: Vec<_> = (0..self.frames.len()).map(|i| (values(i), i)).collect();
-        // The order of the frames is that of their places.
+        // Frames are already sorted by position.
         list.sort_by(|(a, i), (b, j)| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(i.cmp(j)));
         list
     }
 
-    /// Volumes whose slices have the same numbers, if each place occurs once in each of them.
+    /// Volumes whose slices have equal numbers, if each contains every position once.
     fn exact(&self, key: Key, second: Option<Key>) -> Option<Vec<usize>> {
         let list = self.sorted(key, second);
         let is_volume =
@@ -204,12 +205,13 @@ impl Slices<'_> {
         list.chunks(self.num_places).all(is_volume).then(|| list.into_iter().map(|x| x.1).collect())
     }
 
-    /// Whether each place occurs once.
+    /// Whether each position occurs once.
     fn is_whole(&self, part: &[([f64; 2], usize)]) -> bool {
         part.len() == self.num_places && part.iter().enumerate().all(|(place, x)| self.places[x.1] == place)
     }
 
-    /// Volumes of the first, second, … slice in each place, if these differ and are as many everywhere.
+    /// Volumes of the first, second, … slice at each position. The numbers must differ, and each position must have
+    /// the same count.
     fn ranked(&self, key: Key) -> Option<Vec<usize>> {
         let num_times = self.frames.len() / self.num_places;
         let mut list: Vec<usize> = (0..self.frames.len()).collect();
@@ -233,7 +235,7 @@ impl Slices<'_> {
             .collect()
     }
 
-    /// The first so many in each place. `counts` are the frames of each place.
+    /// The first `num_times` frames at each position. `counts` are the frames at each position.
     fn by_order(&self, counts: &[usize], num_times: usize) -> Vec<usize> {
         let starts: Vec<usize> = counts
             .iter()
@@ -245,8 +247,8 @@ impl Slices<'_> {
         self.transposed(num_times, |place, t| starts[place] + t)
     }
 
-    /// The whole ones of volumes by equal numbers where others lack slices, as those of a scan that was ended early, and how many
-    /// lack some; by the key that keeps most.
+    /// The complete ones of volumes with equal numbers, and the number of incomplete ones. A scan that was stopped
+    /// early has such. The key that keeps most frames is used.
     fn interrupted(&self) -> Option<(Vec<usize>, usize)> {
         let by_key = |key: Key| {
             let list = self.sorted(key, None);
@@ -260,12 +262,12 @@ impl Slices<'_> {
                 (frames, parts.len() - whole().count())
             })
         };
-        // Of equal ones `max_by_key` takes the last, which is to be the most telling.
+        // `max_by_key` returns the last of equal ones, so the best key comes last.
         let best = Key::TIMES.into_iter().rev().filter_map(by_key).max_by_key(|(frames, _)| frames.len());
         best.filter(|(frames, _)| !frames.is_empty())
     }
 
-    /// Says which b-values volumes have that differ by them.
+    /// Lists the b-values of volumes that differ by them.
     fn b_values(&self, list: &[usize], key: Key) -> Vec<(WarningKind, String)> {
         if key != Key::BValue {
             return Vec::new();
@@ -282,5 +284,5 @@ impl Slices<'_> {
     }
 }
 
-/// Numbers that a sentence lists.
+/// Most numbers in a warning.
 const MAX_LISTED: usize = 8;

@@ -1,5 +1,5 @@
-//! The elements of a DICOM file (PS3.5 and PS3.10) up to its pixel data: those that matter for a volume, and of the frames of an
-//! enhanced file their own.
+//! Reads the elements of a DICOM file (PS3.5 and PS3.10) up to its pixel data. It keeps those that matter for a
+//! volume, also for each frame of an enhanced file.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -8,27 +8,27 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use super::tags::{self, Tag};
 use crate::dtype::Endian;
 
-/// What a file says.
+/// The contents of a file.
 #[derive(Debug, Default)]
 pub(super) struct DataSet {
     /// UID of the transfer syntax.
     pub(super) syntax: String,
-    /// Values of the file as a whole, or shared by all of its frames.
-    pub(super) fields: Fields,
+    /// Values of the whole file, or shared by all of its frames.
+    pub(super) fields: Elements,
     /// Values of each frame of an enhanced file.
-    pub(super) frames: Vec<Fields>,
-    /// Where pixel data begin, and how long they are unless they come in fragments.
+    pub(super) frames: Vec<Elements>,
+    /// Offset of the pixel data, and their length unless they are in fragments.
     pub(super) pixels: Option<(u64, Option<u32>)>,
 }
 
 /// Values by tag, with the byte order of the file.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Fields {
+pub(super) struct Elements {
     values: HashMap<Tag, Vec<u8>>,
     endian: Endian,
 }
 
-impl Fields {
+impl Elements {
     /// The first text of a value, without padding.
     pub(super) fn text(&self, tag: Tag) -> Option<String> {
         let bytes = self.values.get(&tag)?;
@@ -60,7 +60,7 @@ impl Fields {
         Some(if self.endian == Endian::Big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
     }
 
-    /// A binary number of 64 bits with a point.
+    /// A float of 64 bits.
     pub(super) fn double(&self, tag: Tag) -> Option<f64> {
         let bytes = *self.values.get(&tag)?.first_chunk()?;
         let is_big = self.endian == Endian::Big;
@@ -68,7 +68,7 @@ impl Fields {
             .filter(|x| x.is_finite())
     }
 
-    /// All binary numbers of 32 bits; none where there are none.
+    /// All binary numbers of 32 bits.
     pub(super) fn longs(&self, tag: Tag) -> impl Iterator<Item = u32> {
         let is_big = self.endian == Endian::Big;
         let words = self.values.get(&tag).map_or(&[][..], |bytes| bytes.as_chunks().0);
@@ -76,7 +76,7 @@ impl Fields {
     }
 }
 
-/// Bytes of the longest value that is kept.
+/// Most bytes of a value that is kept.
 fn longest(tag: Tag) -> u32 {
     if tag == tags::GRID_FRAME_OFFSETS { MAX_OFFSETS_BYTES } else { MAX_VALUE_BYTES }
 }
@@ -90,13 +90,19 @@ impl DataSet {
         let is_marked = n == start.len() && start[128..] == *b"DICM";
         let at = if is_marked { 132 } else { 0 };
         reader.seek(SeekFrom::Start(at))?;
-        let mut parser =
-            Parser { reader, at, length, endian: Endian::Little, is_implicit: false, left: MAX_ELEMENTS };
+        let mut parser = ElementParser {
+            reader,
+            at,
+            length,
+            endian: Endian::Little,
+            is_implicit: false,
+            left: MAX_ELEMENTS,
+        };
         let mut set = Self::default();
         if is_marked {
             parser.meta(&mut set)?;
         } else {
-            // Without its first part a file is implicit unless the letters of a type are seen.
+            // A file without preamble has implicit types, unless the letters of a type are there.
             parser.is_implicit = !(start[4].is_ascii_uppercase() && start[5].is_ascii_uppercase());
         }
         match set.syntax.as_str() {
@@ -117,31 +123,31 @@ impl DataSet {
 struct Head {
     tag: Tag,
     vr: [u8; 2],
-    /// `None`: not known before its end.
+    /// `None` if the length is unknown.
     length: Option<u32>,
 }
 
-struct Parser<'a> {
+struct ElementParser<'a> {
     reader: &'a mut BufReader<File>,
     at: u64,
     length: u64,
     endian: Endian,
     is_implicit: bool,
-    /// Elements that may still come.
+    /// Elements that may still follow.
     left: u32,
 }
 
-/// A sequence or one of its items that the parser is in.
-struct Level {
+/// A sequence or item around the current element.
+struct SequenceLevel {
     tag: Tag,
     is_item: bool,
-    /// Where it ends, if that is known.
+    /// Offset of its end, if known.
     end: Option<u64>,
-    /// How elements are written outside of it.
+    /// Whether elements outside of it have implicit types.
     was_implicit: bool,
 }
 
-impl Parser<'_> {
+impl ElementParser<'_> {
     fn array<const N: usize>(&mut self) -> io::Result<[u8; N]> {
         let mut bytes = [0; N];
         self.reader.read_exact(&mut bytes)?;
@@ -191,7 +197,7 @@ impl Parser<'_> {
         Ok(Head { tag, vr, length: (length != u32::MAX).then_some(length) })
     }
 
-    /// Group 2: always explicit and little-endian.
+    /// Reads group 2, which is always explicit and little-endian.
     fn meta(&mut self, set: &mut DataSet) -> io::Result<()> {
         loop {
             let before = self.at;
@@ -214,15 +220,15 @@ impl Parser<'_> {
         }
     }
 
-    /// Everything up to pixel data, or to the end.
+    /// Reads everything up to the pixel data or the end.
     fn body(&mut self, set: &mut DataSet) -> io::Result<()> {
-        let mut levels: Vec<Level> = Vec::new();
+        let mut levels: Vec<SequenceLevel> = Vec::new();
         loop {
             while levels.last().is_some_and(|l| l.end.is_some_and(|end| self.at >= end)) {
                 self.leave(&mut levels);
             }
             let head = match self.head() {
-                // A file may end after any element; what is missing is noticed later.
+                // A file may end after any element. Missing values are noticed later.
                 Err(e) if e.kind() == io::ErrorKind::UnexpectedEof && levels.is_empty() => return Ok(()),
                 head => head?,
             };
@@ -230,7 +236,7 @@ impl Parser<'_> {
             match head.tag {
                 tags::ITEM => {
                     if levels.last().is_some_and(|l| !l.is_item && l.tag == tags::PER_FRAME_GROUPS) {
-                        set.frames.push(Fields { endian: self.endian, ..Fields::default() });
+                        set.frames.push(Elements { endian: self.endian, ..Elements::default() });
                     }
                     self.enter(&mut levels, head.tag, true, end)?;
                 }
@@ -253,11 +259,11 @@ impl Parser<'_> {
                     }
                     let length = head.length.unwrap_or(0);
                     let fields =
-                        place(set, &levels).filter(|_| tags::is_wanted(tag) && length <= longest(tag));
+                        place(set, &levels).filter(|_| tags::is_relevant(tag) && length <= longest(tag));
                     match fields {
                         Some(fields) => {
                             let value = self.value(length)?;
-                            // The first of a value counts: a private copy may come later.
+                            // The first value counts, because a private copy may follow.
                             fields.values.entry(tag).or_insert(value);
                         }
                         None => self.skip(length.into())?,
@@ -267,23 +273,29 @@ impl Parser<'_> {
         }
     }
 
-    fn enter(&self, levels: &mut Vec<Level>, tag: Tag, is_item: bool, end: Option<u64>) -> io::Result<()> {
+    fn enter(
+        &self,
+        levels: &mut Vec<SequenceLevel>,
+        tag: Tag,
+        is_item: bool,
+        end: Option<u64>,
+    ) -> io::Result<()> {
         if levels.len() == MAX_DEPTH {
             return Err(invalid("its sequences are nested too deeply"));
         }
-        levels.push(Level { tag, is_item, end, was_implicit: self.is_implicit });
+        levels.push(SequenceLevel { tag, is_item, end, was_implicit: self.is_implicit });
         Ok(())
     }
 
-    fn leave(&mut self, levels: &mut Vec<Level>) {
+    fn leave(&mut self, levels: &mut Vec<SequenceLevel>) {
         if let Some(level) = levels.pop() {
             self.is_implicit = level.was_implicit;
         }
     }
 }
 
-/// Where values at this place belong: to the file, to its newest frame, or nowhere.
-fn place<'a>(set: &'a mut DataSet, levels: &[Level]) -> Option<&'a mut Fields> {
+/// The owner of values in these sequences: the file, its latest frame, or nobody.
+fn place<'a>(set: &'a mut DataSet, levels: &[SequenceLevel]) -> Option<&'a mut Elements> {
     match levels.first() {
         None => Some(&mut set.fields),
         Some(level) if level.tag == tags::SHARED_GROUPS => Some(&mut set.fields),
@@ -292,7 +304,7 @@ fn place<'a>(set: &'a mut DataSet, levels: &[Level]) -> Option<&'a mut Fields> {
     }
 }
 
-/// Fills as much of `bytes` as there is.
+/// Fills as much of `bytes` as the reader has.
 fn read_up_to(reader: &mut impl Read, bytes: &mut [u8]) -> io::Result<usize> {
     let mut n = 0;
     while n < bytes.len() {
@@ -308,13 +320,13 @@ fn invalid(problem: &'static str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem)
 }
 
-/// Types whose length has 32 bits.
+/// Types with a length of 32 bits.
 const LONG_VRS: [&[u8; 2]; 13] =
     [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"];
-/// Longer values are none of those that matter.
+/// Longest value. None that matters is longer.
 const MAX_VALUE_BYTES: u32 = 4096;
-/// A number for each frame, of 16 bytes and one between.
+/// Longest list of offsets: 16 bytes and a separator for each frame.
 const MAX_OFFSETS_BYTES: u32 = 17 << 16;
-/// Elements of one file: enough for some ten thousand frames.
+/// Most elements of a file, enough for some ten thousand frames.
 const MAX_ELEMENTS: u32 = 4 << 20;
 const MAX_DEPTH: usize = 32;

@@ -1,4 +1,4 @@
-//! The frames of a file: where their pixels are, and where they lie in the body.
+//! The frames of a file, the location of their pixels, and their position in the body.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -6,19 +6,19 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::element::{DataSet, Fields};
+use super::element::{DataSet, Elements};
 use super::keys::Keys;
 use super::pixels::Coding;
 use super::tags;
 use crate::error::quoted;
 
-/// What the pixels of all frames of a volume have in common.
+/// The common properties of all frames of a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shape {
     pub(super) columns: u16,
     pub(super) rows: u16,
     pub(super) samples: u16,
-    /// Whether samples are planes of their own.
+    /// Whether each sample has its own plane.
     pub(super) is_planar: bool,
     pub(super) bits_allocated: u16,
     pub(super) bits_stored: u16,
@@ -39,7 +39,7 @@ impl Shape {
         let samples = set.fields.short(tags::SAMPLES_PER_PIXEL).unwrap_or(1);
         let photometric = set.fields.text(tags::PHOTOMETRIC).unwrap_or_default();
         let coding = Coding::of(&set.syntax)?;
-        // The decoder knows the extended process for 8 bits alone.
+        // The decoder supports the extended process only for 8 bits.
         if set.syntax == JPEG_EXTENDED && bits_stored > 8 {
             return Err(format!(
                 "pixels are coded as JPEG Extended of {bits_stored} bits (transfer syntax {}), expected at most 8 bits in it",
@@ -64,7 +64,7 @@ impl Shape {
             && columns > 0;
         if !is_good {
             return Err(format!(
-                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected some, in 8, 16 or 32"
+                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected at least one pixel and bits in 8, 16 or 32"
             ));
         }
         Ok(Self {
@@ -96,33 +96,33 @@ impl Shape {
 /// A slice.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
-    /// Which of the files it is in.
+    /// Number of its file.
     pub(super) file: usize,
     /// Offsets and lengths of the parts of its pixel data.
     pub(super) parts: Vec<(u64, u64)>,
     /// Centre of the first pixel, LPS millimetres.
     pub(super) position: Option<DVec3>,
-    /// What comes first where positions are equal: point in time, acquisition, number.
+    /// The order at equal positions: point in time, acquisition, number.
     pub(super) order: [f64; 3],
-    /// What it may differ by from others in the same place.
+    /// The keys by which it may differ from others at the same position.
     pub(super) keys: Arc<Keys>,
     pub(super) slope: f64,
     pub(super) intercept: f64,
 }
 
-/// How pixels lie in the body.
+/// The plane of a slice in the body.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Plane {
     /// Directions of rows and columns.
     pub(super) orientation: Option<[f64; 6]>,
-    /// Distances of rows and of columns.
+    /// Distances of rows and of columns, in millimetres.
     pub(super) pixel_spacing: Option<[f64; 2]>,
-    /// Name of the stack that an enhanced file counts the slice to.
+    /// Name of its stack in an enhanced file.
     pub(super) stack: Option<String>,
 }
 
 impl Plane {
-    /// Whether both are of one stack, but for rounding.
+    /// Whether both belong to one stack, except for rounding.
     pub(super) fn is_near(&self, other: &Self) -> bool {
         is_near(&self.orientation, &other.orientation, 1e-3)
             && is_near(&self.pixel_spacing, &other.pixel_spacing, 1e-5)
@@ -138,25 +138,25 @@ fn is_near<const N: usize>(a: &Option<[f64; N]>, b: &Option<[f64; N]>, most: f64
     }
 }
 
-/// The frames of a file that lie in one stack, and what they have in common.
+/// The frames of a file in one stack, and their common properties.
 #[derive(Clone, Debug)]
-pub(super) struct Slices {
+pub(super) struct FileStack {
     pub(super) shape: Shape,
     pub(super) series_uid: String,
-    /// In words.
+    /// Description of the series.
     pub(super) name: String,
     pub(super) modality: Option<String>,
-    /// Of the values.
+    /// Unit of the values.
     pub(super) value_unit: Option<String>,
     pub(super) plane: Plane,
-    /// What the file says of the distance of slices.
+    /// Distance of slices that the file states, in millimetres.
     pub(super) slice_spacing: Option<f64>,
     pub(super) frames: Vec<Frame>,
 }
 
-impl Slices {
-    /// Reads the header of `file`, the one of this number: a list of stacks in the order of their first frames. An error of kind
-    /// `InvalidData` says what is wrong.
+impl FileStack {
+    /// Reads the header of the file with this number. Returns its stacks in the order of their first frames. An error
+    /// of kind `InvalidData` says what is wrong.
     pub(super) fn read(file: File, number: usize) -> io::Result<Vec<Self>> {
         let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
         let mut reader = BufReader::new(file);
@@ -173,12 +173,13 @@ impl Slices {
             Some(length) => plain_parts(offset, length.into(), num_frames, &shape).map_err(invalid)?,
             None => fragments(&mut reader, num_frames)?,
         };
-        let shared = Own::of(fields);
-        let mut own: Vec<Own> = set.frames.iter().take(num_frames).map(Own::of).collect();
+        let shared = FrameFields::of(fields);
+        let mut own: Vec<FrameFields> = set.frames.iter().take(num_frames).map(FrameFields::of).collect();
         if own.len() > 1 && stacks_are_single(&own) {
             own.iter_mut().for_each(|o| o.plane.stack = None);
         }
-        let get = |i: usize, f: fn(&Own) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
+        let get =
+            |i: usize, f: fn(&FrameFields) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
         let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
             .map(|tag| fields.decimal(tag).unwrap_or(0.0));
         let offsets = fields.decimals(tags::GRID_FRAME_OFFSETS).filter(|o| o.len() == num_frames);
@@ -194,7 +195,8 @@ impl Slices {
         let mut stacks: Vec<Self> = Vec::new();
         for (i, parts) in parts.into_iter().enumerate() {
             let own_position = own.get(i).and_then(|o| o.position);
-            // A plain file of many frames has one position, that of the first; some say how far the others are.
+            // A plain file with many frames has the position of the first. Some files list the distances of the
+            // others.
             let along = positions.as_ref().map(|((first, normal), o)| *first + *normal * (o[i] - o[0]));
             let frame = Frame {
                 file: number,
@@ -238,26 +240,26 @@ impl Slices {
     }
 }
 
-/// Whether every frame is called a stack of its own, which says nothing.
-fn stacks_are_single(frames: &[Own]) -> bool {
+/// Whether every frame has its own stack, which has no meaning.
+fn stacks_are_single(frames: &[FrameFields]) -> bool {
     let mut names: Vec<&str> = frames.iter().filter_map(|o| o.plane.stack.as_deref()).collect();
     names.sort_unstable();
     names.windows(2).all(|w| w[0] != w[1])
 }
 
-/// What a frame, or all, say of where they are.
-struct Own {
+/// The position and scale of a frame or file, as far as it states them.
+struct FrameFields {
     position: Option<DVec3>,
     plane: Plane,
     slice_spacing: Option<f64>,
     slope: Option<f64>,
     intercept: Option<f64>,
-    /// Of the values, in DICOM's terms.
+    /// Unit of the values, in DICOM's terms.
     unit: Option<String>,
 }
 
-impl Own {
-    fn of(fields: &Fields) -> Self {
+impl FrameFields {
+    fn of(fields: &Elements) -> Self {
         let above_zero = |x: &f64| *x > 0.0;
         let spacing = |tag| fields.decimal_array::<2>(tag).filter(|s| s.iter().all(above_zero));
         let slice = |tag| fields.decimal(tag).map(f64::abs).filter(above_zero);
@@ -269,7 +271,7 @@ impl Own {
                 stack: fields.text(tags::STACK_ID),
             },
             slice_spacing: slice(tags::SPACING_BETWEEN_SLICES).or_else(|| slice(tags::SLICE_THICKNESS)),
-            // A distribution of doses has its own name for it, and is in gray then.
+            // Doses have their own field for the slope, and are then in gray.
             slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
             intercept: fields.decimal(tags::RESCALE_INTERCEPT),
             unit: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
@@ -279,16 +281,16 @@ impl Own {
     }
 }
 
-impl Own {
-    /// Across rows and columns, of length 1.
+impl FrameFields {
+    /// The unit vector perpendicular to rows and columns.
     fn normal(&self) -> Option<DVec3> {
         let [a, b, c, d, e, f] = self.plane.orientation?;
         DVec3::new(a, b, c).cross(DVec3::new(d, e, f)).try_normalize()
     }
 }
 
-/// The unit of values that DICOM calls `term` (PS3.3, C.7.6.16.2.9, C.8.9.1 and C.8.8.3). Computed tomography is in Hounsfield
-/// units unless it says otherwise.
+/// The unit of values for a DICOM `term` (PS3.3, C.7.6.16.2.9, C.8.9.1 and C.8.8.3). The default of computed
+/// tomography is Hounsfield units.
 fn unit_of(term: Option<&str>, modality: &Option<String>) -> Option<String> {
     let unit = match term {
         None if modality.as_deref() == Some("CT") => "HU",
@@ -305,7 +307,7 @@ fn unit_of(term: Option<&str>, modality: &Option<String>) -> Option<String> {
     Some(unit.to_owned())
 }
 
-/// Frames one after the other.
+/// The parts of frames that follow each other.
 fn plain_parts(
     offset: u64,
     length: u64,
@@ -323,7 +325,7 @@ fn plain_parts(
     Ok((0..num_frames as u64).map(|i| vec![(offset + i * each, each)]).collect())
 }
 
-/// The fragments of each frame; `reader` is at the first item, which is the table of offsets.
+/// The fragments of each frame. `reader` is at the first item, the table of offsets.
 fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<Vec<(u64, u64)>>> {
     let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
     let length = reader.get_ref().metadata()?.len();
@@ -366,7 +368,7 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
     if table.len() == num_frames && table.is_sorted() {
         let mut frames = vec![Vec::new(); num_frames];
         for fragment in list {
-            // The frame that begins at or before the fragment.
+            // This is the frame that begins at or before the fragment.
             let i = table.partition_point(|&o| o <= fragment.0 - 8 - start);
             if let Some(frame) = i.checked_sub(1).and_then(|i| frames.get_mut(i)) {
                 frame.push(fragment);
@@ -377,12 +379,12 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
     Err(invalid(format!("{} fragments for {num_frames} frames and no table of offsets", list.len())))
 }
 
-/// Transfer syntax of JPEG with loss, of 8 or 12 bits.
+/// Transfer syntax of lossy JPEG with 8 or 12 bits.
 const JPEG_EXTENDED: &str = "1.2.840.10008.1.2.4.51";
-/// Frames of one file.
+/// Most frames of a file.
 const MAX_FRAMES: f64 = 65_536.0;
 const MAX_FRAGMENTS: usize = 1 << 18;
-/// Directions and stacks of the frames of one file.
+/// Most directions and stacks of a file.
 const MAX_STACKS: usize = 256;
 
 #[cfg(test)]

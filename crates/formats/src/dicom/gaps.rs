@@ -1,9 +1,9 @@
-//! The distances of slices: even, uneven, with slices missing, or in separate blocks.
+//! Measures the distances of slices, and finds missing slices and separate blocks.
 
 use crate::warning::WarningKind;
 
-/// The distance in millimetres at which slices at these places along the normal, two at least, are shown; what is not even, or
-/// not as the file has `told`, is told.
+/// The distance in millimetres at which slices are shown. `places` are at least two positions along the normal.
+/// Uneven distances cause warnings, and so does a difference from `told`, the distance in the file.
 pub(super) fn slice_distance(
     places: &[f64],
     told: Option<f64>,
@@ -14,7 +14,7 @@ pub(super) fn slice_distance(
     sorted.sort_by(f64::total_cmp);
     let median = sorted[(sorted.len() - 1) / 2];
     let mut warn = |text: String| warnings.push((WarningKind::Geometry, text));
-    // Slices before each gap that parts blocks, slices before each that lacks some, and all other gaps.
+    // Numbers of slices before each gap between blocks, numbers before each missing slice, and all other gaps.
     let (mut ends, mut missing, mut even) = (vec![0], Vec::new(), Vec::new());
     let (mut widest, mut num_missing) = (0.0f64, 0.0);
     for (i, gap) in gaps.iter().enumerate() {
@@ -64,7 +64,7 @@ fn the_gaps(count: usize) -> &'static str {
     if count == 1 { "the gap is" } else { "the gaps are" }
 }
 
-/// `3, 5 and 8`; many are cut.
+/// Lists numbers, such as `3, 5 and 8`. Long lists are cut.
 fn listed(numbers: &[usize]) -> String {
     let words = |list: &[usize]| list.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
     match numbers {
@@ -77,19 +77,19 @@ fn listed(numbers: &[usize]) -> String {
     }
 }
 
-/// A gap of more distances than this parts two blocks; a smaller one lacks slices.
+/// A gap of more distances separates two blocks. In a smaller one, slices are missing.
 const BLOCK_GAP: f64 = 4.0;
-/// Distances that are off by less than this, or by less than this share, are rounding.
+/// Distances that differ by less than this, or by this fraction, are rounded.
 const JITTER_MM: f64 = 1e-3;
 const UNEVEN: f64 = 0.01;
-/// Numbers that a sentence lists.
+/// Most numbers in a warning.
 const MAX_LISTED: usize = 6;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The distance at which slices with these gaps are shown, and what is said.
+    /// The distance for slices with these gaps, and the warnings.
     fn of_gaps(gaps: &[f64]) -> (f64, Vec<String>) {
         let places = gaps.iter().scan(-20.0, |at, gap| {
             *at += gap;
@@ -98,7 +98,7 @@ mod tests {
         let places: Vec<f64> = [-20.0].into_iter().chain(places).collect();
         let mut warnings = Vec::new();
         let distance = slice_distance(&places, None, &mut warnings);
-        // Sums of numbers of two digits.
+        // The tolerance removes rounding of sums.
         ((distance * 1e6).round() / 1e6, warnings.into_iter().map(|w| w.1).collect())
     }
 
@@ -123,7 +123,7 @@ mod tests {
             of_gaps(&[3.0, 6.0, 3.0, 9.0, 3.0, 3.0, 3.0]),
             expected("3 slices are missing, after slices 2 and 4; the gaps are not shown")
         );
-        // What is missing does not hide that the others are uneven.
+        // Missing slices do not hide that the others are uneven.
         let (_, said) = of_gaps(&[3.0, 6.0, 3.3, 3.0, 2.7]);
         assert_eq!(said.len(), 2, "{said:?}");
     }
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(distance, 2.0);
         let expected = "the slices lie in 2 separate blocks of 4 and 3 slices, up to 71.3 mm apart; the gap is not shown";
         assert_eq!(said, [expected]);
-        // One slice far from the others is a block, too.
+        // A single distant slice is a block, too.
         let (distance, said) = of_gaps(&[324.0, 2.0, 2.0]);
         assert_eq!((distance, said.len()), (2.0, 1), "{said:?}");
     }

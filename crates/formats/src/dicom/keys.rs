@@ -1,9 +1,9 @@
-//! What tells the volumes of one series apart: what their slices differ by where they lie in the same place.
+//! The keys that distinguish the volumes of a series.
 
-use super::element::Fields;
+use super::element::Elements;
 use super::tags;
 
-/// A number that slices in the same place may differ by.
+/// A number by which slices at the same position may differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Key {
     EchoNumber,
@@ -18,15 +18,15 @@ pub(super) enum Key {
     /// Milliseconds since the start of a series of PET.
     ReferenceTime,
     AcquisitionNumber,
-    /// One of the numbers by which an enhanced file orders its frames.
+    /// A number of the order of frames in an enhanced file.
     Dimension(usize),
-    /// Digits of the time of the day, or of date and time.
+    /// Digits of a time, or of date and time.
     AcquisitionTime,
     ContentTime,
 }
 
 impl Key {
-    /// Those that make points in time, the most telling first.
+    /// The keys for points in time, the most reliable first.
     pub(super) const TIMES: [Self; 7 + NUM_DIMENSIONS] = [
         Self::TemporalPosition,
         Self::TriggerTime,
@@ -42,15 +42,15 @@ impl Key {
         Self::ContentTime,
     ];
 
-    /// What `fields` say.
-    fn of(self, fields: &Fields) -> Option<f64> {
+    /// The value in `fields`.
+    fn of(self, fields: &Elements) -> Option<f64> {
         let time = |tag| fields.text(tag).and_then(|t| digits(&t));
         match self {
             Self::EchoNumber => fields.decimal(tags::ECHO_NUMBERS),
             Self::EchoTime => fields
                 .decimal(tags::ECHO_TIME)
                 .or_else(|| fields.double(tags::EFFECTIVE_ECHO_TIME))
-                // Scanners round, not always in the same way.
+                // Scanners round in different ways.
                 .map(|ms| (ms * 1e3).round() / 1e3),
             Self::TemporalPosition => fields
                 .decimal(tags::TEMPORAL_POSITION)
@@ -88,17 +88,17 @@ impl Key {
     }
 }
 
-/// What a slice, or all slices of a file, say of themselves.
+/// The keys of a slice, or of all slices of a file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Keys {
-    /// Words of the type of the picture, such as `ORIGINAL\PRIMARY\M`.
+    /// HeaderBytes of the type of the picture, such as `ORIGINAL\PRIMARY\M`.
     pub(super) image_type: Option<String>,
-    /// By the index of the key.
+    /// Values by the index of the key.
     numbers: [Option<f64>; NUM_NUMBERS],
 }
 
 impl Keys {
-    pub(super) fn of(fields: &Fields) -> Self {
+    pub(super) fn of(fields: &Elements) -> Self {
         let mut image_type = fields.text(tags::FRAME_TYPE).or_else(|| fields.text(tags::IMAGE_TYPE));
         if let (Some(words), Some(component)) = (&mut image_type, fields.text(tags::COMPLEX_COMPONENT)) {
             words.push('\\');
@@ -111,7 +111,7 @@ impl Keys {
         Self { image_type, numbers }
     }
 
-    /// These, and those of `file` where there are none.
+    /// These keys, with missing ones from `file`.
     pub(super) fn or(self, file: &Self) -> Self {
         Self {
             image_type: self.image_type.or_else(|| file.image_type.clone()),
@@ -119,24 +119,24 @@ impl Keys {
         }
     }
 
-    /// The number of this key; one that is missing comes before all others.
+    /// The value of a key. A missing one comes before all others.
     pub(super) fn number(&self, key: Key) -> f64 {
         self.numbers[key.index()].unwrap_or(f64::NEG_INFINITY)
     }
 
-    /// Whether the picture is a mosaic of slices, as Siemens scanners make them.
+    /// Whether the picture is a mosaic of slices, as Siemens scanners write them.
     pub(super) fn is_mosaic(&self) -> bool {
         self.image_type.as_ref().is_some_and(|t| t.split('\\').any(|word| word.trim() == "MOSAIC"))
     }
 }
 
-/// The number that a time, or a date and time, makes without its zone.
+/// The digits of a time, or of date and time, without its zone.
 fn digits(time: &str) -> Option<f64> {
     let time: String =
         time.chars().filter(|c| *c != ':').take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     time.parse().ok()
 }
 
-/// Numbers of an enhanced file's own order that are looked at.
+/// Numbers of the order in an enhanced file that are used.
 const NUM_DIMENSIONS: usize = 5;
 const NUM_NUMBERS: usize = 9 + NUM_DIMENSIONS;

@@ -1,5 +1,5 @@
-//! DICOM: the series of a folder, or the frames of one file. Slices are sorted by their position along the normal, and divided into
-//! series and points in time by what those in one place differ by; the frame is LPS in millimetres.
+//! DICOM: the series of a folder, or the frames of one file. Slices are sorted along their normal. Differences at one
+//! position divide them into series and points in time. The frame is LPS in millimetres.
 
 mod divide;
 mod element;
@@ -14,12 +14,12 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use self::frame::{Frame, Shape, Slices};
+use self::frame::{FileStack, Frame, Shape};
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there, shown};
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::source::{OpenOptions, file_name, open_file};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
 /// A series whose headers were read.
@@ -29,12 +29,12 @@ pub(crate) struct DicomFiles {
     shape: Shape,
     /// Slices in the order of the plan: along the normal, then in time.
     frames: Vec<Frame>,
-    /// Whether each slice has its own way from numbers to values.
+    /// Whether each slice has its own slope and intercept.
     is_rescaled: bool,
     open: Option<(usize, File)>,
 }
 
-/// Whether `start` is the beginning of a DICOM file: its mark, or without one an element of group 8 or 2 as such files begin.
+/// Whether `start` begins a DICOM file. It needs the mark, or an element of group 8 or 2 at its start.
 pub(crate) fn is_header(start: &[u8]) -> bool {
     let is_marked = start.get(128..132) == Some(b"DICM");
     let bare = |group: u8| {
@@ -47,16 +47,15 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
 }
 
 impl DicomFiles {
-    /// The file or folder at `path`, which `files` are of.
+    /// Opens the file or folder at `path` with these `files`.
     pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad =
-            |problem: String| FormatError::Malformed { path: shown(path), format: "DICOM".into(), problem };
+        let bad = malformed(path, "DICOM");
         let is_folder = path.is_dir();
         let (mut found, mut num_other, mut first_problem) = (Vec::new(), 0, None);
         let mut first_other = None;
         for (i, file) in files.iter().enumerate() {
             options.check_cancelled(path)?;
-            match Slices::read(open_file(file)?, i) {
+            match FileStack::read(open_file(file)?, i) {
                 Ok(stacks) => found.extend(stacks),
                 Err(e) => {
                     num_other += 1;
@@ -66,11 +65,7 @@ impl DicomFiles {
                         _ => return Err(io_error(file)(e)),
                     };
                     first_other.get_or_insert_with(|| (file_name(file), problem.clone()));
-                    first_problem.get_or_insert(FormatError::Malformed {
-                        path: shown(file),
-                        format: "DICOM".into(),
-                        problem,
-                    });
+                    first_problem.get_or_insert(malformed(file, "DICOM")(problem));
                 }
             }
         }
@@ -82,12 +77,10 @@ impl DicomFiles {
         let names: Vec<String> = series.iter().map(series::Series::name).collect();
         let num_series = names.len();
         let index = options.selection.series.map_or(largest, |i| i as usize);
-        let chosen = series.into_iter().nth(index).ok_or_else(|| FormatError::Selection {
-            path: shown(path),
-            what: "series",
-            asked: index as u64,
-            found: num_series as u64,
-        })?;
+        let chosen = series
+            .into_iter()
+            .nth(index)
+            .ok_or_else(|| not_there(path, "series", index as u64, num_series))?;
         let shape = chosen.shape;
         let stacked = chosen.stack();
         let slope = (stacked.frames[0].slope, stacked.frames[0].intercept);
@@ -118,7 +111,7 @@ impl DicomFiles {
         plan.modality = stacked.modality;
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         if shape.samples == 3 {
-            plan.channel_names = ["red", "green", "blue"].map(str::to_owned).into();
+            plan.channel_names = color_names(3);
         }
         for (kind, text) in stacked.warnings {
             plan.warn(kind, text);
@@ -127,7 +120,7 @@ impl DicomFiles {
             plan.value_map = value_map(&shape, slope);
         }
         if shape.is_inverted {
-            plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were turned over");
+            plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were inverted");
         }
         if is_rescaled {
             plan.warn(WarningKind::Values, "slices have different rescale slopes; values are kept as floats");
@@ -145,7 +138,7 @@ impl DicomFiles {
             plan.usual_series = largest as u32;
         }
         if num_other > 0 && is_folder {
-            // Its name alone: viewers elsewhere are told, too.
+            // The warning has only the name of the file, because remote viewers see it.
             let first = first_other
                 .map_or(String::new(), |(name, problem)| format!(", the first: {name}: {problem}"));
             plan.warn(WarningKind::Data, format!("{num_other} files are no slices and were left out{first}"));
@@ -156,7 +149,7 @@ impl DicomFiles {
         Ok(Self { plan, files, shape, frames: stacked.frames, is_rescaled, open: None })
     }
 
-    /// The numbers of a frame.
+    /// Decodes the numbers of a frame.
     fn decode(&mut self, index: usize) -> Result<Vec<u8>, FormatError> {
         let frame = &self.frames[index];
         let path = &self.files[frame.file];
@@ -175,30 +168,30 @@ impl VolumeFile for DicomFiles {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         if self.shape.num_bytes() > MAX_FRAME_BYTES {
             let path = &self.files[0];
-            return Err(taker.data_error(
+            return Err(collector.data_error(
                 path,
                 format!("a frame of {} bytes, expected at most {MAX_FRAME_BYTES}", self.shape.num_bytes()),
             ));
         }
         let in_frame = self.shape.num_pixels() * u64::from(self.shape.samples);
         for i in 0..self.frames.len() {
-            if taker.is_done() {
+            if collector.is_done() {
                 break;
             }
-            if taker.gap() >= in_frame {
-                taker.pass(in_frame);
+            if collector.gap() >= in_frame {
+                collector.pass(in_frame);
             } else {
-                taker.push(&self.decode(i)?)?;
+                collector.push(&self.decode(i)?)?;
             }
         }
         Ok(())
     }
 }
 
-/// From stored numbers to values, with the least one turned into the greatest where that is white.
+/// Slope and intercept that turn numbers into values. The least value becomes the greatest if it is white.
 fn value_map(shape: &Shape, (slope, intercept): (f64, f64)) -> (f64, f64) {
     if !shape.is_inverted {
         return (slope, intercept);
@@ -207,7 +200,7 @@ fn value_map(shape: &Shape, (slope, intercept): (f64, f64)) -> (f64, f64) {
     (-slope, slope * sum + intercept)
 }
 
-/// Values as floats.
+/// The values of a frame as floats.
 fn rescaled(bytes: &[u8], shape: &Shape, frame: &Frame) -> Vec<u8> {
     let (slope, intercept) = value_map(shape, (frame.slope, frame.intercept));
     let value = |stored: f64| ((stored * slope + intercept) as f32).to_le_bytes();
@@ -223,5 +216,5 @@ fn rescaled(bytes: &[u8], shape: &Shape, frame: &Frame) -> Vec<u8> {
     }
 }
 
-/// The largest frame that is unpacked.
+/// Largest frame, decompressed.
 const MAX_FRAME_BYTES: u64 = 1 << 30;

@@ -1,4 +1,4 @@
-//! From the pixel data of a frame to its numbers: plain, run lengths (RLE), or JPEG with and without loss.
+//! Decodes the pixel data of a frame: plain, run lengths (RLE), and lossy or lossless JPEG.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -7,7 +7,7 @@ use jpeg_decoder::{Decoder, PixelFormat};
 
 use super::frame::{Frame, Shape};
 
-/// How pixel data are packed.
+/// The coding of pixel data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Coding {
     Plain { is_big: bool },
@@ -16,11 +16,11 @@ pub(super) enum Coding {
 }
 
 impl Coding {
-    /// The coding of a transfer syntax; the error names one that is not read here.
+    /// The coding of a transfer syntax. The error names an unsupported one.
     pub(super) fn of(syntax: &str) -> Result<Self, String> {
         let rest = syntax.strip_prefix("1.2.840.10008.1.2");
         Ok(match rest {
-            // A file without its first part names none.
+            // A file without preamble has no transfer syntax.
             None if syntax.is_empty() => Self::Plain { is_big: false },
             Some("" | ".1") => Self::Plain { is_big: false },
             Some(".2") => Self::Plain { is_big: true },
@@ -43,7 +43,7 @@ impl Coding {
         })
     }
 
-    /// What it is called.
+    /// Its name.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Plain { .. } => "plain",
@@ -90,7 +90,8 @@ fn read(file: &mut File, frame: &Frame) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// PS3.5, annex G: each byte of a number and each sample is a segment of its own, the highest byte first.
+/// Decodes run lengths (PS3.5, annex G). Each byte of a number and each sample has its own segment, the highest byte
+/// first.
 fn run_lengths(packed: &[u8], shape: &Shape) -> Result<Vec<u8>, String> {
     let word =
         |at: usize| packed.get(at..).and_then(|rest| rest.first_chunk()).map(|b| u32::from_le_bytes(*b));
@@ -108,7 +109,7 @@ fn run_lengths(packed: &[u8], shape: &Shape) -> Result<Vec<u8>, String> {
         let start = word(4 + 4 * segment).unwrap_or(0) as usize;
         let mut rest = packed.get(start.max(64)..).ok_or("a segment of run lengths begins after the end")?;
         let (sample, byte) = (segment / size, size - 1 - segment % size);
-        // Samples lie one after the other, as planes of their own.
+        // The samples are consecutive planes.
         let mut at = sample * num_pixels * size + byte;
         let end = (sample + 1) * num_pixels * size;
         while at < end {
@@ -133,7 +134,7 @@ fn run_lengths(packed: &[u8], shape: &Shape) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// JPEG of one sample of 8 to 16 bits.
+/// Decodes JPEG with one sample of 8 to 16 bits.
 fn jpeg(packed: &[u8], shape: &Shape) -> Result<Vec<u8>, String> {
     let clean = |e: jpeg_decoder::Error| crate::error::quoted(&e.to_string());
     let mut decoder = Decoder::new(packed);
@@ -161,10 +162,10 @@ fn jpeg(packed: &[u8], shape: &Shape) -> Result<Vec<u8>, String> {
     })
 }
 
-/// Moves the bits that are stored to the bottom of each word and spreads the sign.
+/// Moves the stored bits to the bottom of each word, and extends the sign.
 fn keep_stored_bits(bytes: &mut [u8], shape: &Shape) {
     let (allocated, stored) = (u32::from(shape.bits_allocated), u32::from(shape.bits_stored));
-    // A decoder gives the bits at the bottom.
+    // The JPEG decoder returns the bits at the bottom.
     let low = if shape.coding == Coding::Jpeg { 0 } else { u32::from(shape.high_bit + 1) - stored };
     if stored == allocated {
         return;
@@ -185,5 +186,5 @@ fn keep_stored_bits(bytes: &mut [u8], shape: &Shape) {
     }
 }
 
-/// 128 bytes from two.
+/// Greatest ratio of run lengths: two bytes become 128.
 const MAX_RUN_RATIO: u64 = 64;

@@ -1,11 +1,11 @@
-//! Which slices belong together, and how they lie.
+//! Groups slices into series, and finds their geometry.
 
 use std::collections::HashMap;
 
 use glam::DVec3;
 
 use super::divide::{self, Divided};
-use super::frame::{Frame, Plane, Shape, Slices};
+use super::frame::{FileStack, Frame, Plane, Shape};
 use super::gaps::slice_distance;
 use crate::axes::{Geometry, ras_from_lps};
 use crate::error::quoted;
@@ -20,15 +20,15 @@ pub(super) struct Series {
     value_unit: Option<String>,
     plane: Plane,
     slice_spacing: Option<f64>,
-    /// What tells it from others of the same series, in words.
+    /// Descriptions that distinguish it from others of the same series.
     details: Vec<String>,
-    /// By place along the normal, then by their order; without places by their order.
+    /// Sorted by position along the normal, then by their order. Without positions, by their order.
     frames: Vec<Frame>,
 }
 
-/// A series in order.
+/// A sorted series.
 pub(super) struct Stacked {
-    /// Along the normal first, then in time.
+    /// Sorted by time, then along the normal.
     pub(super) frames: Vec<Frame>,
     pub(super) num_slices: usize,
     pub(super) num_times: usize,
@@ -39,11 +39,11 @@ pub(super) struct Stacked {
     pub(super) warnings: Vec<(WarningKind, String)>,
 }
 
-/// Puts together what belongs together, in the order of the files.
-pub(super) fn group(files: Vec<Slices>) -> Vec<Series> {
+/// Groups slices into series, in the order of the files.
+pub(super) fn group(files: Vec<FileStack>) -> Vec<Series> {
     let mut all: Vec<Series> = Vec::new();
     for file in files {
-        // The newest is the likeliest.
+        // The latest series is the most likely.
         let fits = |s: &&mut Series| {
             s.uid == file.series_uid && s.shape == file.shape && s.plane.is_near(&file.plane)
         };
@@ -86,7 +86,7 @@ impl Series {
         self.shape.num_pixels() * self.frames.len() as u64
     }
 
-    /// In words, for a list.
+    /// A description for lists.
     pub(super) fn name(&self) -> String {
         let modality = self.modality.as_ref().map_or(String::new(), |m| format!(" {m}"));
         let Shape { columns, rows, .. } = self.shape;
@@ -94,7 +94,7 @@ impl Series {
         format!("{}{details}:{modality}, {} slices of {columns}×{rows}", self.name, self.frames.len())
     }
 
-    /// How the slices lie, and the name of their stack.
+    /// The direction of the slices, and the name of their stack.
     fn plane_in_words(&self) -> Vec<String> {
         let direction = directions(&self.plane).map(|(.., normal)| {
             let along = (0..3).find(|&i| normal[i].abs() > MIN_COSINE);
@@ -104,7 +104,7 @@ impl Series {
         direction.into_iter().chain(stack).collect()
     }
 
-    /// Sorts the slices; the number of the place of each, if places are known.
+    /// Sorts the slices. Returns the number of each position, if positions are known.
     fn sort(&mut self) -> Option<Vec<usize>> {
         let normal = directions(&self.plane).map(|d| d.2);
         let is_placed = self.frames.iter().all(|f| f.position.is_some());
@@ -131,7 +131,7 @@ impl Series {
         Some(places)
     }
 
-    /// A series for each kind of picture that lies in the same places.
+    /// Splits the series by kind of picture at the same positions.
     fn by_kind(mut self) -> Vec<Self> {
         let places = self.sort();
         let frames = std::mem::take(&mut self.frames);
@@ -159,7 +159,7 @@ impl Series {
         made.collect()
     }
 
-    /// Sorts the slices and finds how they lie.
+    /// Sorts the slices and finds their geometry.
     pub(super) fn stack(mut self) -> Stacked {
         let mut warnings = Vec::new();
         let mut spacing_guess = None;
@@ -236,12 +236,12 @@ fn compare(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
     a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
 }
 
-/// Slices nearer than this, or than this share of the distance that their file tells, lie in the same place.
+/// Slices have the same position if they are nearer than this, or than this fraction of their distance.
 const SAME_PLACE_MM: f64 = 1e-3;
 const SAME_PLACE: f64 = 0.01;
-/// Of a normal that is called that of an axis: within 15°.
+/// Least cosine of a normal that is named after an axis: 15°.
 const MIN_COSINE: f64 = 0.966;
-/// As for other formats.
+/// Largest tilt without a warning, as for other formats.
 const MAX_TILT_DEG: f64 = 1.0;
-/// Series that a slice is compared with; more than any folder holds.
+/// Most series that a slice is compared with.
 const MAX_COMPARED: usize = 1024;

@@ -8,7 +8,7 @@ macro_rules! tags {
         $(pub(super) const $name: Tag = ($group, $element);)*
 
         /// Whether the value of an element is kept.
-        pub(super) fn is_wanted(tag: Tag) -> bool {
+        pub(super) fn is_relevant(tag: Tag) -> bool {
             [$($name),*].contains(&tag)
         }
     };
@@ -67,9 +67,9 @@ tags! {
     DOSE_GRID_SCALING 0x3004 0x000e,
 }
 
-/// Whether an element is a sequence that values are looked for in.
+/// Whether an element is a sequence with relevant values.
 pub(super) fn is_sequence(tag: Tag) -> bool {
-    // Echo, diffusion, heartbeat and type of the frame; its content, position, orientation and time; pixels and values.
+    // Frame groups: echo, diffusion, heartbeat and type; content, position, orientation and time; pixels and values.
     const INNER: [Tag; 12] = [
         (0x0018, 0x9114),
         (0x0018, 0x9117),

@@ -1,17 +1,17 @@
-//! From the axes of an NRRD header to those of any file.
+//! Interprets the axes of an NRRD header.
 
 use glam::DVec3;
 
-use super::header::{Header, Space};
+use super::header::{NrrdHeader, Space};
 use crate::axes::Geometry;
 use crate::error::HeaderError;
-use crate::plan::{Axis, Role};
+use crate::plan::{Axis, Role, color_names};
 use crate::warning::{Warning, WarningKind};
 
 /// The axes of a header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Axes {
-    /// Each axis of the file, and a third one if it has two.
+    /// Each axis of the file, and a third spatial axis if the file has two.
     pub(super) axes: Vec<Axis>,
     pub(super) geometry: Geometry,
     pub(super) channel_names: Vec<String>,
@@ -19,7 +19,7 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    pub(super) fn of(header: &Header) -> Result<Self, HeaderError> {
+    pub(super) fn of(header: &NrrdHeader) -> Result<Self, HeaderError> {
         let mut warnings = Vec::new();
         let kept = spatial_axes(header)?;
         if kept.len() == 2 {
@@ -44,13 +44,13 @@ impl Axes {
     }
 }
 
-/// The kind of an axis, in small letters.
-fn kind(header: &Header, axis: usize) -> String {
+/// The kind of an axis in lower case.
+fn kind(header: &NrrdHeader, axis: usize) -> String {
     header.kinds.as_ref().map_or("???", |k| &k[axis]).to_ascii_lowercase()
 }
 
-/// The two or three axes along which voxels lie in space.
-fn spatial_axes(header: &Header) -> Result<Vec<usize>, HeaderError> {
+/// The two or three spatial axes.
+fn spatial_axes(header: &NrrdHeader) -> Result<Vec<usize>, HeaderError> {
     let is_spatial = |axis: &usize| {
         let has_direction = header.directions.as_ref().is_none_or(|d| d[*axis].is_some());
         let kind = kind(header, *axis);
@@ -58,7 +58,8 @@ fn spatial_axes(header: &Header) -> Result<Vec<usize>, HeaderError> {
     };
     let mut kept: Vec<usize> = (0..header.sizes.len()).filter(is_spatial).collect();
     while kept.len() > 3 {
-        // Of more than three, those of one voxel go first, then time and lists, then the slowest.
+        // If there are more than three, axes with one voxel are dropped first. Then come times and lists, then the
+        // slowest axis.
         let is_time = |&axis: &usize| matches!(kind(header, axis).as_str(), "time" | "list");
         let least = kept.iter().rposition(|&axis| header.sizes[axis] == 1);
         let i = least.or_else(|| kept.iter().rposition(is_time)).unwrap_or(kept.len() - 1);
@@ -73,10 +74,9 @@ fn spatial_axes(header: &Header) -> Result<Vec<usize>, HeaderError> {
     Ok(kept)
 }
 
-/// Gives the axes that are not in space their roles: one holds channels, one points in time. Returns the names of the
-/// channels.
+/// Assigns channels and time to the other axes. Returns the names of the channels.
 fn other_roles(
-    header: &Header,
+    header: &NrrdHeader,
     axes: &mut [Axis],
     first_in_space: usize,
 ) -> Result<Vec<String>, HeaderError> {
@@ -103,23 +103,26 @@ fn other_roles(
         };
         axes[i].role = role;
         if role == Role::Channel && matches!(kind.as_str(), "rgb-color" | "rgba-color") {
-            names = ["red", "green", "blue", "alpha"].map(str::to_owned).into();
-            names.truncate(axes[i].size.min(4) as usize);
+            names = color_names(axes[i].size);
         }
     }
     Ok(names)
 }
 
-/// A vector of the header's space in the world of volumes.
-fn in_space(header: &Header, v: [f64; 3]) -> DVec3 {
+/// Converts a vector from the space of the header to the world of volumes.
+fn in_space(header: &NrrdHeader, v: [f64; 3]) -> DVec3 {
     match header.space {
         Space::Anatomical(signs) => DVec3::from(v) * DVec3::from(signs),
         Space::Cartesian(z) => DVec3::from(v) * DVec3::new(1.0, 1.0, z),
     }
 }
 
-/// The step of one voxel along each axis of the file, in the space whose axes a volume should have.
-fn steps(header: &Header, kept: &[usize], warnings: &mut Vec<Warning>) -> Result<[DVec3; 3], HeaderError> {
+/// The step of one voxel along each axis of the file, in the world of volumes.
+fn steps(
+    header: &NrrdHeader,
+    kept: &[usize],
+    warnings: &mut Vec<Warning>,
+) -> Result<[DVec3; 3], HeaderError> {
     let spacing = |axis: usize| header.spacings.as_ref().map(|s| s[axis]).filter(|s| !s.is_nan());
     let mut steps = Vec::with_capacity(3);
     let mut num_missing = 0;
@@ -161,8 +164,8 @@ fn steps(header: &Header, kept: &[usize], warnings: &mut Vec<Warning>) -> Result
     Ok([steps[0], steps[1], steps[2]])
 }
 
-/// The unit of length, if all axes have the same.
-fn unit(header: &Header, kept: &[usize], warnings: &mut Vec<Warning>) -> Option<String> {
+/// The unit of length, if it is the same for all axes.
+fn unit(header: &NrrdHeader, kept: &[usize], warnings: &mut Vec<Warning>) -> Option<String> {
     let units: Vec<&String> = match (&header.space_units, &header.units) {
         (Some(units), _) => units.iter().take(3).collect(),
         (None, Some(units)) => kept.iter().map(|&axis| &units[axis]).collect(),
@@ -178,7 +181,7 @@ fn unit(header: &Header, kept: &[usize], warnings: &mut Vec<Warning>) -> Option<
     is_name.then(|| first.chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect())
 }
 
-/// Longest name of a unit that is kept.
+/// Longest name of a unit, in characters.
 const MAX_UNIT_CHARS: usize = 16;
 
 #[cfg(test)]
@@ -190,7 +193,7 @@ mod tests {
 
     fn axes(fields: &str) -> Result<Axes, HeaderError> {
         let text = format!("NRRD0005\ntype: uint8\nencoding: raw\n{fields}\n\n");
-        Axes::of(&Header::read(&mut text.as_bytes()).unwrap())
+        Axes::of(&NrrdHeader::read(&mut text.as_bytes()).unwrap())
     }
 
     fn grid(fields: &str) -> Result<(Grid, Vec<String>), HeaderError> {
@@ -236,9 +239,9 @@ mod tests {
         assert!(turned(0.9).1.is_empty());
         assert_eq!(
             turned(12.3).1,
-            ["the axes are turned by up to 12.3° from their space, which is not shown"]
+            ["the axes are rotated by up to 12.3° from their space, which is not shown"]
         );
-        // A unit length survives the turn: 1e-6 is the rounding of a single-precision length.
+        // A rotation keeps a length of 1. The tolerance is the rounding of single precision.
         assert!((turned(12.3).0.spacing - Vec3::ONE).length() < 1e-6);
         let (_, warnings) = small("space: RAS\nspace directions: (1,0,0) (0.2,1,0) (0,0,1)");
         assert!(warnings[1].contains("right angles"), "{warnings:?}");
@@ -289,7 +292,7 @@ mod tests {
         assert_eq!(roles(list), [&[Channel], &space[..]].concat());
     }
 
-    /// As ITK, Slicer and pynrrd write them.
+    /// ITK, Slicer and pynrrd write these.
     #[test]
     fn axes_outside_of_space_stand_first_or_last() {
         use Role::{Channel, Space, Time};
@@ -311,7 +314,7 @@ mod tests {
                 );
                 let found = axes(&last).unwrap();
                 let roles: Vec<Role> = found.axes.iter().map(|a| a.role).collect();
-                // A list of volumes is one of points in time.
+                // A list of volumes is a sequence in time.
                 let role = if kind == "list" { Time } else { Channel };
                 assert_eq!(roles, [&space[..], &[role]].concat(), "{none} {kind}");
                 assert_eq!(found.geometry.steps.map(|s| s.length()), [1.0, 2.0, 3.0]);

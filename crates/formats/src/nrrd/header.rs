@@ -1,16 +1,16 @@
-//! The text before the voxels: fields of the NRRD format, definition of 2005-2022 (teem.sourceforge.net/nrrd), read
-//! as leniently as other readers do: names in any case, with or without the inner space, values with or without a
-//! space after the colon, lines ending in LF or CR LF.
+//! Reads the header of an NRRD file (definition of 2005–2022, teem.sourceforge.net/nrrd). The reader is as lenient as
+//! others: names may have any case and lack the inner space. The space after a colon is optional, and lines end with
+//! LF or CR LF.
 
 use std::io::{BufRead, Read};
 
 use crate::dtype::{Dtype, Endian};
 use crate::error::{HeaderError, quoted};
-use crate::parts::{MAX_DATA_FILES, numbered_names};
+use crate::file_list::{MAX_DATA_FILES, numbered_names};
 
-/// The fields that matter here. What describes axes has one entry for each axis, fastest first.
+/// The relevant fields. Lists about axes have one entry for each axis, the fastest first.
 #[derive(Debug, PartialEq)]
-pub(super) struct Header {
+pub(super) struct NrrdHeader {
     pub(super) dtype: Dtype,
     pub(super) endian: Endian,
     pub(super) encoding: Encoding,
@@ -26,7 +26,7 @@ pub(super) struct Header {
     pub(super) units: Option<Vec<String>>,
     /// Units of `space`.
     pub(super) space_units: Option<Vec<String>>,
-    /// Unit of the values, as it is written.
+    /// Unit of the values, as the file writes it.
     pub(super) sample_units: Option<String>,
     pub(super) line_skip: u64,
     pub(super) byte_skip: ByteSkip,
@@ -34,7 +34,7 @@ pub(super) struct Header {
     pub(super) warnings: Vec<String>,
 }
 
-/// How the voxels are written.
+/// Encoding of the voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Raw,
@@ -45,18 +45,18 @@ pub(super) enum Encoding {
 /// Bytes before the voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ByteSkip {
-    /// Skip this many.
+    /// The number of bytes to skip.
     Forward(u64),
     /// The voxels are the last bytes of the file.
     ToEnd,
 }
 
-/// What the components of `space directions` mean.
+/// The meaning of the components of `space directions`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Space {
-    /// Towards (+) or away from (−) the right, the front and the top of a body.
+    /// Whether each component points towards (+) or away from (−) right, front and top of a body.
     Anatomical([f64; 3]),
-    /// A frame without a body; −1 if it is left-handed.
+    /// A frame without a body; −1 marks a left-handed one.
     Cartesian(f64),
 }
 
@@ -65,12 +65,12 @@ pub(super) enum Space {
 pub(super) enum DataFiles {
     /// After the header.
     Attached,
-    /// In these files, slowest part last, relative to the header's folder.
+    /// In these files, in order. Paths are relative to the folder of the header.
     Detached(Vec<String>),
 }
 
-impl Header {
-    /// Reads up to and including the blank line, or to the end of the file for a detached header.
+impl NrrdHeader {
+    /// Reads up to and including the blank line. A detached header may end with the file.
     pub(super) fn read(reader: &mut dyn BufRead) -> Result<Self, HeaderReadError> {
         let mut lines = Lines { reader, bytes_left: MAX_HEADER_BYTES, number: 0 };
         let magic = lines.next()?.unwrap_or_default();
@@ -100,7 +100,7 @@ impl Header {
     }
 }
 
-/// Either the header or the reading failed.
+/// The header is wrong, or the system refused to read it.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum HeaderReadError {
     #[error(transparent)]
@@ -114,7 +114,7 @@ macro_rules! fields {
         #[derive(Clone, Copy)]
         enum Field { $($variant),* }
 
-        /// Names as the format writes them, in the order of [`Field`].
+        /// Names in the spelling of the format, in the order of [`Field`].
         const FIELD_NAMES: &[&str] = &[$($name),*];
     };
 }
@@ -126,7 +126,7 @@ fields! {
     SpaceDirections "space directions", SpaceOrigin "space origin", SampleUnits "sample units",
 }
 
-/// Fields of the format that say nothing about where voxels are or which values they have.
+/// Fields that affect neither the positions nor the values of voxels.
 const IGNORED_FIELDS: [&str; 15] = [
     "block size",
     "content",
@@ -145,7 +145,7 @@ const IGNORED_FIELDS: [&str; 15] = [
     "description",
 ];
 
-/// The texts of the fields, before they are understood.
+/// The texts of the fields, before they are parsed.
 #[derive(Default)]
 struct Fields {
     text: [Option<String>; FIELD_NAMES.len()],
@@ -155,7 +155,7 @@ struct Fields {
 }
 
 impl Fields {
-    /// One line that is no comment and not blank.
+    /// Adds a line that is neither blank nor a comment.
     fn take(&mut self, line: &str, number: usize) -> Result<(), HeaderError> {
         let Some((name, value)) = line.split_once(':') else {
             return Err(HeaderError::Line { line: number, found: quoted(line) });
@@ -189,7 +189,7 @@ impl Fields {
         HeaderError::Value { field: FIELD_NAMES[field as usize], found, expected }
     }
 
-    /// `text` cut at spaces and each part parsed, `count` of them.
+    /// The `count` numbers of a field.
     fn numbers<T: std::str::FromStr>(
         &self,
         field: Field,
@@ -207,7 +207,7 @@ impl Fields {
         (found == expected).then_some(list).ok_or(HeaderError::Entries { field, found, expected })
     }
 
-    /// Names between spaces, in quotes or not.
+    /// The `count` names of a field, with or without quotes.
     fn names(&self, field: Field, count: usize) -> Result<Option<Vec<String>>, HeaderError> {
         let Some(text) = self.get(field) else { return Ok(None) };
         let mut names = Vec::new();
@@ -225,7 +225,7 @@ impl Fields {
         self.counted(field, count, names).map(Some)
     }
 
-    fn into_header(mut self) -> Result<Header, HeaderError> {
+    fn into_header(mut self) -> Result<NrrdHeader, HeaderError> {
         let dtype: Dtype =
             self.require(Field::Type)?.parse().map_err(|_| self.bad(Field::Type, Dtype::EXPECTED))?;
         let dimension: usize = self
@@ -263,7 +263,7 @@ impl Fields {
             None => ByteSkip::Forward(0),
         };
         let (space, space_dimension) = self.space()?;
-        Ok(Header {
+        Ok(NrrdHeader {
             dtype,
             endian,
             encoding,
@@ -286,7 +286,7 @@ impl Fields {
         })
     }
 
-    /// The space and its number of dimensions, if one is named.
+    /// The space, and its number of dimensions if the header names a space.
     fn space(&self) -> Result<(Space, Option<usize>), HeaderError> {
         let number = match self.get(Field::SpaceDimension) {
             Some(text) => Some(
@@ -323,7 +323,7 @@ impl Fields {
         Ok((space, Some(dimension)))
     }
 
-    /// `space directions`: for each axis a vector in parentheses, or what stands for none: `none`, `nan` or a vector of those.
+    /// The field `space directions`. It has a vector in parentheses for each axis, or `none`, or `nan`.
     fn directions(
         &self,
         dimension: usize,
@@ -361,7 +361,7 @@ impl Fields {
                 );
                 return Err(HeaderError::Contradiction(what));
             }
-            // A fourth component is time, which one volume does not run along.
+            // A fourth component is time, and a volume shows one point in time.
             let direction = std::array::from_fn(|i| numbers.get(i).copied().unwrap_or(0.0));
             directions.push((!is_none).then_some(direction));
             rest = after.trim_start();
@@ -369,12 +369,12 @@ impl Fields {
         self.counted(field, dimension, directions).map(Some)
     }
 
-    /// `data file`: one name, `LIST` with the names below, or a printf pattern with first, last and step.
+    /// The field `data file`: one name, `LIST` with names below it, or a printf pattern with first, last and step.
     fn data_files(&self, dimension: usize) -> Result<DataFiles, HeaderError> {
         let Some(text) = self.get(Field::DataFile) else { return Ok(DataFiles::Attached) };
         let bad = || self.bad(Field::DataFile, "a file name, LIST, or a pattern like slice%03d.raw 1 90 1");
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
-        // A last number says how many dimensions each file holds; the sizes say the same, so it is only checked.
+        // The last number is the number of dimensions of each file. It is only checked, because the sizes imply it.
         let is_subdimension = |w: &str| w.parse().is_ok_and(|d: usize| (1..=dimension).contains(&d));
         let names = match words[..] {
             ["LIST"] => self.list.clone(),
@@ -396,7 +396,7 @@ impl Fields {
     }
 }
 
-/// A vector like `(0,0,1)`; a component that is missing is 0.
+/// A vector such as `(0,0,1)`. Missing components are 0.
 fn vector(text: &str) -> Option<[f64; 3]> {
     let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?;
     let numbers: Vec<f64> = inner.split(',').map(|n| n.trim().parse().ok()).collect::<Option<_>>()?;
@@ -404,7 +404,7 @@ fn vector(text: &str) -> Option<[f64; 3]> {
     is_good.then(|| std::array::from_fn(|i| numbers.get(i).copied().unwrap_or(0.0)))
 }
 
-/// Lines of a header, without their ends, never more than [`MAX_HEADER_BYTES`] in all.
+/// The lines of a header without their ends. They have at most [`MAX_HEADER_BYTES`] in all.
 struct Lines<'a> {
     reader: &'a mut dyn BufRead,
     bytes_left: u64,
@@ -426,21 +426,21 @@ impl Lines<'_> {
     }
 }
 
-/// A header larger than this is no header; real ones have a few kilobytes, lists of slices a few hundred.
+/// Longest header in bytes. Most have a few kilobytes, and lists of slices a few hundred.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-/// NRRD_DIM_MAX of the reference reader.
+/// The limit of the reference reader (NRRD_DIM_MAX).
 const MAX_DIMENSION: usize = 16;
 /// Three directions and time.
 const MAX_SPACE_DIMENSION: usize = 4;
-/// Remarks kept about one header.
+/// Most warnings about one header.
 const MAX_WARNINGS: usize = 8;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Header, HeaderError> {
-        Header::read(&mut text.as_bytes()).map_err(|e| match e {
+    fn read(text: &str) -> Result<NrrdHeader, HeaderError> {
+        NrrdHeader::read(&mut text.as_bytes()).map_err(|e| match e {
             HeaderReadError::Header(e) => e,
             HeaderReadError::Io(e) => panic!("slices cannot fail: {e}"),
         })

@@ -1,4 +1,4 @@
-//! A saved state: what is seen of a volume, and how, as one small TOML file or as a part of a link.
+//! A saved state: the camera, the look and the view of a volume, as a small TOML file or in a link.
 //!
 //! ```toml
 //! isinglass_state = 1                  # what the file is; the number of its form
@@ -20,14 +20,13 @@
 //! [look]                               # how frames are made: every field of `Look`, the transfer function among them
 //! ```
 //!
-//! Everything but the first line may be missing: it then stays as it is. Numbers are written so that they read back to the
-//! bit, so the same volume gives the same picture. What is not known, as of a newer program, is left out and told.
+//! Everything except the first line may be missing, and then stays unchanged. Numbers read back to the bit, so the
+//! same volume gives the same picture. Unknown keys, such as those of a newer program, are ignored and reported.
 
 mod link;
 mod text;
 
 use std::fmt;
-use std::io::Read;
 use std::path::Path;
 
 use glam::{Quat, Vec3};
@@ -37,22 +36,21 @@ use isinglass_core::volume::Volume;
 use isinglass_core::wire::VolumeDescription;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
-use crate::select::Selection;
-use crate::source::open_file;
+use crate::selection::Selection;
+use crate::source::read_file;
+use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
-
-pub(crate) use text::{line_at, one_line};
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
 
-/// What is seen of a volume, and how. A part that is missing is left as it is.
+/// The camera, look and view of a volume. A missing part stays unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SavedState {
-    /// Which volume.
+    /// The volume.
     pub volume: Option<SavedVolume>,
-    /// From where.
+    /// The camera.
     pub camera: Option<SavedCamera>,
     /// What is drawn around the picture, and how the viewer shows it.
     pub view: SavedView,
@@ -60,37 +58,28 @@ pub struct SavedState {
     pub look: Option<Look>,
 }
 
-/// A volume, as far as a state names it.
+/// The description of a volume in a state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SavedVolume {
     /// File name or name of the built-in volume.
     pub name: String,
-    /// What to open it by, where that is known: a path, `builtin:NAME`, or the link of a server.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The path, `builtin:NAME` or link of a server that opens it, if known.
     pub source: Option<String>,
-    /// The server that showed it, `host:port`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The address of the server that showed it, as `host:port`.
     pub server: Option<String>,
     /// Channel of the file.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channel: Option<u32>,
     /// Point in time.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<u32>,
     /// Level of a pyramid.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<u32>,
     /// Series of a folder.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub series: Option<u32>,
-    /// Part of the volume, as `--region` takes it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Part of the volume, in the form of `--region`.
     pub region: Option<String>,
-    /// Distances between voxels that were given in place of the file's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Distances between voxels that replace those of the file.
     pub given_spacing: Option<[f32; 3]>,
     /// The shape of a raw file.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawShape>,
     /// Voxels along x, y, z.
     pub dims: [u32; 3],
@@ -101,7 +90,7 @@ pub struct SavedVolume {
 }
 
 impl SavedVolume {
-    /// What a server tells of its volume.
+    /// The description of a server's volume.
     pub fn of(volume: &VolumeDescription) -> Self {
         let (lo, hi) = volume.value_range;
         Self {
@@ -113,7 +102,7 @@ impl SavedVolume {
         }
     }
 
-    /// The same, opened from there.
+    /// The same volume, opened from `volume`.
     pub fn opened_from(self, volume: &VolumeSource) -> Self {
         let VolumeSource { source, raw, selection, spacing } = volume.clone();
         let Selection { channel, time, level, series, region } = selection;
@@ -121,44 +110,44 @@ impl SavedVolume {
         Self { source: Some(source), channel, time, level, series, region, given_spacing, raw, ..self }
     }
 
-    /// What to open it from, if that is known and no server.
+    /// The source to open, if it is known and not a server.
     ///
     /// # Errors
-    /// If the region is none.
+    /// The region is invalid.
     pub fn volume_source(&self) -> Result<Option<VolumeSource>, String> {
         let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
         let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
         Ok(Some(VolumeSource { source, raw: self.raw, selection, spacing }))
     }
 
-    /// Which part of the file it is.
+    /// The part of the file.
     ///
     /// # Errors
-    /// If the region is none.
+    /// The region is invalid.
     pub fn selection(&self) -> Result<Selection, String> {
         let &Self { channel, time, level, series, .. } = self;
         let region = self.region.as_deref().map(str::parse).transpose()?;
         Ok(Selection { channel, time, level, series, region })
     }
 
-    /// The link to open it by, if it is one.
+    /// The link to a server, if the source is one.
     pub fn link(&self) -> Option<&str> {
         self.source.as_deref().filter(|source| source.trim_start().starts_with(LINK_SCHEME))
     }
 
-    /// The same without its place, which is not for everyone to know.
+    /// The same volume without its source, which may be private.
     pub fn without_place(self) -> Self {
         Self { source: None, server: None, given_spacing: None, raw: None, ..self }
     }
 
-    /// Whether it is to be opened from a file, and that is there. May wait for a disk.
+    /// Whether the source is a file that exists or a built-in volume. This may wait for a disk.
     pub fn is_here(&self) -> bool {
         let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return false };
         source.starts_with(BUILTIN) || Path::new(source).exists()
     }
 
-    /// The volume's file where it is now: as it is named; else under the same name beside the state in the file `state`, so that
-    /// both can be moved together.
+    /// Finds the file of the volume. If it is not at its path, the folder of the state file `state` is searched for
+    /// the same name. So both can move together.
     fn found_beside(self, state: &Path) -> Self {
         let Some(folder) = state.parent() else { return self };
         let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return self };
@@ -174,14 +163,14 @@ impl SavedVolume {
         Self { source: found.or(self.source), ..self }
     }
 
-    /// In one line how another volume differs from the one that the state was made of, if it is another one. Names may
-    /// differ: the same voxels can lie elsewhere.
+    /// Describes in one line how another volume differs; `None` if it is the same. Names may differ, because the same
+    /// voxels can have another path.
     pub fn difference(&self, other: &Self) -> Option<String> {
         let is_same = self.dims == other.dims && self.spacing == other.spacing && self.range == other.range;
         (!is_same).then(|| format!("the state was made of {self}, and this is {other}"))
     }
 
-    /// See [`SavedVolume::difference`].
+    /// As [`SavedVolume::difference`], for an open volume.
     pub fn difference_from(&self, volume: &Volume) -> Option<String> {
         let (lo, hi) = volume.value_range();
         let other = Self {
@@ -202,14 +191,14 @@ impl fmt::Display for SavedVolume {
     }
 }
 
-/// A camera as the viewer's controls hold it, so that what is restored is the same to the bit.
+/// The camera in the form of the viewer's controls, so that it is restored to the bit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SavedCamera {
-    /// What the camera turns about, world space.
+    /// The point that the camera turns about, world space.
     pub center: [f32; 3],
-    /// From view to world space: x, y, z, w.
+    /// Rotation from view to world space: x, y, z, w of a quaternion.
     pub rotation: [f32; 4],
-    /// The eye seen from the centre, view space.
+    /// The vector from the centre to the eye, view space.
     pub eye_from_center: [f32; 3],
     /// Vertical field of view.
     pub fov_degrees: f64,
@@ -234,12 +223,12 @@ impl SavedCamera {
         Vec3::from_array(self.center)
     }
 
-    /// The rotation from view to world space, and the eye seen from the centre in view space.
+    /// The rotation from view to world space, and the vector from the centre to the eye in view space.
     pub fn placement(&self) -> (Quat, Vec3) {
         (Quat::from_array(self.rotation), Vec3::from_array(self.eye_from_center))
     }
 
-    /// Where it is.
+    /// Its pose.
     pub fn pose(&self) -> Pose {
         let (rotation, eye_from_center) = self.placement();
         Pose::around(self.center(), rotation, eye_from_center)
@@ -269,7 +258,7 @@ impl SavedCamera {
     }
 }
 
-/// The angle in degrees that reads back as `radians`, short where that is enough.
+/// The angle in degrees that reads back as `radians`, with few digits if possible.
 fn degrees_of(radians: f32) -> f64 {
     let exact = f64::from(radians).to_degrees();
     let short = (exact * 1e4).round() * 1e-4;
@@ -280,34 +269,28 @@ fn degrees_of(radians: f32) -> f64 {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SavedView {
     /// Whether the volume's edges are drawn.
-    #[serde(default, rename = "box", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "box")]
     pub shows_box: Option<bool>,
-    /// Whether axes and scale bar are.
-    #[serde(default, rename = "axes", skip_serializing_if = "Option::is_none")]
+    /// Whether axes and scale bar are drawn.
+    #[serde(rename = "axes")]
     pub shows_axes: Option<bool>,
     /// Whether the numbers are shown.
-    #[serde(default, rename = "numbers", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "numbers")]
     pub shows_numbers: Option<bool>,
-    /// Behind the volume.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Colour behind the volume.
     pub background: Option<Srgb>,
-    /// Of the panels.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Colours of the panels.
     pub theme: Option<Theme>,
-    /// The picture for two eyes.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The form of a picture for two eyes.
     pub stereo: Option<StereoPicture>,
-    /// Whether rays are parallel: the picture then shows what the camera turns about as large as with the field of view.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Whether rays are parallel. The point that the camera turns about then has the same size as with the field of
+    /// view.
     pub orthographic: Option<bool>,
     /// The angle between the eyes, degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye_angle_degrees: Option<f32>,
-    /// Size of the server's frames in units of the picture's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Size of the server's frames, relative to the picture.
     pub frame_scale: Option<f32>,
-    /// How frames become pictures.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The method that turns frames into pictures.
     pub method: Option<String>,
 }
 
@@ -336,44 +319,41 @@ impl Serialize for Srgb {
 impl<'de> Deserialize<'de> for Srgb {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
-        let hex = text.strip_prefix('#').filter(|h| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit()));
-        let number = hex.and_then(|h| u32::from_str_radix(h, 16).ok());
         let expected = || format!("found {}, expected a colour like \"#20242c\"", quoted(&text));
-        let [_, rgb @ ..] = number.ok_or_else(|| serde::de::Error::custom(expected()))?.to_be_bytes();
-        Ok(Self(rgb))
+        rgb_from_hex(&text).map(Self).ok_or_else(|| serde::de::Error::custom(expected()))
     }
 }
 
-/// Of the viewer's panels.
+/// Colours of the viewer's panels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Theme {
-    /// Bright on dark.
+    /// Bright text on dark panels.
     Dark,
-    /// Dark on bright.
+    /// Dark text on bright panels.
     Light,
-    /// As the system has it.
+    /// The setting of the system.
     System,
 }
 
-/// How a picture for two eyes reaches them.
+/// How a picture shows the views of two eyes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StereoPicture {
-    /// One picture for both.
+    /// Both eyes see one picture.
     Off,
-    /// The left eye's picture in the left half.
+    /// The left half shows the view of the left eye.
     SideBySide,
-    /// Red from the left eye, green and blue from the right.
+    /// Red shows the view of the left eye, green and blue that of the right.
     RedCyan,
 }
 
-/// A state that was read, and what of it is not known here.
+/// A state that was read, and a note about its unknown parts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReadState {
-    /// What is known.
+    /// The known parts.
     pub state: SavedState,
-    /// In one line the keys that were left out, if there were any.
+    /// The keys that were ignored, in one line.
     pub note: Option<String>,
 }
 
@@ -403,13 +383,12 @@ impl SavedState {
     }
 }
 
-/// The state in a file. A volume that is not where the state says, but beside it, is said to be there.
+/// Reads the state in a file. If the volume is not at its path but beside the state, its path is corrected.
 ///
 /// # Errors
-/// If there is no such file, or no state of a known form in it: one line that says where.
+/// There is no such file, or it does not contain a known form of state. The message is one line.
 pub fn read_state(path: &Path) -> Result<ReadState, FormatError> {
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
+    let bytes = read_file(path, MAX_STATE_BYTES)?.ok_or_else(|| too_long(path))?;
     let ReadState { state, note } = state_from_bytes(&bytes, path)?;
     let volume = state.volume.map(|volume| volume.found_beside(path));
     Ok(ReadState { state: SavedState { volume, ..state }, note })
@@ -420,11 +399,10 @@ pub fn read_state(path: &Path) -> Result<ReadState, FormatError> {
 /// # Errors
 /// As [`read_state`].
 pub fn state_from_bytes(bytes: &[u8], path: &Path) -> Result<ReadState, FormatError> {
-    let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected: EXPECTED };
     if bytes.len() as u64 > MAX_STATE_BYTES {
-        return Err(unsupported("more than 1 MiB"));
+        return Err(too_long(path));
     }
-    let text = std::str::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
+    let text = std::str::from_utf8(bytes).map_err(|_| unsupported(path, "bytes that are not UTF-8"))?;
     let read = text::read(text, path)?;
     match read.state.problem() {
         Some(problem) => Err(FormatError::State { path: shown(path), problem }),
@@ -432,22 +410,29 @@ pub fn state_from_bytes(bytes: &[u8], path: &Path) -> Result<ReadState, FormatEr
     }
 }
 
-/// Whether these bytes, the first of a file, are those of a state.
+fn too_long(path: &Path) -> FormatError {
+    unsupported(path, "more than 1 MiB")
+}
+
+fn unsupported(path: &Path, found: &'static str) -> FormatError {
+    FormatError::Unsupported { path: shown(path), found, expected: "a saved state" }
+}
+
+/// Whether a file that begins with these bytes is a state.
 pub fn is_state(bytes: &[u8]) -> bool {
     let key = VERSION_KEY.as_bytes();
     bytes.len() as u64 <= MAX_STATE_BYTES && bytes.split(|b| *b == b'\n').any(|line| line.starts_with(key))
 }
 
-/// A state larger than this is none: the longest transfer function takes 16 KiB.
+/// Longest state in bytes. The longest transfer function takes 16 KiB.
 pub const MAX_STATE_BYTES: u64 = 1 << 20;
-/// The key that tells a state from other files of TOML.
+/// The key that marks a TOML file as a state.
 const VERSION_KEY: &str = "isinglass_state";
-/// The form that is written and read here.
+/// The version of the form.
 const VERSION: i64 = 1;
-const EXPECTED: &str = "a saved state";
-/// How links begin.
+/// The beginning of links.
 const LINK_SCHEME: &str = "isinglass://";
-/// How built-in volumes do.
+/// The beginning of built-in volumes.
 const BUILTIN: &str = "builtin:";
 
 #[cfg(test)]

@@ -5,12 +5,12 @@ use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLengt
 use super::*;
 use crate::dtype::{Dtype, Endian};
 
-/// Numbers that no short decimal is near to.
+/// Numbers without a short decimal.
 fn odd(i: u32) -> f32 {
     f32::from_bits(0x3e00_0000 + i.wrapping_mul(0x9e37_79b9) % 0x0180_0000)
 }
 
-/// Nothing, a box, a plane, both.
+/// Clips: none, a box, a plane, and both.
 fn clip(seed: u32) -> Clip {
     let min = Vec3::new(-odd(seed), -odd(seed + 1), -1.0);
     let bounds = Aabb { min, max: min + Vec3::splat(1.0 / 3.0) };
@@ -79,7 +79,7 @@ fn what_is_written_is_read_to_the_bit_in_a_file_and_in_a_link() {
         assert_eq!(read, ReadState { state: state.clone(), note: None }, "{text}");
         let (camera, again) = (state.camera.unwrap(), read.state.camera.unwrap());
         assert_eq!(camera.pose(), again.pose());
-        // The angle goes through degrees.
+        // The angle is converted to degrees and back.
         assert_eq!(camera.intrinsics().fov_y().to_bits(), (20.0 + odd(seed) * 90.0).to_radians().to_bits());
         let link = state_to_link(&state);
         assert!(
@@ -87,7 +87,7 @@ fn what_is_written_is_read_to_the_bit_in_a_file_and_in_a_link() {
             "{} characters",
             link.len()
         );
-        // Control: another number in the last place is another state.
+        // Control: another last digit is another state.
         let other =
             SavedState { camera: Some(SavedCamera { center: [odd(seed + 7); 3], ..camera }), ..state };
         assert_ne!(from_text(&other.to_toml()).unwrap().state, read.state);
@@ -172,7 +172,7 @@ fn another_volume_is_told_from_the_same_under_another_name() {
     assert!(volume.difference(&other).unwrap().contains("5×6×8"));
 }
 
-/// One of them cannot be written, and no volume has any.
+/// Invalid numbers. One cannot be written, and no volume has any.
 #[test]
 fn a_volume_of_numbers_that_are_none_is_refused() {
     for number in ["nan", "inf", "-inf", "1e999"] {
@@ -182,7 +182,7 @@ fn a_volume_of_numbers_that_are_none_is_refused() {
             let line = text.lines().find(|line| line.starts_with(name)).unwrap();
             let bad = text.replace(line, &key.replace('N', number));
             let problem = from_text(&bad).unwrap_err();
-            // Parsers differ in whether a number may be too large.
+            // Parsers may refuse a number that is too large.
             let is_told = problem.contains("expected finite numbers") || problem.contains("overflow");
             assert!(is_told, "{problem}");
         }
@@ -208,7 +208,7 @@ fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
     {
         assert!(text.lines().any(|l| l == line), "{line} in {text}");
     }
-    // By hand less will do.
+    // A person may write less.
     let short = text.replace("endian = \"little\"\n", "").replace("offset = 513\n", "");
     let read = from_text(&short).unwrap();
     let raw = RawShape { offset: 0, ..raw(1) };
@@ -234,7 +234,7 @@ fn a_volume_that_was_moved_with_its_state_is_found_beside_it() {
         std::fs::write(&path, SavedState { volume: Some(volume), ..state(0) }.to_toml()).unwrap();
         read_state(&path).unwrap().state.volume.unwrap()
     };
-    // As long as it is not there, nothing is made up.
+    // The path stays while there is no such file.
     for source in ["/nowhere/at/all/head.nrrd", "head.nrrd", "builtin:cloud", "isinglass://h:1/#token=0"] {
         let volume = read(source);
         assert_eq!(volume.source.as_deref(), Some(source));
@@ -246,7 +246,7 @@ fn a_volume_that_was_moved_with_its_state_is_found_beside_it() {
         assert!(volume.is_here() && Path::new(volume.source.as_ref().unwrap()).is_absolute(), "{volume:?}");
         assert_eq!(std::fs::read(volume.source.unwrap()).unwrap(), b"NRRD0004");
     }
-    // Where it is named, it is taken from there.
+    // A file at its own path comes first.
     let elsewhere = tempfile::TempDir::new().unwrap();
     let other = elsewhere.path().join("head.nrrd");
     std::fs::write(&other, "NRRD0005").unwrap();

@@ -1,5 +1,5 @@
-//! A state as TOML. Numbers are written in as few digits as read back to the bit; what is read is compared with what was
-//! understood of it, so that no key is dropped in silence.
+//! A state as TOML. Numbers have as few digits as read back to the bit. The text is compared with the parsed state,
+//! so that unknown keys are noticed.
 
 use std::path::Path;
 
@@ -9,20 +9,17 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{ReadState, SavedCamera, SavedState, SavedView, SavedVolume, VERSION, VERSION_KEY};
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, one_line, quoted, shown, syntax_error};
 use crate::transfer::{number_literal, text_literal};
 
-/// The file as a whole. The look is taken apart later, for what is missing in it.
+/// The whole file. The look is parsed later, because parts of it may be missing.
 #[derive(Deserialize, Serialize)]
 struct StateFile {
     isinglass_state: i64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     volume: Option<SavedVolume>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<SavedCamera>,
     #[serde(default)]
     view: SavedView,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     look: Option<Table>,
 }
 
@@ -45,14 +42,10 @@ pub(super) fn write(state: &SavedState) -> String {
     out
 }
 
-/// The state in a text, its numbers not looked at.
+/// The state in a text, before its numbers are checked.
 pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
     let problem = |problem: String| FormatError::State { path: shown(path), problem };
-    let syntax = |e: toml::de::Error| FormatError::Syntax {
-        path: shown(path),
-        line: line_at(text, e.span().map_or(0, |s| s.start)),
-        problem: one_line(e.message()),
-    };
+    let syntax = syntax_error(path, text);
     let whole: Table = toml::from_str(text).map_err(syntax)?;
     match whole.get(VERSION_KEY) {
         Some(Value::Integer(VERSION)) => {}
@@ -77,8 +70,8 @@ pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
     Ok(ReadState { state, note })
 }
 
-/// The look in a table. What is missing is as in the look of its transfer function alone, so that a file of an older
-/// program stays whole.
+/// The look in a table. Missing fields have the values of [`Look::new`], so that files of older programs remain
+/// valid.
 fn look_of(table: Table) -> Result<Look, String> {
     let message = |e: toml::de::Error| one_line(e.message());
     let transfer = table.get("transfer").ok_or("found no transfer function, expected look.transfer")?;
@@ -88,7 +81,7 @@ fn look_of(table: Table) -> Result<Look, String> {
     Value::Table(whole).try_into().map_err(message)
 }
 
-/// The keys of `found` that have nothing in `known`.
+/// Collects the keys of `found` that are not in `known`.
 fn find_unknown(at: &str, found: &Table, known: &Table, unknown: &mut Vec<String>) {
     for (key, value) in found {
         let path = if at.is_empty() { key.clone() } else { format!("{at}.{key}") };
@@ -107,7 +100,7 @@ fn find_unknown(at: &str, found: &Table, known: &Table, unknown: &mut Vec<String
     }
 }
 
-/// Scalars first, as TOML wants it, then the tables under their names. `at` is the name of the table.
+/// Writes scalars first, as TOML requires, and then the tables. `at` is the name of the table.
 fn write_table(out: &mut String, at: &str, table: &Table) {
     let is_section = |value: &Value| matches!(value, Value::Table(t) if at.is_empty() || t.len() > 1);
     for (key, value) in table.iter().filter(|(_, v)| !is_section(v)) {
@@ -127,7 +120,7 @@ fn value_literal(value: &Value) -> String {
         Value::String(text) => text_literal(text),
         Value::Float(number) if f64::from(*number as f32) == *number => number_literal(*number as f32),
         Value::Float(number) => format!("{number:?}"),
-        // A line for each of many: control points.
+        // Control points have a line each.
         Value::Array(items) if items.iter().any(Value::is_table) => {
             let lines: String = items.iter().map(|item| format!("  {},\n", value_literal(item))).collect();
             format!("[\n{lines}]")
@@ -147,21 +140,5 @@ fn key_literal(key: &str) -> String {
     if !key.is_empty() && key.chars().all(is_bare) { key.to_owned() } else { text_literal(key) }
 }
 
-/// The number, from 1, of the line with the byte `at`.
-pub(crate) fn line_at(text: &str, at: usize) -> usize {
-    1 + text.bytes().take(at).filter(|&b| b == b'\n').count()
-}
-
-/// A message of the parser on one line.
-pub(crate) fn one_line(message: &str) -> String {
-    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-    match line.char_indices().nth(MAX_MESSAGE) {
-        Some((end, _)) => format!("{}…", &line[..end]),
-        None => line,
-    }
-}
-
-/// Names of unknown keys that are told.
+/// Most unknown keys in a note.
 const MAX_NOTED: usize = 3;
-/// Characters of a parser's message: it quotes what it does not understand.
-const MAX_MESSAGE: usize = 300;

@@ -1,12 +1,13 @@
-//! A look at the first directory before the decoder sees it: the decoder believes the lengths in it, whatever limits are set
-//! later.
+//! Checks the first directory before the decoder reads it. The decoder trusts the lengths in it, whatever limits are
+//! set later.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
 use crate::dtype::Endian;
-use crate::words::Words;
+use crate::header_bytes::HeaderBytes;
 
-/// Whether every value of the first directory can be in a file of `length` bytes. `file` is at its start, and is left there.
+/// Whether every value of the first directory fits into a file of `length` bytes. `file` is at its start before and
+/// after.
 pub(super) fn first_directory_fits(file: &mut (impl Read + Seek), length: u64) -> io::Result<bool> {
     let fits = directory_fits(file, length)?;
     file.seek(SeekFrom::Start(0))?;
@@ -23,11 +24,11 @@ fn directory_fits(file: &mut (impl Read + Seek), length: u64) -> io::Result<bool
         return Ok(false);
     }
     let endian = if start[0] == b'M' { Endian::Big } else { Endian::Little };
-    let is_big = (Words { bytes: &start, endian }).u16(2) == 43;
+    let is_big = (HeaderBytes { bytes: &start, endian }).u16(2) == 43;
     if is_big && !read(file, &mut start[8..])? {
         return Ok(false);
     }
-    let w = Words { bytes: &start, endian };
+    let w = HeaderBytes { bytes: &start, endian };
     let offset = if is_big { w.u64(8) } else { w.u32(4).into() };
     if offset >= length {
         return Ok(false);
@@ -38,7 +39,7 @@ fn directory_fits(file: &mut (impl Read + Seek), length: u64) -> io::Result<bool
     if !read(file, &mut count[..count_bytes])? {
         return Ok(false);
     }
-    let w = Words { bytes: &count, endian };
+    let w = HeaderBytes { bytes: &count, endian };
     let count = if is_big { w.u64(0) } else { w.u16(0).into() };
     let entry_bytes = if is_big { 20 } else { 12 };
     if count > u64::from(u16::MAX) || count * entry_bytes > length {
@@ -49,8 +50,8 @@ fn directory_fits(file: &mut (impl Read + Seek), length: u64) -> io::Result<bool
         return Ok(false);
     }
     Ok(entries.chunks_exact(entry_bytes as usize).all(|entry| {
-        let w = Words { bytes: entry, endian };
-        // Sizes by the numbers of TIFF 6.0 and BigTIFF.
+        let w = HeaderBytes { bytes: entry, endian };
+        // Sizes of the types of TIFF 6.0 and BigTIFF.
         let size = match w.u16(2) {
             1 | 2 | 6 | 7 => 1,
             3 | 8 => 2,
@@ -70,7 +71,7 @@ mod tests {
         first_directory_fits(&mut io::Cursor::new(bytes), bytes.len() as u64).unwrap()
     }
 
-    /// Found by damaging files: a description of half a gigabyte in a file of a kilobyte.
+    /// A damaged file had a description of half a gigabyte in a kilobyte.
     #[test]
     fn values_longer_than_the_file_are_found() {
         let file = |offset: u32, entries: u16, count: u32| {

@@ -1,31 +1,31 @@
-//! ImageJ's description of a hyperstack: lines of `name=value`.
+//! ImageJ's description of a hyperstack, in lines of `name=value`.
 
 use super::{PlaneAxis, Stack};
-use crate::plan::unit_of_values;
+use crate::units::{length_unit, value_unit};
 
 /// Whether a description is ImageJ's.
 pub(super) fn is_imagej(text: &str) -> bool {
     text.starts_with("ImageJ=")
 }
 
-/// What it says. `resolution`: pixels per unit along x and y.
+/// The stack of a description. `resolution` has pixels per unit along x and y.
 pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
     let get =
         |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
     let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
     let [images, channels, slices, frames] = ["images", "channels", "slices", "frames"].map(count);
     let number = |name: &str| get(name).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
-    // A stack without hyperstack fields is one of slices.
+    // Without the fields of a hyperstack, all images are slices.
     let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
-    let own = get("unit").and_then(unit_of_length);
-    // Steps along y and z may be told in units of their own.
-    let in_own = |name: &str| match (get(name).and_then(unit_of_length), own) {
+    let own = get("unit").and_then(length_unit);
+    // Distances along y and z may have their own units.
+    let in_own = |name: &str| match (get(name).and_then(length_unit), own) {
         (Some((meters, _)), Some((own, _))) => meters / own,
         _ => 1.0,
     };
     let unit = own.map(|(_, name)| name).or(get("unit").filter(|u| !is_pixel(u)).map(|_| ""));
     let in_plane = |i: usize| unit.and(resolution[i]).map(|pixels| 1.0 / pixels);
-    // A negative spacing marks a stack whose slices were taken downwards.
+    // A negative spacing marks a stack that was taken downwards.
     let depth = number("spacing").map(f64::abs).filter(|d| *d > 0.0);
     let spacing = match (unit, depth) {
         (None, Some(depth)) => [Some(1.0), Some(1.0), Some(depth)],
@@ -39,34 +39,19 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         planes: None,
         series: Vec::new(),
         value_map: value_map(get("cf"), number("c1"), number("c0")),
-        value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(unit_of_values),
+        value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(value_unit),
         guess: None,
         name: "ImageJ TIFF",
     }
 }
 
-/// A unit of length: metres, and its short name.
-fn unit_of_length(words: &str) -> Option<(f64, &'static str)> {
-    Some(match words.to_lowercase().as_str() {
-        // The sign of ISO 8859-1, which old versions wrote, is no text any more; so is what Java writes for it.
-        "micron" | "microns" | "micrometer" | "micrometers" | "micrometre" | "um" | "\u{b5}m"
-        | "\u{3bc}m" | "\u{fffd}m" | "\\u00b5m" => (1e-6, "µm"),
-        "nm" | "nanometer" | "nanometers" | "nanometre" => (1e-9, "nm"),
-        "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
-        "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
-        "m" | "meter" | "meters" | "metre" => (1.0, "m"),
-        "\u{e5}" | "\u{212b}" | "\\u00c5" | "angstrom" | "angstroms" => (1e-10, "Å"),
-        "inch" | "inches" | "in" => (0.0254, "in"),
-        _ => return None,
-    })
-}
-
-/// Whether a unit is none: lengths are told in pixels.
+/// Whether lengths are in pixels.
 fn is_pixel(unit: &str) -> bool {
     matches!(unit.to_lowercase().as_str(), "" | "pixel" | "pixels")
 }
 
-/// Of a calibration by a straight line; others are left out. Signed integers are stored as unsigned ones with one.
+/// Slope and intercept of a linear calibration. Other functions are ignored. Signed integers are stored as unsigned
+/// ones with a calibration.
 fn value_map(function: Option<&str>, slope: Option<f64>, intercept: Option<f64>) -> (f64, f64) {
     match (function, slope, intercept) {
         (Some("0"), Some(slope), Some(intercept)) if slope != 0.0 => (slope, intercept),
@@ -104,7 +89,7 @@ mod tests {
         let (spacing, _) = told("unit=micron\nyunit=nm\nzunit=mm\nspacing=0.002");
         let near = spacing.iter().zip([0.25, 0.0005, 2.0]).all(|(a, b)| (a / b - 1.0_f64).abs() < 1e-12);
         assert!(near, "{spacing:?}");
-        // In pixels: how thick a slice is beside them, without a unit.
+        // The thickness of a slice is in pixels and has no unit.
         assert_eq!(told("spacing=3.0"), ([1.0, 1.0, 3.0], None));
         assert_eq!(told("unit=pixel\nspacing=3.0"), ([1.0, 1.0, 3.0], None));
         assert_eq!(told("unit=pixel"), ([0.0; 3], None));

@@ -1,5 +1,5 @@
-//! TIFF: pages of one file (BigTIFF too) or the files of a folder are slices; ImageJ's and OME's descriptions say which of them
-//! are channels and times, and how large a voxel is.
+//! TIFF and BigTIFF. Slices are the pages of one file, or the files of a folder. Descriptions by ImageJ and OME have
+//! channels, times and the size of a voxel.
 
 mod check;
 mod imagej;
@@ -16,55 +16,55 @@ use ::tiff::TiffError;
 use self::page::{Group, PageDecoder, PageShape, Scan, decoder, page_shape, tiff_error};
 use self::shaped::Shaped;
 use crate::axes::Geometry;
+use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there};
+use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::stream::{Packing, Unpacked};
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
-/// Files whose pages were looked at.
+/// Files whose pages were scanned.
 pub(crate) struct TiffFile {
     plan: Plan,
     files: Vec<PathBuf>,
-    /// The page of each plane, in the order of the plan's axes; a plane without a page is empty.
-    planes: Vec<Option<Place>>,
+    /// The page of each plane, in the order of the plan's axes. A plane without a page is empty.
+    planes: Vec<Option<PageLocation>>,
     shape: PageShape,
-    /// Where planes lie one after the other without pages of their own.
+    /// Offset of planes that follow each other without pages.
     contiguous: Option<u64>,
     reader: Option<(u32, PageDecoder)>,
 }
 
-/// A page: which file, and which of its pages.
+/// A page of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct PageLocation {
     pub(super) file: u32,
     pub(super) page: u32,
 }
 
-/// What the planes mean.
+/// The meaning of the planes.
 pub(super) struct Stack {
-    /// Axes of the planes and how many there are along each, fastest first.
+    /// Axes of the planes and their sizes, the fastest first.
     pub(super) axes: Vec<(PlaneAxis, u64)>,
     /// Distances along x, y and z, as far as they are known.
     pub(super) spacing: [Option<f64>; 3],
     pub(super) unit: Option<String>,
     pub(super) channel_names: Vec<String>,
-    /// The page of each plane, if they are not simply in order.
-    pub(super) planes: Option<Vec<Option<Place>>>,
-    /// Series of the file, each in words; empty if there is one.
+    /// The page of each plane, unless they are in order.
+    pub(super) planes: Option<Vec<Option<PageLocation>>>,
+    /// Descriptions of the series of the file; empty if there is only one.
     pub(super) series: Vec<String>,
-    /// What numbers mean: times the first, plus the second.
+    /// Slope and intercept that turn numbers into values.
     pub(super) value_map: (f64, f64),
     /// Unit of the values.
     pub(super) value_unit: Option<String>,
-    /// What had to be assumed of the axes.
+    /// A warning about assumed axes.
     pub(super) guess: Option<String>,
     pub(super) name: &'static str,
 }
 
-/// What planes are counted along.
+/// An axis of the planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PlaneAxis {
     Z,
@@ -73,7 +73,7 @@ pub(super) enum PlaneAxis {
 }
 
 impl PlaneAxis {
-    /// What it is called in a message.
+    /// Its name in a message.
     fn name(self) -> &'static str {
         match self {
             Self::Z => "z",
@@ -84,7 +84,7 @@ impl PlaneAxis {
 }
 
 impl Stack {
-    /// Pages without a description: slices from the first to the last.
+    /// Pages without a description are slices, from the first to the last.
     fn plain(group: &Group) -> Self {
         let spacing = |i: usize| group.unit_mm.zip(group.resolution[i]).map(|(mm, pixels)| mm / pixels);
         Self {
@@ -101,7 +101,14 @@ impl Stack {
         }
     }
 
-    /// Planes along all axes.
+    /// Makes each of the `found` pages a slice, because the description has another number. Returns a warning.
+    fn read_as_slices(&mut self, num_planes: u64, found: usize) -> String {
+        self.axes = vec![(PlaneAxis::Z, found as u64)];
+        self.channel_names.clear();
+        format!("the description has {num_planes} planes, the file {found}; they are read as slices")
+    }
+
+    /// Number of planes along all axes.
     fn num_planes(&self) -> Result<u64, String> {
         let num_planes = self.axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.1));
         num_planes
@@ -111,10 +118,10 @@ impl Stack {
 }
 
 impl TiffFile {
-    /// A file, or the files of a folder, each a slice or some. `path` is the file or the folder.
+    /// Opens a file, or the files of a folder, which contain one or more slices each. `path` is the file or the
+    /// folder.
     pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad =
-            |problem: String| FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem };
+        let bad = malformed(path, "TIFF");
         let mut first = Scan::of(&files[0], options)?;
         if let Some(text) = first.description.as_deref().filter(|text| ome::is_ome(text)) {
             let image = set::OmeSet::open(text, &files, path, options)?;
@@ -125,8 +132,7 @@ impl TiffFile {
         let num_series = if files.len() == 1 { first.groups.len() } else { 1 };
         let index = options.selection.series.unwrap_or(0) as usize;
         if index >= num_series {
-            let (what, asked, found) = ("series", index as u64, num_series as u64);
-            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+            return Err(not_there(path, "series", index as u64, num_series));
         }
         let series: Vec<String> = first.groups[..num_series].iter().map(Group::name).collect();
         let num_left: usize = first.groups[num_series..].iter().map(|g| g.pages.len()).sum();
@@ -145,14 +151,15 @@ impl TiffFile {
             }
             _ => Stack::plain(&group),
         };
-        let mut pages: Vec<Place> = group.pages.iter().map(|&page| Place { file: 0, page }).collect();
+        let mut pages: Vec<PageLocation> =
+            group.pages.iter().map(|&page| PageLocation { file: 0, page }).collect();
         for (i, file) in files.iter().enumerate().skip(1) {
             options.check_cancelled(path)?;
-            // Where the first file is one page, the others are expected to be.
+            // If the first file has one page, the others are expected to have one, too.
             let others = if group.pages.len() == 1 { vec![0] } else { pages_like(file, &group, options)? };
-            pages.extend(others.into_iter().map(|page| Place { file: i as u32, page }));
+            pages.extend(others.into_iter().map(|page| PageLocation { file: i as u32, page }));
         }
-        let mut num_planes = stack.num_planes().map_err(bad)?;
+        let num_planes = stack.num_planes().map_err(bad)?;
         let is_truncated = group.shaped.as_ref().is_some_and(|s| s.is_truncated);
         let is_contiguous =
             (stack.name == "ImageJ TIFF" || is_truncated) && pages.len() == 1 && num_planes > 1;
@@ -164,23 +171,15 @@ impl TiffFile {
         }
         let mut warnings = Vec::new();
         if !is_contiguous && num_planes != pages.len() as u64 {
+            let text = stack.read_as_slices(num_planes, pages.len());
             if stack.name != "TIFF" || is_described {
-                let found = pages.len();
-                let text = format!(
-                    "the description has {num_planes} planes, the file {found}; they are read as slices"
-                );
                 warnings.push((WarningKind::Data, text));
             }
-            num_planes = pages.len() as u64;
-            stack.axes = vec![(PlaneAxis::Z, num_planes)];
-            stack.channel_names.clear();
             stack.guess = None;
         }
         if num_series > 1 {
             if options.selection.series.is_none() {
-                let names = series.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join("; ");
-                let text = format!("the file has {num_series} series ({names}), of which 0 is shown");
-                warnings.push((WarningKind::Choice, text));
+                warnings.push((WarningKind::Choice, several_series(&series)));
             }
             stack.series = series;
         }
@@ -199,11 +198,16 @@ impl TiffFile {
     }
 
     /// Decodes a page into `bytes`.
-    fn decode(&mut self, place: Place, bytes: &mut [u8], taker: &Taker) -> Result<(), FormatError> {
+    fn decode(
+        &mut self,
+        place: PageLocation,
+        bytes: &mut [u8],
+        collector: &Collector,
+    ) -> Result<(), FormatError> {
         let path = &self.files[place.file as usize];
         if self.reader.as_ref().is_none_or(|(file, _)| *file != place.file) {
             if place.file > 0 && !path.exists() {
-                return Err(taker.data_error(path, "the file is missing, which has some of the planes"));
+                return Err(collector.data_error(path, "the file is missing, which has some of the planes"));
             }
             self.reader = Some((place.file, decoder(path)?));
         }
@@ -214,13 +218,19 @@ impl TiffFile {
         let found = page_shape(decoder).map_err(|e| e.at(path, page))?;
         if found != self.shape {
             let problem = format!("page {page} is {}, expected {}", found.name(), self.shape.name());
-            return Err(taker.data_error(path, problem));
+            return Err(collector.data_error(path, problem));
         }
         decoder.read_image_bytes(bytes).map_err(error)
     }
 }
 
-/// The pages of another file of a folder: those of the shape of `group`, or those of the first.
+/// The warning for a file with several series.
+fn several_series(series: &[String]) -> String {
+    let names = series.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join("; ");
+    format!("the file has {} series ({names}), of which 0 is shown", series.len())
+}
+
+/// The pages of another file in the folder that have the shape of `group`, or else those of its first group.
 fn pages_like(file: &Path, group: &Group, options: &OpenOptions) -> Result<Vec<u32>, FormatError> {
     let scan = Scan::of(file, options)?;
     let alike = scan.groups.iter().find(|g| g.shape == group.shape).or(scan.groups.first());
@@ -232,39 +242,39 @@ impl VolumeFile for TiffFile {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let path = self.files[0].clone();
         if let Some(offset) = self.contiguous {
-            let num_bytes = taker.num_bytes();
+            let num_bytes = collector.num_bytes();
             let data = Unpacked::open(open_file(&path)?, &path, offset, Some(num_bytes), Packing::Plain)?;
-            return data.take(taker, &path, 0, num_bytes);
+            return data.take(collector, &path, 0, num_bytes);
         }
         let plane_bytes = self.shape.num_bytes();
         let found = file_length(&path)?;
         if plane_bytes > MAX_PLANE_BYTES || plane_bytes > found.saturating_mul(MAX_LZW_RATIO) {
-            return Err(taker.short(&path, plane_bytes, found, "bytes a page"));
+            return Err(collector.short(&path, plane_bytes, found, "bytes a page"));
         }
         let mut bytes = vec![0; plane_bytes as usize];
-        let in_plane = plane_bytes / taker.bytes_per_number();
+        let in_plane = plane_bytes / collector.bytes_per_number();
         for i in 0..self.planes.len() {
-            if taker.is_done() {
+            if collector.is_done() {
                 break;
             }
-            if taker.gap() >= in_plane {
-                taker.pass(in_plane);
+            if collector.gap() >= in_plane {
+                collector.pass(in_plane);
                 continue;
             }
             match self.planes[i] {
-                Some(place) => self.decode(place, &mut bytes, taker)?,
+                Some(place) => self.decode(place, &mut bytes, collector)?,
                 None => bytes.fill(0),
             }
-            taker.push(&bytes)?;
+            collector.push(&bytes)?;
         }
         Ok(())
     }
 }
 
-/// The plan of planes with this meaning. `endian` is that of numbers which are not decoded.
+/// The plan of a stack. `endian` is that of numbers that are not decoded.
 fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usize) -> Result<Plan, String> {
     let PageShape { width, height, samples, is_planar, dtype } = group.shape;
     let samples = Axis { size: samples.into(), role: if samples > 1 { Role::Channel } else { Role::Single } };
@@ -279,7 +289,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
             PlaneAxis::Channel => Role::Channel,
             PlaneAxis::Time => Role::Time,
         };
-        // A single channel beside samples is none.
+        // A single channel beside samples has no meaning.
         let role = if size == 1 && role == Role::Channel { Role::Single } else { role };
         axes.push(Axis { size, role });
     }
@@ -306,18 +316,17 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
     );
     plan.channel_names = std::mem::take(&mut stack.channel_names);
     if plan.channel_names.is_empty() && matches!(samples.size, 3 | 4) {
-        plan.channel_names =
-            ["red", "green", "blue", "alpha"][..samples.size as usize].iter().map(|&s| s.into()).collect();
+        plan.channel_names = color_names(samples.size);
     }
     plan.series = std::mem::take(&mut stack.series);
     plan.value_map = stack.value_map;
     if group.is_white {
-        // The decoder turns over what it decodes.
+        // The decoder inverts the numbers that it decodes.
         if endian.is_some() {
             let ((slope, intercept), most) = (plan.value_map, greatest(dtype));
             plan.value_map = (-slope, slope * most + intercept);
         }
-        plan.warn(WarningKind::Values, "the least value is white (MinIsWhite); values were turned over");
+        plan.warn(WarningKind::Values, "the least value is white (MinIsWhite); values were inverted");
     }
     if let Some(text) = stack.guess.take() {
         plan.warn(WarningKind::Guess, text);
@@ -334,7 +343,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
     Ok(plan)
 }
 
-/// What white is turned into: the greatest number of a type, 1 of floats.
+/// The number of white after inversion: the greatest of an integer type, 1 of floats.
 fn greatest(dtype: Dtype) -> f64 {
     dtype.integer_range().map_or(1.0, |(_, most)| most)
 }
@@ -343,11 +352,11 @@ fn file_length(path: &Path) -> Result<u64, FormatError> {
     Ok(std::fs::metadata(path).map_err(io_error(path))?.len())
 }
 
-/// The files of a folder of slices in the order of the numbers in their names.
+/// Sorts the files of a folder by the numbers in their names.
 pub(crate) fn sort_by_number(files: &mut [PathBuf]) {
     files.sort_by_cached_key(|path| {
         let name = file_name(path);
-        // Runs of digits become numbers, which are compared by length first.
+        // Runs of digits are compared as numbers, first by length.
         let mut key = Vec::new();
         let mut rest = name.as_str();
         while let Some(first) = rest.chars().next() {
@@ -366,15 +375,15 @@ pub(crate) fn sort_by_number(files: &mut [PathBuf]) {
     });
 }
 
-/// The decoder gives numbers in the order of the machine.
+/// The decoder returns numbers in the byte order of the machine.
 const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { Endian::Little };
-/// Planes of one volume with all its channels and times.
+/// Most planes of a volume with all its channels and times.
 const MAX_PLANES: u64 = 1 << 18;
-/// Series that a sentence names.
+/// Most series in a warning.
 const MAX_NAMED: usize = 8;
-/// The largest page that is decoded.
+/// Largest page in bytes.
 const MAX_PLANE_BYTES: u64 = 1 << 30;
-/// The longest string of LZW, 4096 bytes less the codes before it, in a code of twelve bits.
+/// Greatest ratio of LZW: the longest string, 4096 bytes less the codes before it, in a code of twelve bits.
 const MAX_LZW_RATIO: u64 = 2731;
 
 #[cfg(test)]

@@ -1,20 +1,22 @@
-//! OME-XML in the description of an OME-TIFF (ome-model, 2016-06): sizes, order and place of the planes, physical sizes.
+//! OME-XML in the description of an OME-TIFF (ome-model, 2016-06). It has sizes, order and location of the planes,
+//! and physical sizes.
 
 use std::collections::HashMap;
 
-use super::{Place, PlaneAxis, Stack};
+use super::{PageLocation, PlaneAxis, Stack};
 use crate::error::quoted;
-use crate::xml::{Tag, Tags};
+use crate::units::length_unit;
+use crate::xml::{Tags, XmlTag};
 
 /// Whether a description is OME-XML.
 pub(super) fn is_ome(text: &str) -> bool {
     text.get(..text.len().min(4096)).or_else(|| text.get(..1000)).unwrap_or(text).contains("<OME")
 }
 
-/// What a description says.
+/// The contents of a description.
 pub(super) struct Ome {
     images: Vec<Image>,
-    /// The file that says it instead.
+    /// Another file that contains the description.
     pub(super) metadata_file: Option<String>,
 }
 
@@ -22,18 +24,18 @@ pub(super) struct Ome {
 #[derive(Default)]
 struct Image {
     name: String,
-    pixels: Option<Tag>,
+    pixels: Option<XmlTag>,
     channels: Vec<String>,
     data: Vec<TiffData>,
 }
 
 impl Image {
-    /// A field of its pixels.
+    /// An attribute of its pixels.
     fn get(&self, name: &str) -> Option<&str> {
         self.pixels.as_ref()?.get(name)
     }
 
-    /// Its sizes along x, y and z, channels and times, as far as there are several.
+    /// Its sizes along x, y and z, and its numbers of channels and times above one.
     fn sizes(&self) -> String {
         let size = |n: &str| quoted(self.get(n).unwrap_or("?")).replace('"', "");
         let mut text = ["SizeX", "SizeY", "SizeZ"].map(size).join("×");
@@ -46,17 +48,17 @@ impl Image {
     }
 }
 
-/// The files that an image is in.
+/// The files of an image.
 pub(super) struct Files {
-    /// Numbers of the files by their names; 0 is the file that was opened.
+    /// Numbers of the files by name. 0 is the file that was opened.
     numbers: HashMap<String, u32>,
-    /// Names of the others, from 1 on.
+    /// Names of the other files, from number 1.
     pub(super) others: Vec<String>,
 }
 
-/// Where some planes are.
+/// Location of some planes.
 struct TiffData {
-    fields: Tag,
+    fields: XmlTag,
     file: Option<String>,
 }
 
@@ -67,12 +69,12 @@ impl TiffData {
 }
 
 impl Ome {
-    /// What `text` says.
+    /// Parses `text`.
     pub(super) fn read(text: &str) -> Result<Self, String> {
         parse(text)
     }
 
-    /// How many images there are.
+    /// Number of images.
     pub(super) fn num_images(&self) -> usize {
         self.images.len()
     }
@@ -83,7 +85,7 @@ impl Ome {
         is_one("SizeZ") && is_one("SizeT")
     }
 
-    /// The files of an image, told in the file called `own_name`. `is_there` knows of the files beside that one.
+    /// The files of an image, as the file `own_name` lists them. `is_there` tells whether a file exists beside it.
     pub(super) fn files(
         &self,
         index: usize,
@@ -98,7 +100,7 @@ impl Ome {
             return Err(format!("planes are in {} files, expected at most {MAX_FILES}", names.len()));
         }
         let mut files = Files { numbers: HashMap::from([(own_name.to_owned(), 0)]), others: Vec::new() };
-        // A file that was given another name is meant by its old one, if nothing else has that.
+        // A renamed file still lists its old name. It is used if no other file has that name.
         if let [only] = names[..]
             && !is_there(only)
         {
@@ -116,12 +118,16 @@ impl Ome {
         Ok(files)
     }
 
-    /// Pages of an image, in the order in which they are told; none if the image only follows its file.
-    pub(super) fn places<'a>(&'a self, index: usize, files: &'a Files) -> impl Iterator<Item = Place> + 'a {
+    /// The pages of an image, in the order of the description. There are none if the image follows its file.
+    pub(super) fn places<'a>(
+        &'a self,
+        index: usize,
+        files: &'a Files,
+    ) -> impl Iterator<Item = PageLocation> + 'a {
         let data = self.images.get(index).map_or(&[][..], |i| &i.data);
         data.iter().filter(|d| d.says_something()).filter_map(|d| {
             let page = d.fields.get("IFD").map_or(Some(0), |n| n.parse().ok())?;
-            Some(Place { file: files.number(d), page })
+            Some(PageLocation { file: files.number(d), page })
         })
     }
 }
@@ -133,7 +139,7 @@ impl Files {
     }
 }
 
-/// What is said of an image. A pixel has `samples` numbers.
+/// The stack of an image. A pixel has `samples` numbers.
 pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Result<Stack, String> {
     let images = &ome.images;
     let image = images.get(index).ok_or("OME-XML has no such image")?;
@@ -146,7 +152,7 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
     };
     let (z, t) = (size("SizeZ")?, size("SizeT")?);
     let channels = size("SizeC")?;
-    // Samples of a pixel are channels of the model; they share a plane.
+    // Samples of a pixel are channels of the model, and share a plane.
     let planes_of_channels = if channels.is_multiple_of(samples) { channels / samples } else { channels };
     let order = image.get("DimensionOrder").unwrap_or("XYZCT");
     let axes: Vec<(PlaneAxis, u64)> = order
@@ -184,13 +190,13 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
     })
 }
 
-/// The page of each plane, if the elements say so.
+/// The page of each plane, if there are `TiffData` elements with content.
 fn planes(
     image: &Image,
     axes: &[(PlaneAxis, u64)],
     num_planes: usize,
     files: &Files,
-) -> Result<Option<Vec<Option<Place>>>, String> {
+) -> Result<Option<Vec<Option<PageLocation>>>, String> {
     if !image.data.iter().any(TiffData::says_something) {
         return Ok(None);
     }
@@ -224,44 +230,27 @@ fn planes(
         let told = planes.get_mut(start..end).unwrap_or_default();
         num_told += told.len();
         if num_told > 4 * num_planes {
-            return Err("the same planes are told many times over".into());
+            return Err("the same planes are listed many times".into());
         }
         for (i, plane) in told.iter_mut().enumerate() {
             let page = page.unwrap_or(0).checked_add(i as u32).ok_or("IFD is too large")?;
-            *plane = Some(Place { file, page });
+            *plane = Some(PageLocation { file, page });
         }
     }
     Ok(Some(planes))
 }
 
-/// Physical sizes in the unit of x.
+/// Physical sizes, all in the unit of x.
 fn spacing(image: &Image) -> ([Option<f64>; 3], Option<String>) {
     let get = |name: &str| image.get(name);
     let sizes = ["PhysicalSizeX", "PhysicalSizeY", "PhysicalSizeZ"]
         .map(|n| get(n).and_then(|v| v.parse::<f64>().ok()));
-    // The model's unit is the micrometre where none is named.
-    let units =
-        ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"].map(|n| get(n).unwrap_or("µm"));
-    let meters = units.map(meters);
-    let Some(first) = meters[0] else { return (sizes, None) };
-    let in_first = |i: usize| sizes[i].map(|s| s * meters[i].unwrap_or(first) / first);
-    let unit = if units[0] == "μm" || units[0] == "um" { "µm" } else { units[0] };
-    ([in_first(0), in_first(1), in_first(2)], Some(unit.to_owned()))
-}
-
-/// A unit of length in metres.
-fn meters(unit: &str) -> Option<f64> {
-    Some(match unit {
-        "m" => 1.0,
-        "cm" => 1e-2,
-        "mm" => 1e-3,
-        "µm" | "μm" | "um" => 1e-6,
-        "nm" => 1e-9,
-        "\u{c5}" | "\u{212b}" => 1e-10,
-        "pm" => 1e-12,
-        "in" => 0.0254,
-        _ => return None,
-    })
+    // The default unit of the model is the micrometre.
+    let units = ["PhysicalSizeXUnit", "PhysicalSizeYUnit", "PhysicalSizeZUnit"]
+        .map(|n| length_unit(get(n).unwrap_or("µm")));
+    let Some((meters, name)) = units[0] else { return (sizes, None) };
+    let in_first = |i: usize| sizes[i].map(|s| s * units[i].map_or(1.0, |(own, _)| own / meters));
+    ([in_first(0), in_first(1), in_first(2)], Some(name.to_owned()))
 }
 
 fn parse(text: &str) -> Result<Ome, String> {
@@ -307,7 +296,7 @@ fn parse(text: &str) -> Result<Ome, String> {
     Ok(Ome { images, metadata_file })
 }
 
-/// Elements of the description of one file: a few for each of its planes.
+/// Most elements of a description. Each plane has a few.
 const MAX_ELEMENTS: usize = 1 << 20;
-/// Files that one image is in.
+/// Most files of an image.
 const MAX_FILES: usize = 16_384;

@@ -1,4 +1,4 @@
-//! The pages of a file: their shapes, and which of them belong together.
+//! The pages of a file, grouped by shape.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -11,12 +11,12 @@ use ::tiff::{ColorType, TiffError};
 use super::check;
 use super::shaped::Shaped;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed, shown};
 use crate::source::{OpenOptions, open_file};
 
 pub(super) type PageDecoder = Decoder<BufReader<File>>;
 
-/// What all pages of a volume have in common.
+/// The common properties of all pages of a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PageShape {
     pub(super) width: u32,
@@ -32,42 +32,42 @@ impl PageShape {
         num_pixels.saturating_mul(u64::from(self.samples) * self.dtype.num_bytes() as u64)
     }
 
-    /// In words, such as `6×5×3 uint8`.
+    /// A description, such as `6×5×3 uint8`.
     pub(super) fn name(&self) -> String {
         let samples = if self.samples > 1 { format!("×{}", self.samples) } else { String::new() };
         format!("{}×{}{samples} {}", self.width, self.height, self.dtype.name())
     }
 }
 
-/// Pages of one shape that belong together.
+/// Pages of one shape that form a series.
 #[derive(Clone, Debug)]
 pub(super) struct Group {
     pub(super) shape: PageShape,
     pub(super) pages: Vec<u32>,
-    /// What tifffile says of them.
+    /// The description by tifffile.
     pub(super) shaped: Option<Shaped>,
-    /// Pixels per unit along x and y, and the millimetres of the unit if it is one of length.
+    /// Pixels per unit along x and y.
     pub(super) resolution: [Option<f64>; 2],
     pub(super) unit_mm: Option<f64>,
-    /// Where the numbers of the first page begin, if they are plain and without gaps.
+    /// Offset of the numbers of the first page, if they are plain and without gaps.
     pub(super) block: Option<u64>,
     /// Whether the least number is white (MinIsWhite).
     pub(super) is_white: bool,
 }
 
-/// What one file says.
+/// The contents of a file.
 pub(super) struct Scan {
-    /// The pages that are read, in groups; the first begins with the first page.
+    /// The supported pages in groups. The first group begins with the first page.
     pub(super) groups: Vec<Group>,
-    /// Of the first page.
+    /// Description of the first page.
     pub(super) description: Option<String>,
     pub(super) endian: Endian,
-    /// Pages that are not read.
+    /// Number of other pages.
     pub(super) num_other: usize,
 }
 
 impl Scan {
-    /// Looks at all pages of a file.
+    /// Scans all pages of a file.
     pub(super) fn of(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let mut decoder = decoder(path)?;
         let description = description(&mut decoder);
@@ -89,13 +89,13 @@ impl Scan {
             options.check_cancelled(path)?;
             match decoder.next_image() {
                 Ok(()) => {}
-                // The decoder is at the page behind it all the same.
+                // The decoder has moved to the next page nevertheless.
                 Err(TiffError::UnsupportedError(_)) => {
                     num_other += 1;
                     continue;
                 }
                 Err(e) => {
-                    // A file that ends too early has lost most of what it says it has.
+                    // A file that ends too early has lost most of its pages.
                     let problem = format!("page {page} and all behind it cannot be read: {}", one_line(&e));
                     return Err(FormatError::Data { path: shown(path), problem });
                 }
@@ -123,27 +123,27 @@ impl Scan {
 }
 
 impl Group {
-    /// In words, such as `6×5 uint8, 4 pages`.
+    /// A description, such as `6×5 uint8, 4 pages`.
     pub(super) fn name(&self) -> String {
         let shaped = self.shaped.as_ref().and_then(|s| s.num_planes(&self.shape));
         let num_pages = shaped.unwrap_or(0).max(self.pages.len() as u64);
         format!("{}, {num_pages} page{}", self.shape.name(), if num_pages == 1 { "" } else { "s" })
     }
 
-    /// One page of the file at `path`.
+    /// A group of one page of the file at `path`.
     pub(super) fn of(path: &Path, page: u32) -> Result<Self, FormatError> {
         let mut decoder = decoder(path)?;
         decoder.seek_to_image(page as usize).map_err(|e| tiff_error(path, page, e))?;
         Self::here(&mut decoder, page).map_err(|e| e.at(path, page))
     }
 
-    /// The page that the decoder is at.
+    /// A group of the current page of the decoder.
     fn here(decoder: &mut PageDecoder, page: u32) -> Result<Self, PageError> {
         let shape = page_shape(decoder)?;
         let resolution =
             [Tag::XResolution, Tag::YResolution].map(|tag| decoder.get_tag(tag).ok().and_then(ratio));
         let unit_mm = match decoder.get_tag_u32(Tag::ResolutionUnit) {
-            // An inch stands for pictures on paper, and is what most writers put there who know nothing.
+            // Inches are for pictures on paper. Many writers put them there without knowing a size.
             Ok(3) => Some(10.0),
             _ => None,
         };
@@ -160,10 +160,10 @@ impl Group {
     }
 }
 
-/// Where strips without gaps between them begin.
+/// Offset of the strips, if there are no gaps between them.
 fn block(decoder: &mut PageDecoder) -> Option<u64> {
     let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
-    // The lengths of one strip matter to nobody, and are wrong where it is beyond 4 GB.
+    // The length of a single strip does not matter, and is wrong above 4 GB.
     if offsets.len() > 1 {
         let lengths = decoder.get_tag_u64_vec(Tag::StripByteCounts).ok()?;
         let is_next = |(pair, length): (&[u64], &u64)| pair[0].checked_add(*length) == Some(pair[1]);
@@ -174,33 +174,33 @@ fn block(decoder: &mut PageDecoder) -> Option<u64> {
     offsets.first().copied()
 }
 
-/// Whether the least number of a page is white.
+/// Whether the least number of the current page is white.
 fn is_white(decoder: &mut PageDecoder) -> bool {
     decoder.get_tag_u32(Tag::PhotometricInterpretation).is_ok_and(|p| p == 0)
 }
 
-/// A decoder at the first page of the file at `path`.
+/// Opens a decoder at the first page of the file at `path`.
 pub(super) fn decoder(path: &Path) -> Result<PageDecoder, FormatError> {
     let mut file = open_file(path)?;
     let length = file.metadata().map_err(io_error(path))?.len();
     if !check::first_directory_fits(&mut file, length).map_err(io_error(path))? {
         let problem = format!("its first directory is not within {length} bytes, or has values that are not");
-        return Err(FormatError::Malformed { path: shown(path), format: "TIFF".into(), problem });
+        return Err(malformed(path, "TIFF")(problem));
     }
     let mut limits = Limits::default();
-    // A list of strips is no longer than the file it is in.
+    // A list of strips is not longer than its file.
     limits.ifd_value_size = length.min(MAX_LIST_BYTES) as usize;
     limits.decoding_buffer_size = limits.ifd_value_size;
     let decoder = Decoder::new(BufReader::new(file)).map_err(|e| tiff_error(path, 0, e))?;
     Ok(decoder.with_limits(limits))
 }
 
-/// The description of the page that the decoder is at, in whatever encoding.
+/// The description of the current page, in any encoding.
 pub(super) fn description(decoder: &mut PageDecoder) -> Option<String> {
     description_of(decoder, MAX_LIST_BYTES)
 }
 
-/// The same, if it is no longer than `most` bytes.
+/// The same, unless it is longer than `most` bytes.
 fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
     let mut tags = decoder.image_ifd();
     let length = tags.find_entry(Tag::ImageDescription)?.count();
@@ -208,7 +208,7 @@ fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
         return None;
     }
     let mut bytes = Vec::new();
-    // In parts, as the length may be a lie.
+    // The buffer grows with the data, because the length may be wrong.
     while (bytes.len() as u64) < length {
         let start = bytes.len();
         bytes.resize(length.min(2 * start as u64 + 4096) as usize, 0);
@@ -221,7 +221,7 @@ fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
     Some(String::from_utf8_lossy(&bytes[..end]).into_owned())
 }
 
-/// What is wrong with a page.
+/// Why a page cannot be read.
 pub(super) enum PageError {
     Tiff(TiffError),
     Kind(String),
@@ -231,14 +231,12 @@ impl PageError {
     pub(super) fn at(self, path: &Path, page: u32) -> FormatError {
         match self {
             Self::Tiff(e) => tiff_error(path, page, e),
-            Self::Kind(problem) => {
-                FormatError::Malformed { path: shown(path), format: format!("TIFF page {page}"), problem }
-            }
+            Self::Kind(problem) => malformed(path, &format!("TIFF page {page}"))(problem),
         }
     }
 }
 
-/// The shape of the page that the decoder is at.
+/// The shape of the current page.
 pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageError> {
     let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
     let color = decoder.colortype().map_err(PageError::Tiff)?;
@@ -289,12 +287,14 @@ pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageErr
     let is_planar =
         samples > 1 && planar.and_then(PlanarConfiguration::from_u16) == Some(PlanarConfiguration::Planar);
     if width == 0 || height == 0 || samples == 0 {
-        return Err(PageError::Kind(format!("{width}×{height} pixels of {samples} samples, expected some")));
+        return Err(PageError::Kind(format!(
+            "{width}×{height} pixels of {samples} samples, expected more than none"
+        )));
     }
     Ok(PageShape { width, height, samples, is_planar, dtype })
 }
 
-/// A fraction as a number above zero.
+/// A positive fraction as a number.
 fn ratio(value: ::tiff::decoder::ifd::Value) -> Option<f64> {
     use ::tiff::decoder::ifd::Value;
     let number = match value {
@@ -316,20 +316,20 @@ pub(super) fn tiff_error(path: &Path, page: u32, e: TiffError) -> FormatError {
     }
 }
 
-/// A message of the decoder on one line, cut to a length that fits.
+/// A message of the decoder, on one short line.
 fn one_line(e: &TiffError) -> String {
     e.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_MESSAGE_CHARS).collect()
 }
 
-/// SGI's tag of pages that are volumes.
+/// SGI's tag for pages that are volumes.
 const IMAGE_DEPTH: Tag = Tag::Unknown(32997);
-/// Pages of one file that are looked at.
+/// Most pages of a file.
 const MAX_PAGES: u32 = 1 << 17;
-/// Series of one file.
+/// Most series of a file.
 const MAX_GROUPS: usize = 64;
-/// The longest list of strips or tiles.
+/// Longest list of strips or tiles, in bytes.
 const MAX_LIST_BYTES: u64 = 8 << 20;
-/// tifffile's descriptions with some words of a user's own: each page may have one.
+/// Longest description by tifffile. Each page may have one, with some text of the user.
 const MAX_SHAPED_BYTES: u64 = 1 << 14;
 /// Longest message of the decoder that is shown.
 const MAX_MESSAGE_CHARS: usize = 200;

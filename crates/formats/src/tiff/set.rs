@@ -1,4 +1,4 @@
-//! OME-TIFF: an image in one file or several, whose description is in one of them or in a file of its own.
+//! OME-TIFF: an image in one or several files. The description is in one of them or in another file.
 
 use std::collections::HashSet;
 use std::io::Read;
@@ -6,36 +6,33 @@ use std::path::{Path, PathBuf};
 
 use super::ome::{self, Files, Ome};
 use super::page::{self, Group, Scan};
-use super::{Place, PlaneAxis, Stack, TiffFile, plan};
-use crate::error::{FormatError, io_error, quoted, shown};
+use super::{PageLocation, Stack, TiffFile, plan, several_series};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
-/// The files of an image, found but not yet looked into.
+/// The files of an image, before they are read.
 pub(super) struct OmeSet {
     ome: Ome,
     /// Number of the image.
     index: usize,
     files: Files,
-    /// The file that was opened, and those of `files`.
+    /// The file that was opened, and the others in `files`.
     paths: Vec<PathBuf>,
-    /// Files of the folder that belong to none of its images.
+    /// Number of files in the folder that belong to no image.
     num_left: usize,
 }
 
-fn malformed(path: &Path, problem: String) -> FormatError {
-    FormatError::Malformed { path: shown(path), format: "OME-TIFF".into(), problem }
-}
-
 impl OmeSet {
-    /// What `text`, the description of the first of `files`, says of them. `None`: they are slices, each an image by itself.
+    /// Finds the files of the image in `text`, the description of the first of `files`. Returns `None` if each file
+    /// is a slice of its own.
     pub(super) fn open(
         text: &str,
         files: &[PathBuf],
         path: &Path,
         options: &OpenOptions,
     ) -> Result<Option<Self>, FormatError> {
-        let bad = |problem: String| malformed(path, problem);
+        let bad = malformed(path, OME_TIFF);
         let own = &files[0];
         let folder = own.parent().unwrap_or(Path::new("")).to_owned();
         let mut ome = Ome::read(text).map_err(bad)?;
@@ -44,15 +41,14 @@ impl OmeSet {
         }
         let index = options.selection.series.unwrap_or(0) as usize;
         if index >= ome.num_images() {
-            let (what, asked, found) = ("series", index as u64, ome.num_images() as u64);
-            return Err(FormatError::Selection { path: shown(path), what, asked, found });
+            return Err(not_there(path, "series", index as u64, ome.num_images()));
         }
         let is_there = |name: &str| folder.join(name).is_file();
         let own_name = file_name(own);
         let named = ome.files(index, &own_name, &is_there).map_err(bad)?;
         let mut num_left = 0;
         if files.len() > 1 {
-            // A folder: do its files belong together?
+            // The files of a folder need not belong together.
             let mut members = HashSet::from([own_name.clone()]);
             for i in 0..ome.num_images() {
                 members.extend(ome.files(i, &own_name, &is_there).map_err(bad)?.others);
@@ -73,18 +69,18 @@ impl OmeSet {
         Ok(Some(Self { ome, index, files: named, paths, num_left }))
     }
 
-    /// The image; `first` is what is in the file that was opened.
+    /// Opens the image. `first` is the scan of the file that was opened.
     pub(super) fn into_file(
         self,
         mut first: Scan,
         path: &Path,
         options: &OpenOptions,
     ) -> Result<TiffFile, FormatError> {
-        let bad = |problem: String| malformed(path, problem);
+        let bad = malformed(path, OME_TIFF);
         let Self { ome, index, files, paths, num_left } = self;
         let mut missing: Vec<&PathBuf> = paths[1..].iter().filter(|p| !p.is_file()).collect();
-        // All pages are expected to be as the first that is there.
-        let is_there = |p: &Place| paths.get(p.file as usize).is_some_and(|p| !missing.contains(&p));
+        // All pages should have the shape of the first that exists.
+        let is_there = |p: &PageLocation| paths.get(p.file as usize).is_some_and(|p| !missing.contains(&p));
         let is_told = ome.places(index, &files).next().is_some();
         let place = ome.places(index, &files).find(is_there);
         if is_told && place.is_none() {
@@ -100,21 +96,15 @@ impl OmeSet {
         let num_planes = stack.num_planes().map_err(bad)?;
         let mut warnings = Vec::new();
         let planes = stack.planes.take().unwrap_or_else(|| {
-            let found = group.pages.len() as u64;
-            if num_planes != found {
-                warnings.push(format!(
-                    "the description has {num_planes} planes, the file {found}; they are read as slices"
-                ));
-                stack.axes = vec![(PlaneAxis::Z, found)];
-                stack.channel_names.clear();
+            let found = group.pages.len();
+            if num_planes != found as u64 {
+                warnings.push(stack.read_as_slices(num_planes, found));
             }
-            group.pages.iter().map(|&page| Some(Place { file: 0, page })).collect()
+            group.pages.iter().map(|&page| Some(PageLocation { file: 0, page })).collect()
         });
         let mut plan = plan(&group, &mut stack, None, 1).map_err(bad)?;
         if ome.num_images() > 1 && options.selection.series.is_none() {
-            let names = plan.series.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join("; ");
-            let text = format!("the file has {} series ({names}), of which 0 is shown", ome.num_images());
-            plan.warn(WarningKind::Choice, text);
+            plan.warn(WarningKind::Choice, several_series(&plan.series));
         }
         let num_unknown = planes.iter().filter(|p| p.is_none()).count();
         if num_unknown > 0 {
@@ -139,9 +129,9 @@ impl OmeSet {
     }
 }
 
-/// The description in the file `name` beside `own`, which refers to it: a TIFF file or a document by itself.
+/// Reads the description in the file `name`, to which `own` beside it refers. It is a TIFF file or a document.
 fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> {
-    let bad = |problem: String| malformed(own, problem);
+    let bad = malformed(own, OME_TIFF);
     if name.is_empty() || name.contains(['/', '\\', '\0']) {
         return Err(bad(format!(
             "its description is in file {}, expected a name without folders",
@@ -161,7 +151,7 @@ fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> 
     } else {
         String::from_utf8_lossy(&bytes).into_owned()
     };
-    let ome = Ome::read(&text).map_err(|problem| malformed(&path, problem))?;
+    let ome = Ome::read(&text).map_err(malformed(&path, OME_TIFF))?;
     if ome.num_images() == 0 {
         return Err(bad(format!(
             "its description is in {}, expected OME-XML with an image there",
@@ -171,7 +161,7 @@ fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> 
     Ok(ome)
 }
 
-/// Slices in files of their own, the first of which is described by `text`.
+/// A stack of slices in separate files. `text` describes the first.
 pub(super) fn slices(text: &str, group: &Group) -> Result<Stack, String> {
     let plain = Stack::plain(group);
     let ome = Ome::read(text)?;
@@ -180,7 +170,9 @@ pub(super) fn slices(text: &str, group: &Group) -> Result<Stack, String> {
     Ok(Stack { spacing: told.spacing, unit: told.unit, channel_names: told.channel_names, ..plain })
 }
 
-/// The longest description in a file of its own.
+/// Longest document in bytes.
 const MAX_DOCUMENT_BYTES: u64 = 64 << 20;
-/// Files and images that a sentence names.
+/// Most files or images in a warning.
 const MAX_NAMED: usize = 8;
+
+const OME_TIFF: &str = "OME-TIFF";

@@ -1,23 +1,24 @@
-//! tifffile's description of an array: `{"shape": [2, 3, 4, 5, 6], "axes": "TCZYX"}`, or `shape=(4, 5, 6)` by older ones.
+//! The description of an array by tifffile: `{"shape": [2, 3, 4, 5, 6], "axes": "TCZYX"}`, or `shape=(4, 5, 6)` in
+//! older versions.
 
 use serde_json::Value;
 
 use super::page::{Group, PageShape};
 use super::{PlaneAxis, Stack};
 
-/// What it says of the pages from one on.
+/// The shape of an array that begins at a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Shaped {
-    /// Slowest first; the last two or three are those of a page.
+    /// Sizes of the axes, the slowest first. The last two or three are those of a page.
     shape: Vec<u64>,
-    /// A letter for each.
+    /// A letter for each axis.
     axes: Option<String>,
-    /// Whether all pages lie behind the first without directories of their own.
+    /// Whether all planes follow the first page without directories of their own.
     pub(super) is_truncated: bool,
 }
 
 impl Shaped {
-    /// From a description, if it is one.
+    /// Parses a description; `None` if it has another form.
     pub(super) fn of(text: &str) -> Option<Self> {
         let shaped = if let Some(rest) = text.strip_prefix("shape=(") {
             let words = rest.split_once(')')?.0.split(',').map(str::trim).filter(|w| !w.is_empty());
@@ -26,15 +27,15 @@ impl Shaped {
         } else {
             let value: Value = text.starts_with('{').then(|| serde_json::from_str(text).ok())??;
             let shape = value.get("shape")?.as_array()?.iter().map(Value::as_u64).collect::<Option<_>>()?;
-            let axes = value.get("axes").and_then(Value::as_str).map(str::to_owned);
-            let is_truncated = value.get("truncated").and_then(Value::as_bool).unwrap_or(false);
+            let axes = value["axes"].as_str().map(str::to_owned);
+            let is_truncated = value["truncated"].as_bool().unwrap_or(false);
             Self { shape, axes, is_truncated }
         };
         let is_good = (2..=MAX_AXES).contains(&shaped.shape.len()) && !shaped.shape.contains(&0);
         is_good.then_some(shaped)
     }
 
-    /// How many of the axes are counted in planes, if the others are those of such a page.
+    /// Number of axes outside of a page, if the others are those of `page`.
     fn num_outer(&self, page: &PageShape) -> Option<usize> {
         let [height, width, samples] =
             [u64::from(page.height), u64::from(page.width), u64::from(page.samples)];
@@ -47,16 +48,16 @@ impl Shaped {
         Some(self.shape.len() - end.len())
     }
 
-    /// Planes of the array, if such a page is one of them.
+    /// Number of planes of the array, if `page` is one of them.
     pub(super) fn num_planes(&self, page: &PageShape) -> Option<u64> {
         self.shape[..self.num_outer(page)?].iter().try_fold(1u64, |n, size| n.checked_mul(*size))
     }
 
-    /// What it says of a page like this and those behind it; nothing if they are no such pages.
+    /// The stack of the pages in `group`; `None` if they do not match.
     pub(super) fn stack(&self, group: &Group) -> Result<Option<Stack>, String> {
         let Some(num_outer) = self.num_outer(&group.shape) else { return Ok(None) };
         let outer = &self.shape[..num_outer];
-        // Letters that put other axes than x and y into a page say something else than the pages do.
+        // Letters are ignored if they put other axes than x and y into a page.
         let letters: Option<Vec<char>> = self.axes.as_ref().map(|a| a.chars().collect());
         let letters = letters.filter(|l| {
             let inner: String = l.iter().skip(num_outer).filter(|c| **c != 'S').collect();
@@ -76,7 +77,7 @@ impl Shaped {
                 (axis, outer[i])
             })
             .collect();
-        // What has another name, or none, is taken as the first that is left, from the fastest on.
+        // Axes with another name or none take the first free meaning, from the fastest on.
         for i in 0..axes.len() {
             let is_twice = axes[..i].iter().any(|a| a.0.is_some() && a.0 == axes[i].0);
             if axes[i].0.is_none() || is_twice {
@@ -105,7 +106,7 @@ impl Shaped {
     }
 }
 
-/// Axes of an array, those of one entry among them.
+/// Most axes of an array.
 const MAX_AXES: usize = 16;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The metadata of one array, Zarr version 2 or 3, and its chunks.
+//! The metadata of an array in Zarr version 2 or 3, and the paths of its chunks.
 
 use std::path::{Path, PathBuf};
 
@@ -7,28 +7,28 @@ use serde_json::Value;
 use super::codec::{Codec, Codecs};
 use super::json;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, malformed, quoted};
 
-/// An array. Axes are slowest first, as the format has them.
+/// An array. Axes are slowest first, as in the format.
 #[derive(Clone, Debug)]
 pub(super) struct Array {
     pub(super) path: PathBuf,
     pub(super) shape: Vec<u64>,
-    /// Numbers of a chunk along each axis, or of a shard.
+    /// Size of a chunk or shard along each axis, in numbers.
     pub(super) chunk: Vec<u64>,
     /// The chunks of a shard, if there are shards.
     pub(super) shard: Option<Shard>,
     pub(super) dtype: Dtype,
-    /// The value of what is not stored, as bytes.
+    /// The bytes of a number that is not stored.
     pub(super) fill: Vec<u8>,
     pub(super) codecs: Codecs,
-    /// What stands between the numbers of a chunk in its name, and before them.
+    /// Separator of the numbers in the name of a chunk, and the prefix before them.
     separator: char,
     prefix: &'static str,
     pub(super) version: u8,
 }
 
-/// How the chunks of a shard are found.
+/// The index of a shard.
 #[derive(Clone, Debug)]
 pub(super) struct Shard {
     pub(super) chunk: Vec<u64>,
@@ -37,18 +37,14 @@ pub(super) struct Shard {
 }
 
 impl Array {
-    /// The array in the folder `path`.
+    /// Reads the array in the folder `path`.
     pub(super) fn read(path: &Path) -> Result<Self, FormatError> {
         let (value, version) = match json::read(&path.join("zarr.json"))? {
             Some(value) => (value, 3),
             None => (json::require(&path.join(".zarray"))?, 2),
         };
         let array = if version == 3 { Self::of_version_3(&value) } else { Self::of_version_2(&value) };
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "Zarr array".into(),
-            problem,
-        };
+        let bad = malformed(path, "Zarr array");
         let mut array = array.and_then(Self::checked).map_err(bad)?;
         array.path = path.to_owned();
         Ok(array)
@@ -77,7 +73,7 @@ impl Array {
     }
 
     fn of_version_2(value: &Value) -> Result<Self, String> {
-        let dtype = value.get("dtype").and_then(Value::as_str).ok_or("its dtype is not one number")?;
+        let dtype = value["dtype"].as_str().ok_or("its dtype is not one number")?;
         let (endian, kind) = match dtype.split_at_checked(1) {
             Some((">", kind)) => (Endian::Big, kind),
             Some(("<" | "|", kind)) => (Endian::Little, kind),
@@ -86,17 +82,17 @@ impl Array {
         let dtype = Dtype::from_numpy(kind).ok_or_else(|| {
             format!("its type is {}, expected b1, i1 to i8, u1 to u8 or f2 to f8", quoted(dtype))
         })?;
-        let is_filtered = value.get("filters").and_then(Value::as_array).is_some_and(|f| !f.is_empty());
+        let is_filtered = value["filters"].as_array().is_some_and(|f| !f.is_empty());
         if is_filtered {
             return Err("it has filters, expected none".into());
         }
         let shape = json::numbers(value.get("shape"), "shape")?;
         let num_axes = shape.len();
-        let is_fortran = value.get("order").and_then(Value::as_str) == Some("F");
+        let is_fortran = value["order"].as_str() == Some("F");
         let order = if is_fortran { (0..num_axes).rev().collect() } else { (0..num_axes).collect() };
         let compressor = value.get("compressor").filter(|c| !c.is_null());
         let packed = compressor.map(Codec::of_version_2).transpose()?.into_iter().collect();
-        let separator = value.get("dimension_separator").and_then(Value::as_str).unwrap_or(".");
+        let separator = value["dimension_separator"].as_str().unwrap_or(".");
         Ok(Self {
             path: PathBuf::new(),
             chunk: json::numbers(value.get("chunks"), "chunks")?,
@@ -112,7 +108,7 @@ impl Array {
     }
 
     fn of_version_3(value: &Value) -> Result<Self, String> {
-        let kind = value.get("data_type").and_then(Value::as_str).unwrap_or_default();
+        let kind = value["data_type"].as_str().unwrap_or_default();
         let dtype = match kind {
             "bool" | "uint8" => Dtype::Uint8,
             "int8" => Dtype::Int8,
@@ -139,7 +135,7 @@ impl Array {
             .and_then(|c| c.get("separator"))
             .and_then(Value::as_str);
         let separator = told.unwrap_or(if is_old { "." } else { "/" });
-        let list = value.get("codecs").and_then(Value::as_array).ok_or("it has no codecs")?;
+        let list = value["codecs"].as_array().ok_or("it has no codecs")?;
         let (codecs, shard) = Codecs::of_version_3(list, shape.len())?;
         Ok(Self {
             path: PathBuf::new(),
@@ -165,7 +161,7 @@ impl Array {
     }
 }
 
-/// A fill value as the bytes of a number; zero where there is none.
+/// The bytes of a fill value; zero if there is none.
 fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, String> {
     let bad = |value: &Value| format!("its fill_value is {}, expected a number", quoted(&value.to_string()));
     let number = match value {
@@ -175,7 +171,7 @@ fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, 
             ("NaN", _) => f64::NAN,
             ("Infinity", _) => f64::INFINITY,
             ("-Infinity", _) => f64::NEG_INFINITY,
-            // The bits of a float, the highest first (Zarr 3).
+            // Zarr 3 may give the bits of a float, the highest first.
             (_, Some(digits)) if digits.len() == 2 * dtype.num_bytes() => {
                 let bits = u64::from_str_radix(digits, 16).map_err(|_| bad(&Value::from(text.as_str())))?;
                 let mut bytes = bits.to_le_bytes()[..dtype.num_bytes()].to_vec();
@@ -200,7 +196,7 @@ fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, 
         Dtype::Int32 => (whole as i32).to_le_bytes().to_vec(),
         Dtype::Uint64 => (whole as u64).to_le_bytes().to_vec(),
         Dtype::Int64 => (whole as i64).to_le_bytes().to_vec(),
-        Dtype::Half => half(number as f32).to_le_bytes().to_vec(),
+        Dtype::Half => half::f16::from_f64(number).to_le_bytes().to_vec(),
         Dtype::Float => (number as f32).to_le_bytes().to_vec(),
         Dtype::Double => number.to_le_bytes().to_vec(),
     };
@@ -208,20 +204,6 @@ fn fill(value: Option<&Value>, dtype: Dtype, endian: Endian) -> Result<Vec<u8>, 
         bytes.reverse();
     }
     Ok(bytes)
-}
-
-/// The half float next to zero of those nearest to `x`.
-fn half(x: f32) -> u16 {
-    let sign = if x.is_sign_negative() { 0x8000 } else { 0 };
-    let magnitude = match x.abs() {
-        x if x.is_nan() => 0x7e00,
-        x if x >= 65_536.0 => 0x7c00,
-        // A float has eight bits of exponent around 127 and 23 of fraction; a half five around 15, and ten.
-        x if x >= 6.103_515_6e-5 => ((x.to_bits() >> 13) - ((127 - 15) << 10)) as u16,
-        // Below that a half counts in steps of 2^-24.
-        x => (x * 16_777_216.0) as u16,
-    };
-    sign | magnitude
 }
 
 const MAX_AXES: usize = 8;
@@ -252,7 +234,7 @@ mod tests {
         ] {
             for dtype in floats {
                 for found in values(value.clone(), dtype) {
-                    // 6e-8 is the least half float but for its digits.
+                    // 6e-8 rounds to the least half float.
                     assert!(found == expected || (found - expected).abs() < 1e-9, "{value} {}", dtype.name());
                 }
             }

@@ -1,20 +1,20 @@
-//! Blosc 1 containers (c-blosc, README_CHUNK_FORMAT): blocks of shuffled numbers behind LZ4, zlib or zstd.
+//! Blosc 1 containers (c-blosc, README_CHUNK_FORMAT): blocks of shuffled numbers in LZ4, zlib or zstd.
 
 use std::io::Read;
 
 use flate2::bufread::ZlibDecoder;
-use ruzstd::decoding::StreamingDecoder;
 
+use super::codec::unpack_zstd;
 use crate::dtype::Endian;
 use crate::error::quoted;
-use crate::words::Words;
+use crate::header_bytes::HeaderBytes;
 
-/// What is in a container, at most `most` bytes.
+/// Decodes a container, to at most `most` bytes.
 pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
     if bytes.len() < HEADER_BYTES {
         return Err("a blosc container ends within its header".into());
     }
-    let w = Words { bytes, endian: Endian::Little };
+    let w = HeaderBytes { bytes, endian: Endian::Little };
     let (flags, type_size) = (bytes[2], usize::from(bytes[3]).max(1));
     let (num_bytes, block_bytes) = (w.u32(4) as usize, w.u32(8) as usize);
     if num_bytes > most {
@@ -65,7 +65,7 @@ pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
     Ok(out)
 }
 
-/// Adds the `size` bytes of a stream to `out`.
+/// Decodes a stream and appends its `size` bytes to `out`.
 fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<(), String> {
     let error = |e: &dyn std::fmt::Display| quoted(&e.to_string());
     if packed.len() == size {
@@ -85,12 +85,7 @@ fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<()
         ZLIB => {
             ZlibDecoder::new(packed).take(size as u64).read_to_end(out).map_err(|e| error(&e))?;
         }
-        _ => {
-            let window = (size as u64).max(1 << 20);
-            let decoder =
-                StreamingDecoder::new_with_max_window_size(packed, window).map_err(|e| error(&e))?;
-            decoder.take(size as u64).read_to_end(out).map_err(|e| error(&e))?;
-        }
+        _ => unpack_zstd(packed, size, out).map_err(|e| error(&e))?,
     }
     if out.len() == start + size {
         Ok(())
@@ -99,7 +94,7 @@ fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<()
     }
 }
 
-/// First all lowest bytes, then all second ones …; what is left over stays.
+/// Undoes the byte shuffle, which puts all first bytes before all second ones. Bytes that are left over stay.
 fn unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
     let n = block.len() / type_size;
     let mut out = block.to_vec();
@@ -111,7 +106,7 @@ fn unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
     out
 }
 
-/// The same with bits, eight numbers to a byte; numbers beyond a multiple of eight stay.
+/// Undoes the bit shuffle, which does the same with bits of eight numbers. Numbers beyond a multiple of eight stay.
 fn bit_unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
     let n = block.len() / type_size / 8 * 8;
     let mut out = block.to_vec();

@@ -1,9 +1,8 @@
-//! From the bytes of a chunk to its numbers.
+//! Decodes the bytes of a chunk to its numbers.
 
 use std::io::{self, Read};
 
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
-use ruzstd::decoding::StreamingDecoder;
 use serde_json::Value;
 
 use super::array::Shard;
@@ -11,32 +10,32 @@ use super::{blosc, json};
 use crate::dtype::Endian;
 use crate::error::quoted;
 
-/// How the numbers of a chunk become bytes.
+/// The steps that turn the numbers of a chunk into bytes.
 #[derive(Clone, Debug)]
 pub(super) struct Codecs {
-    /// The axes of a chunk as they lie in it, slowest first.
+    /// The order of the axes in a chunk, the slowest first.
     pub(super) order: Vec<usize>,
     pub(super) endian: Endian,
-    /// What the bytes then go through, in the order of writing.
+    /// The codecs for the bytes, in the order of writing.
     pub(super) packed: Vec<Codec>,
 }
 
-/// One step.
+/// A codec for bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Codec {
     Gzip,
     Zlib,
     Zstd,
     Blosc,
-    /// A block of LZ4 behind its length.
+    /// A block of LZ4 after its length.
     Lz4,
-    /// Four bytes of a checksum at the end, which is verified.
+    /// A checksum of four bytes at the end, which is verified.
     Crc32c,
 }
 
 impl Codec {
     pub(super) fn of_version_2(value: &Value) -> Result<Self, String> {
-        let id = value.get("id").and_then(Value::as_str).unwrap_or_default();
+        let id = value["id"].as_str().unwrap_or_default();
         Ok(match id {
             "gzip" => Self::Gzip,
             "zlib" => Self::Zlib,
@@ -52,7 +51,7 @@ impl Codec {
         })
     }
 
-    /// Undoes the step; never gives more than `most` bytes.
+    /// Decodes to at most `most` bytes.
     fn decode(self, bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
         let error = |e: &dyn std::fmt::Display| quoted(&e.to_string());
         let mut out = Vec::new();
@@ -62,12 +61,7 @@ impl Codec {
         match self {
             Self::Gzip => all(&mut MultiGzDecoder::new(bytes)).map_err(|e| error(&e))?,
             Self::Zlib => all(&mut ZlibDecoder::new(bytes)).map_err(|e| error(&e))?,
-            Self::Zstd => {
-                let window = (most as u64).max(LEAST_WINDOW_BYTES);
-                let mut decoder =
-                    StreamingDecoder::new_with_max_window_size(bytes, window).map_err(|e| error(&e))?;
-                all(&mut decoder).map_err(|e| error(&e))?;
-            }
+            Self::Zstd => unpack_zstd(bytes, most, &mut out).map_err(|e| error(&e))?,
             Self::Blosc => out = blosc::decode(bytes, most)?,
             Self::Lz4 => {
                 let (length, rest) = bytes.split_first_chunk().ok_or("it ends early")?;
@@ -90,12 +84,12 @@ impl Codec {
 }
 
 impl Codecs {
-    /// The chain of an array of version 3, and its shards.
+    /// The codecs of an array in version 3, and its shards.
     pub(super) fn of_version_3(list: &[Value], num_axes: usize) -> Result<(Self, Option<Shard>), String> {
         let mut codecs = Self { order: (0..num_axes).collect(), endian: Endian::Little, packed: Vec::new() };
         let mut shard = None;
         for value in list {
-            let name = value.get("name").and_then(Value::as_str).unwrap_or_default();
+            let name = value["name"].as_str().unwrap_or_default();
             let configuration = value.get("configuration");
             let get = |key: &str| configuration.and_then(|c| c.get(key));
             match name {
@@ -151,11 +145,11 @@ impl Codecs {
         Ok((codecs, shard))
     }
 
-    /// The numbers of a chunk, `num_bytes` in all.
+    /// The bytes of the numbers of a chunk, `num_bytes` in all.
     pub(super) fn decode(&self, bytes: Vec<u8>, num_bytes: usize) -> Result<Vec<u8>, String> {
         let mut bytes = bytes;
         for codec in self.packed.iter().rev() {
-            // A checksum inside another codec adds its four bytes.
+            // A checksum inside another codec adds four bytes.
             bytes = codec.decode(&bytes, num_bytes + 4 * self.packed.len())?;
         }
         if bytes.len() != num_bytes {
@@ -163,6 +157,14 @@ impl Codecs {
         }
         Ok(bytes)
     }
+}
+
+/// Decodes the frames in `packed` and appends at most `most` bytes to `out`. The window of a frame may have this
+/// size, or the 8 MiB that every decoder should support (RFC 8878, section 3.1.1.1.2).
+pub(super) fn unpack_zstd(packed: &[u8], most: usize, out: &mut Vec<u8>) -> io::Result<()> {
+    let mut decoder = zstd::Decoder::with_buffer(packed)?;
+    decoder.window_log_max(most.clamp(LEAST_WINDOW_BYTES, MOST_WINDOW_BYTES).next_power_of_two().ilog2())?;
+    decoder.take(most as u64).read_to_end(out).map(drop)
 }
 
 fn is_permutation(order: &[usize], n: usize) -> bool {
@@ -190,14 +192,34 @@ pub(super) fn crc32c(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, b| TABLE[usize::from(crc as u8 ^ b)] ^ crc >> 8)
 }
 
-/// Steps of one chain.
+/// Most codecs of an array.
 const MAX_STEPS: usize = 4;
-/// The smallest window that is always allowed.
-const LEAST_WINDOW_BYTES: u64 = 1 << 20;
+const LEAST_WINDOW_BYTES: usize = 8 << 20;
+/// The largest window that the reference decoder accepts by default.
+const MOST_WINDOW_BYTES: usize = 128 << 20;
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
+
+    #[test]
+    fn zstd_gives_no_more_bytes_and_takes_no_more_memory_than_allowed() {
+        let unpacked = |packed: &[u8], most: usize| {
+            let mut out = Vec::new();
+            unpack_zstd(packed, most, &mut out).map(|()| out.len())
+        };
+        let packed = zstd::bulk::compress(&[7; 5000], 1).unwrap();
+        assert_eq!(unpacked(&packed, 5000).unwrap(), 5000);
+        assert_eq!(unpacked(&packed, 1000).unwrap(), 1000);
+        let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
+        encoder.window_log(24).unwrap();
+        encoder.write_all(&[7; 5000]).unwrap();
+        let packed = encoder.finish().unwrap();
+        assert!(unpacked(&packed, 5000).is_err(), "the window has 16 MiB");
+        assert_eq!(unpacked(&packed, 16 << 20).unwrap(), 5000);
+    }
 
     #[test]
     fn the_checksum_is_that_of_the_standard() {

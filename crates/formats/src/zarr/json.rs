@@ -1,38 +1,29 @@
-//! Metadata files.
+//! Reads metadata files.
 
-use std::io::Read;
 use std::path::Path;
 
 use serde_json::Value;
 
-use crate::error::{FormatError, io_error, quoted, shown};
-use crate::source::open_file;
+use crate::error::{FormatError, io_error, malformed, quoted};
+use crate::source::read_file;
 
-/// The document at `path`; `None` if there is no such file.
+/// Reads the document at `path`; `None` if there is no such file.
 pub(super) fn read(path: &Path) -> Result<Option<Value>, FormatError> {
     if !path.is_file() {
         return Ok(None);
     }
-    let mut bytes = Vec::new();
-    open_file(path)?.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
-    let bad = |problem: String| FormatError::Malformed {
-        path: shown(path),
-        format: "Zarr metadata".into(),
-        problem,
-    };
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(bad(format!("more than {MAX_BYTES} bytes")));
-    }
+    let bad = malformed(path, "Zarr metadata");
+    let bytes = read_file(path, MAX_BYTES)?.ok_or_else(|| bad(format!("more than {MAX_BYTES} bytes")))?;
     serde_json::from_slice(&bytes).map(Some).map_err(|e| bad(quoted(&e.to_string())))
 }
 
-/// The same of a file that must be there.
+/// The same for a file that must exist.
 pub(super) fn require(path: &Path) -> Result<Value, FormatError> {
     let missing = || io_error(path)(std::io::ErrorKind::NotFound.into());
     read(path)?.ok_or_else(missing)
 }
 
-/// A list of whole numbers above zero.
+/// A list of positive integers.
 pub(super) fn numbers(value: Option<&Value>, name: &str) -> Result<Vec<u64>, String> {
     let list = value.and_then(Value::as_array).filter(|l| l.len() <= 32);
     let numbers: Option<Vec<u64>> =
@@ -45,5 +36,5 @@ pub(super) fn numbers(value: Option<&Value>, name: &str) -> Result<Vec<u64>, Str
     })
 }
 
-/// Attributes of thousands of channels or wells are smaller.
+/// Longest document. Attributes of thousands of channels or wells are shorter.
 const MAX_BYTES: u64 = 16 << 20;

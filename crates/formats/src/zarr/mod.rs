@@ -1,5 +1,5 @@
-//! OME-Zarr 0.1 to 0.5 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, of which a level and a region are
-//! read; single arrays too.
+//! OME-Zarr 0.1 to 0.5 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, and single arrays. Only
+//! the selected level and region are read.
 
 mod array;
 mod blosc;
@@ -14,46 +14,41 @@ use std::path::Path;
 
 use self::array::{Array, Shard};
 use self::multiscale::Multiscale;
+use crate::collector::Collector;
 use crate::dtype::Dtype;
-use crate::error::{FormatError, io_error, shown};
+use crate::error::{FormatError, io_error, malformed, not_there};
 use crate::plan::{Plan, VolumeFile};
 use crate::source::OpenOptions;
-use crate::taker::Taker;
 use crate::warning::WarningKind;
 
-/// An image, of which one level was chosen.
+/// A level of an image.
 pub(crate) struct ZarrImage {
     plan: Plan,
     array: Array,
     most_bytes: u64,
 }
 
-/// Whether a folder holds an array or a group of them.
+/// Whether a folder is an array or a group of arrays.
 pub(crate) fn is_group(path: &Path) -> bool {
     [".zattrs", ".zgroup", ".zarray", "zarr.json"].iter().any(|name| path.join(name).is_file())
 }
 
 impl ZarrImage {
-    /// The group or array in the folder `path`.
+    /// Opens the group or array in the folder `path`.
     pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "OME-Zarr".into(),
-            problem,
-        };
+        let bad = malformed(path, "OME-Zarr");
         let mut image = path.to_owned();
         let mut series = Vec::new();
         let mut found = Multiscale::read(path)?;
         if found.is_none() {
-            // bioformats2raw puts each image into a group of its own.
+            // bioformats2raw puts each image into its own group.
             series = (0..MAX_SERIES).map(|i| i.to_string()).take_while(|i| is_group(&path.join(i))).collect();
             let index = options.selection.series.unwrap_or(0) as usize;
             if let Some(name) = series.get(index) {
                 image = path.join(name);
                 found = Multiscale::read(&image)?;
             } else if !series.is_empty() {
-                let (what, asked, found) = ("series", index as u64, series.len() as u64);
-                return Err(FormatError::Selection { path: shown(path), what, asked, found });
+                return Err(not_there(path, "series", index as u64, series.len()));
             }
         }
         let Some(multiscale) = found else {
@@ -66,8 +61,7 @@ impl ZarrImage {
         }
         let level = match options.selection.level {
             Some(level) if level as usize >= arrays.len() => {
-                let (what, asked, found) = ("level", level.into(), arrays.len() as u64);
-                return Err(FormatError::Selection { path: shown(path), what, asked, found });
+                return Err(not_there(path, "level", level.into(), arrays.len()));
             }
             Some(level) => level as usize,
             None if options.selection.region.is_some() => 0,
@@ -94,7 +88,7 @@ impl ZarrImage {
     }
 }
 
-/// Whether one channel of a level can be shown as a whole.
+/// Whether a channel of a level can be shown as a whole.
 fn fits(array: &Array, multiscale: &Multiscale, options: &OpenOptions) -> bool {
     let dims = multiscale.space_of(&array.shape);
     let max_side = u64::from(isinglass_core::volume::Volume::MAX_SIDE);
@@ -107,15 +101,15 @@ impl VolumeFile for ZarrImage {
         &self.plan
     }
 
-    fn read(&mut self, taker: &mut Taker) -> Result<(), FormatError> {
+    fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let array = &self.array;
         let num_axes = array.shape.len();
-        // Slowest first, as the chunks are; an image in a plane has an axis more in its plan than in its array.
-        let mut wanted: Vec<Range<u64>> = taker.ranges().iter().take(num_axes).rev().cloned().collect();
+        // The slowest axis comes first, as in chunks. The plan of a plane has one axis more than its array.
+        let mut selected: Vec<Range<u64>> = collector.ranges().iter().take(num_axes).rev().cloned().collect();
         let chunks = |range: &Range<u64>, side: u64| range.start / side..range.end.div_ceil(side);
-        let grid: Vec<Range<u64>> = wanted.iter().zip(&array.chunk).map(|(r, &n)| chunks(r, n)).collect();
+        let grid: Vec<Range<u64>> = selected.iter().zip(&array.chunk).map(|(r, &n)| chunks(r, n)).collect();
         let inner = array.shard.as_ref().map_or(&array.chunk, |s| &s.chunk);
-        let num_chunks = wanted.iter().zip(inner).try_fold(1u64, |n, (r, &side)| {
+        let num_chunks = selected.iter().zip(inner).try_fold(1u64, |n, (r, &side)| {
             let range = chunks(r, side);
             n.checked_mul(range.end - range.start)
         });
@@ -126,50 +120,50 @@ impl VolumeFile for ZarrImage {
                 num_chunks.unwrap_or(u64::MAX),
                 bytes_of(inner)
             );
-            return Err(taker.data_error(&array.path, problem));
+            return Err(collector.data_error(&array.path, problem));
         }
-        // One layer of chunks at a time along the slowest axis that is more than one number long.
-        let axis = wanted.iter().position(|r| r.end - r.start > 1).unwrap_or(0);
-        let whole = wanted[axis].clone();
+        // Each step reads one layer of chunks along the slowest axis with more than one number.
+        let axis = selected.iter().position(|r| r.end - r.start > 1).unwrap_or(0);
+        let whole = selected[axis].clone();
         for layer in grid[axis].clone() {
             let side = array.chunk[axis];
-            wanted[axis] = whole.start.max(layer * side)..whole.end.min((layer + 1) * side);
-            let mut slab = Slab::new(&wanted, array.dtype, &array.fill);
+            selected[axis] = whole.start.max(layer * side)..whole.end.min((layer + 1) * side);
+            let mut slab = Slab::new(&selected, array.dtype, &array.fill);
             let mut here = grid.clone();
             here[axis] = layer..layer + 1;
             let mut index: Vec<u64> = here.iter().map(|r| r.start).collect();
             loop {
-                taker.tick()?;
-                self.chunk(&index, &mut slab, taker)?;
+                collector.tick()?;
+                self.chunk(&index, &mut slab, collector)?;
                 if !next_index(&mut index, &here) {
                     break;
                 }
             }
-            taker.push_wanted(&slab.bytes)?;
+            collector.push_selected(&slab.bytes)?;
         }
         Ok(())
     }
 }
 
 impl ZarrImage {
-    /// Puts what is wanted of a chunk or shard into `slab`.
-    fn chunk(&self, index: &[u64], slab: &mut Slab, taker: &Taker) -> Result<(), FormatError> {
+    /// Copies the selected part of a chunk or shard into `slab`.
+    fn chunk(&self, index: &[u64], slab: &mut Slab, collector: &Collector) -> Result<(), FormatError> {
         let array = &self.array;
         let path = array.chunk_path(index);
         let mut file = match File::open(&path) {
             Ok(file) => file,
-            // What is not stored has the fill value, which the slab begins with.
+            // Chunks that are not stored have the fill value, which is in the slab already.
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
             Err(e) => return Err(io_error(&path)(e)),
         };
         let io = io_error(&path);
         let length = file.metadata().map_err(&io)?;
         if !length.is_file() {
-            return Err(taker.data_error(&path, "a chunk is no file"));
+            return Err(collector.data_error(&path, "a chunk is no file"));
         }
         let length = length.len();
         let start: Vec<u64> = index.iter().zip(&array.chunk).map(|(i, n)| i * n).collect();
-        let damaged = |problem: String| taker.data_error(&path, format!("chunk: {problem}"));
+        let damaged = |problem: String| collector.data_error(&path, format!("chunk: {problem}"));
         let mut part =
             |file: &mut File, at: u64, size: u64, start: &[u64], sides: &[u64]| -> Result<(), FormatError> {
                 if at.checked_add(size).is_none_or(|end| end > length) {
@@ -187,12 +181,12 @@ impl ZarrImage {
             return part(&mut file, 0, length, &start, &array.chunk);
         };
         let inner: Vec<Range<u64>> = array.chunk.iter().zip(&shard.chunk).map(|(n, m)| 0..n / m).collect();
-        let table =
-            index_of(&mut file, length, &inner, shard).map_err(|problem| taker.data_error(&path, problem))?;
+        let table = index_of(&mut file, length, &inner, shard)
+            .map_err(|problem| collector.data_error(&path, problem))?;
         let mut at: Vec<u64> = vec![0; inner.len()];
         for entry in table {
             let first: Vec<u64> = (0..at.len()).map(|i| start[i] + at[i] * shard.chunk[i]).collect();
-            let is_wanted = self.overlaps(&first, &shard.chunk, taker);
+            let is_wanted = self.overlaps(&first, &shard.chunk, collector);
             let (offset, size) = entry;
             if is_wanted && (offset, size) != (u64::MAX, u64::MAX) {
                 part(&mut file, offset, size, &first, &shard.chunk)?;
@@ -202,14 +196,14 @@ impl ZarrImage {
         Ok(())
     }
 
-    /// Whether a box holds anything that is wanted.
-    fn overlaps(&self, start: &[u64], sides: &[u64], taker: &Taker) -> bool {
-        let wanted = taker.ranges().iter().take(start.len()).rev();
-        wanted.zip(start.iter().zip(sides)).all(|(r, (s, n))| *s < r.end && s + n > r.start)
+    /// Whether a box overlaps the selection.
+    fn overlaps(&self, start: &[u64], sides: &[u64], collector: &Collector) -> bool {
+        let selected = collector.ranges().iter().take(start.len()).rev();
+        selected.zip(start.iter().zip(sides)).all(|(r, (s, n))| *s < r.end && s + n > r.start)
     }
 }
 
-/// Places and lengths of the chunks of a shard.
+/// Offsets and lengths of the chunks in a shard.
 fn index_of(
     file: &mut File,
     length: u64,
@@ -241,7 +235,7 @@ fn index_of(
         .collect())
 }
 
-/// Moves to the next index, the last axis first; `false` after the last.
+/// Moves to the next index, the last axis first. Returns `false` after the last.
 fn next_index(index: &mut [u64], ranges: &[Range<u64>]) -> bool {
     for (i, range) in index.iter_mut().zip(ranges).rev() {
         *i += 1;
@@ -253,7 +247,7 @@ fn next_index(index: &mut [u64], ranges: &[Range<u64>]) -> bool {
     false
 }
 
-/// A box of numbers that chunks are put into, the last axis fastest.
+/// A box of numbers that chunks are copied into, the last axis fastest.
 struct Slab {
     ranges: Vec<Range<u64>>,
     bytes: Vec<u8>,
@@ -268,7 +262,7 @@ impl Slab {
         Self { ranges: ranges.to_vec(), bytes, size: dtype.num_bytes() }
     }
 
-    /// Copies what overlaps of a chunk of these sides at `start`, whose axes lie in `order`, slowest first.
+    /// Copies the overlap with a chunk of these sides at `start`. Its axes are in `order`, the slowest first.
     fn put(&mut self, chunk: &[u8], start: &[u64], sides: &[u64], order: &[usize]) {
         let num_axes = sides.len();
         let mut strides = vec![0; num_axes];
@@ -314,7 +308,7 @@ impl Slab {
     }
 }
 
-/// Images of one group.
+/// Most images of a group.
 const MAX_SERIES: usize = 4096;
-/// Chunks that one volume is read from.
+/// Most chunks of a volume.
 const MAX_CHUNKS: u64 = 1 << 22;

@@ -1,4 +1,4 @@
-//! What the attributes of a group say of its image.
+//! Interprets the attributes of an image.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -8,9 +8,10 @@ use serde_json::Value;
 use super::array::Array;
 use super::json;
 use crate::axes::Geometry;
-use crate::error::{FormatError, quoted, shown};
+use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
 use crate::plan::{Axis, Plan, Role};
+use crate::units::length_unit;
 
 /// An image of several levels.
 pub(super) struct Multiscale {
@@ -18,7 +19,7 @@ pub(super) struct Multiscale {
     /// Slowest first.
     axes: Vec<NamedAxis>,
     pub(super) levels: Vec<LevelPath>,
-    /// What follows the steps of each level.
+    /// The transformation after that of each level.
     all: Transform,
     channels: Vec<String>,
     /// Whether the axes are named.
@@ -26,36 +27,32 @@ pub(super) struct Multiscale {
 }
 
 struct NamedAxis {
-    kind: Kind,
-    /// Metres of its unit, and its short name.
+    kind: AxisKind,
+    /// Its unit in metres, and the short name of the unit.
     unit: Option<(f64, &'static str)>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    /// x, y or z.
+enum AxisKind {
+    /// The axis x, y or z.
     Space(usize),
     Channel,
     Time,
 }
 
-/// Where the array of a level is, and how its numbers lie.
+/// The array of a level and its transformation.
 pub(super) struct LevelPath {
     pub(super) path: PathBuf,
-    /// Its own steps; none if they follow from its size.
+    /// Its own transformation; `None` if its size implies it.
     own: Option<Transform>,
 }
 
 impl Multiscale {
-    /// The image in the folder `path`, if it holds one. An array alone is an image of one level.
+    /// Reads the image in the folder `path`; `None` if there is none. A single array is an image with one level.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, FormatError> {
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "OME-Zarr".into(),
-            problem,
-        };
+        let bad = malformed(path, "OME-Zarr");
         let attributes = match json::read(&path.join("zarr.json"))? {
-            Some(value) if value.get("node_type").and_then(Value::as_str) == Some("array") => {
+            Some(value) if value["node_type"].as_str() == Some("array") => {
                 return Self::of_array(path);
             }
             Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
@@ -63,7 +60,7 @@ impl Multiscale {
             None => json::read(&path.join(".zattrs"))?,
         };
         let Some(attributes) = attributes else { return Ok(None) };
-        let images = attributes.get("multiscales").and_then(Value::as_array);
+        let images = attributes["multiscales"].as_array();
         let Some(image) = images.and_then(|l| l.first()) else { return Ok(None) };
         Self::of(image, &attributes).map(Some).map_err(bad)
     }
@@ -72,10 +69,10 @@ impl Multiscale {
         let text = |v: Option<&Value>| v.and_then(Value::as_str).map(str::to_owned);
         let version =
             text(attributes.get("version")).or_else(|| text(image.get("version"))).unwrap_or_default();
-        let axes = match image.get("axes").and_then(Value::as_array) {
+        let axes = match image["axes"].as_array() {
             Some(list) if list.len() <= 8 => list.iter().map(NamedAxis::of).collect::<Result<Vec<_>, _>>()?,
             Some(list) => return Err(format!("it has {} axes, expected two to five", list.len())),
-            // Before version 0.3 there were always five.
+            // Versions before 0.3 always have five axes.
             None => ["t", "c", "z", "y", "x"]
                 .iter()
                 .map(|n| NamedAxis::of(&Value::from(*n)))
@@ -86,17 +83,16 @@ impl Multiscale {
                 return Err(format!("two of its axes are {:?}, expected each once", axis.kind));
             }
         }
-        if !(0..2).all(|k| axes.iter().any(|a| a.kind == Kind::Space(k))) {
+        if !(0..2).all(|k| axes.iter().any(|a| a.kind == AxisKind::Space(k))) {
             return Err("it has no axes x and y".into());
         }
-        let datasets =
-            image.get("datasets").and_then(Value::as_array).filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
+        let datasets = image["datasets"].as_array().filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
         let datasets = datasets.ok_or_else(|| format!("it has no datasets, expected 1 to {MAX_LEVELS}"))?;
         let all = Transform::of(image.get("coordinateTransformations"), axes.len())?;
         let all = all.unwrap_or_else(|| Transform::none(axes.len()));
         let mut levels = Vec::new();
         for dataset in datasets {
-            let name = dataset.get("path").and_then(Value::as_str).unwrap_or_default();
+            let name = dataset["path"].as_str().unwrap_or_default();
             let path = PathBuf::from(name);
             if name.is_empty() || !path.components().all(|c| matches!(c, Component::Normal(_))) {
                 return Err(format!("a level is at {}, expected a folder in it", quoted(name)));
@@ -106,9 +102,7 @@ impl Multiscale {
         }
         let omero = attributes.get("omero").or_else(|| image.get("omero"));
         let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
-        let label = |c: &Value| {
-            quoted(c.get("label").and_then(Value::as_str).unwrap_or_default()).trim_matches('"').to_owned()
-        };
+        let label = |c: &Value| quoted(c["label"].as_str().unwrap_or_default()).trim_matches('"').to_owned();
         let channels = channels.map_or(Vec::new(), |l| l.iter().take(1024).map(label).collect());
         Ok(Self { version, axes, levels, all, channels, is_image: true })
     }
@@ -117,11 +111,7 @@ impl Multiscale {
         let array = Array::read(path)?;
         let n = array.shape.len();
         let names = ["t", "c", "z", "y", "x"];
-        let bad = |problem: String| FormatError::Malformed {
-            path: shown(path),
-            format: "Zarr array".into(),
-            problem,
-        };
+        let bad = malformed(path, "Zarr array");
         if !(2..=5).contains(&n) {
             return Err(bad(format!("it has {n} axes, expected two to five")));
         }
@@ -135,23 +125,23 @@ impl Multiscale {
         Ok(Some(Self { version, axes, levels, all, channels: Vec::new(), is_image: false }))
     }
 
-    /// Sizes along x, y and z of an array of this shape.
+    /// Sizes along x, y and z of an array with this shape.
     pub(super) fn space_of(&self, shape: &[u64]) -> [u64; 3] {
         let size = |k: usize| {
-            self.axes.iter().zip(shape).find(|(a, _)| a.kind == Kind::Space(k)).map_or(1, |(_, n)| *n)
+            self.axes.iter().zip(shape).find(|(a, _)| a.kind == AxisKind::Space(k)).map_or(1, |(_, n)| *n)
         };
         [size(0), size(1), size(2)]
     }
 
-    /// Steps and place of a level. One that tells none covers what the finest covers, with fewer voxels.
+    /// The transformation of a level. A level without one has the extent of the finest level.
     fn transform(&self, arrays: &[Array], level: usize) -> Transform {
         let own = self.levels[level].own.clone().unwrap_or_else(|| {
             let finest = &self.levels[0].own;
             let mut own = finest.clone().unwrap_or_else(|| Transform::none(self.axes.len()));
             for (i, axis) in self.axes.iter().enumerate().filter(|_| level > 0) {
                 let (whole, here) = (arrays[0].shape[i], arrays[level].shape[i]);
-                if matches!(axis.kind, Kind::Space(_)) && whole != here && here > 0 {
-                    // Sizes that are no multiple were cut or filled up: the step is the power of two that was meant.
+                if matches!(axis.kind, AxisKind::Space(_)) && whole != here && here > 0 {
+                    // Writers cut or pad sizes that do not divide. The step is then the power of two.
                     let ratio = whole as f64 / here as f64;
                     let step = ratio.log2().round().exp2();
                     let ratio = if whole.div_ceil(here) as f64 == step || (whole / here) as f64 == step {
@@ -159,7 +149,7 @@ impl Multiscale {
                     } else {
                         ratio
                     };
-                    // The first voxel is the mean of as many: its centre is further in.
+                    // The first voxel is the mean of several, so its centre is further inside.
                     own.translation[i] += own.scale[i] * (ratio - 1.0) / 2.0;
                     own.scale[i] *= ratio;
                 }
@@ -176,8 +166,8 @@ impl Multiscale {
             return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));
         }
         let place = self.transform(arrays, level);
-        let unit = self.axes.iter().find(|a| a.kind == Kind::Space(0)).and_then(|a| a.unit);
-        // Lengths in the unit of x.
+        let unit = self.axes.iter().find(|a| a.kind == AxisKind::Space(0)).and_then(|a| a.unit);
+        // Converts a length to the unit of x.
         let length = |i: usize, number: f64| match (self.axes[i].unit, unit) {
             (Some((own, _)), Some((x, _))) => number * own / x,
             _ => number,
@@ -186,14 +176,14 @@ impl Multiscale {
         let mut seen = [false; 3];
         for i in (0..self.axes.len()).rev() {
             let role = match self.axes[i].kind {
-                Kind::Space(k) => {
+                AxisKind::Space(k) => {
                     steps.push(DVec3::AXES[k] * length(i, place.scale[i]));
                     origin[k] = length(i, place.translation[i]);
                     seen[k] = true;
                     Role::Space(steps.len() - 1)
                 }
-                Kind::Channel => Role::Channel,
-                Kind::Time => Role::Time,
+                AxisKind::Channel => Role::Channel,
+                AxisKind::Time => Role::Time,
             };
             axes.push(Axis { size: array.shape[i], role });
         }
@@ -218,7 +208,7 @@ impl Multiscale {
         plan.level = level;
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
-                let i = self.axes.iter().position(|a| a.kind == Kind::Space(k));
+                let i = self.axes.iter().position(|a| a.kind == AxisKind::Space(k));
                 i.map_or(1.0, |i| length(i, place.scale[i]))
             };
             plan.levels = arrays
@@ -244,34 +234,24 @@ impl Multiscale {
 }
 
 impl NamedAxis {
-    /// From a name, or an object with one.
+    /// Parses a name, or an object with a name.
     fn of(value: &Value) -> Result<Self, String> {
-        let name = value.as_str().or_else(|| value.get("name").and_then(Value::as_str)).unwrap_or_default();
-        let kind = value.get("type").and_then(Value::as_str);
+        let name = value.as_str().or_else(|| value["name"].as_str()).unwrap_or_default();
+        let kind = value["type"].as_str();
         let kind = match (name, kind) {
-            ("x", _) => Kind::Space(0),
-            ("y", _) => Kind::Space(1),
-            ("z", _) => Kind::Space(2),
-            ("t", _) | (_, Some("time")) => Kind::Time,
-            ("c", _) | (_, Some("channel")) => Kind::Channel,
+            ("x", _) => AxisKind::Space(0),
+            ("y", _) => AxisKind::Space(1),
+            ("z", _) => AxisKind::Space(2),
+            ("t", _) | (_, Some("time")) => AxisKind::Time,
+            ("c", _) | (_, Some("channel")) => AxisKind::Channel,
             _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
         };
-        // Names of UDUNITS-2, and the short ones that are written all the same.
-        let unit = match value.get("unit").and_then(Value::as_str).unwrap_or_default() {
-            "angstrom" | "\u{c5}" => Some((1e-10, "Å")),
-            "nanometer" | "nm" => Some((1e-9, "nm")),
-            "micrometer" | "micron" | "um" | "\u{b5}m" | "\u{3bc}m" => Some((1e-6, "µm")),
-            "millimeter" | "mm" => Some((1e-3, "mm")),
-            "centimeter" | "cm" => Some((1e-2, "cm")),
-            "meter" | "m" => Some((1.0, "m")),
-            "inch" => Some((0.0254, "in")),
-            _ => None,
-        };
+        let unit = value["unit"].as_str().and_then(length_unit);
         Ok(Self { kind, unit })
     }
 }
 
-/// Scale and translation of a list of transformations.
+/// The scale and translation of a list of transformations.
 #[derive(Clone, Debug, PartialEq)]
 struct Transform {
     scale: Vec<f64>,
@@ -283,7 +263,7 @@ impl Transform {
         Self { scale: vec![1.0; num_axes], translation: vec![0.0; num_axes] }
     }
 
-    /// This one, and another after it.
+    /// This transformation followed by another.
     fn then(self, after: &Self) -> Self {
         let numbers =
             |a: &[f64], f: &dyn Fn(usize, f64) -> f64| a.iter().enumerate().map(|(i, x)| f(i, *x)).collect();
@@ -293,11 +273,11 @@ impl Transform {
         }
     }
 
-    /// All of a list, one after the other; `None` if there is none but the identity.
+    /// Combines the transformations of a list; `None` if all are the identity.
     fn of(value: Option<&Value>, num_axes: usize) -> Result<Option<Self>, String> {
         let mut all = None;
         for step in value.and_then(Value::as_array).into_iter().flatten() {
-            let kind = step.get("type").and_then(Value::as_str).unwrap_or_default();
+            let kind = step["type"].as_str().unwrap_or_default();
             let numbers = || {
                 let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
                 list.filter(|l| l.len() == num_axes)

@@ -1,20 +1,20 @@
-//! Takes the voxels that are wanted out of what a file gives, in the order of the file, and tells how far it is.
+//! Collects the selected voxels from the data of a file, and reports progress.
 
-use std::io;
+use std::io::{self, BufRead};
 use std::ops::Range;
 use std::path::Path;
 
-use crate::decode::{Decoded, VoxelSink};
+use crate::decode::{Decoded, VoxelSink, next_number};
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, quoted, shown};
-use crate::picker::Picker;
+use crate::hyperslab::Hyperslab;
 use crate::plan::{Chosen, Plan};
 use crate::source::OpenOptions;
 use crate::stream::Stream;
 use crate::warning::{Warning, WarningKind};
 
-/// Where voxels go. Nothing is allocated before the first of them has been found, so a reader checks lengths first.
-pub(crate) struct Taker<'a> {
+/// Collects the selected voxels. Memory is allocated with the first voxel, so readers can check lengths before.
+pub(crate) struct Collector<'a> {
     plan_format: String,
     /// Shape of the file for messages, such as `256×256×128 uint8`.
     shape: String,
@@ -23,13 +23,13 @@ pub(crate) struct Taker<'a> {
     path: &'a Path,
     options: &'a OpenOptions<'a>,
     chosen: &'a Chosen,
-    picker: Picker,
+    hyperslab: Hyperslab,
     sink: Option<VoxelSink>,
     has_gaps: bool,
     warnings: Vec<Warning>,
 }
 
-impl<'a> Taker<'a> {
+impl<'a> Collector<'a> {
     pub(crate) fn new(plan: &Plan, chosen: &'a Chosen, path: &'a Path, options: &'a OpenOptions<'a>) -> Self {
         let sizes: Vec<String> = plan.axes.iter().map(|a| a.size.to_string()).collect();
         let axes: Vec<(u64, Range<u64>)> =
@@ -42,7 +42,7 @@ impl<'a> Taker<'a> {
             path,
             options,
             chosen,
-            picker: Picker::new(&axes),
+            hyperslab: Hyperslab::new(&axes),
             sink: None,
             has_gaps: plan.has_gaps,
             warnings: Vec::new(),
@@ -64,59 +64,55 @@ impl<'a> Taker<'a> {
         self.dtype.num_bytes() as u64
     }
 
-    /// What is wanted along each axis of the plan.
+    /// The selected range along each axis of the plan.
     pub(crate) fn ranges(&self) -> &'a [Range<u64>] {
         &self.chosen.ranges
     }
 
-    /// Numbers of the file that have passed.
+    /// Position in the file, in numbers.
     pub(crate) fn position(&self) -> u64 {
-        self.picker.position()
+        self.hyperslab.position()
     }
 
-    /// Numbers that may pass before the next that is wanted.
+    /// Numbers before the next selected one.
     pub(crate) fn gap(&self) -> u64 {
-        self.picker.gap()
+        self.hyperslab.gap()
     }
 
-    /// Whether all that is wanted was taken.
+    /// Whether all selected voxels have been collected.
     pub(crate) fn is_done(&self) -> bool {
-        self.picker.is_done()
+        self.hyperslab.is_done()
     }
 
-    /// Lets `count` numbers pass that are not wanted.
+    /// Skips `count` numbers that are not selected.
     pub(crate) fn pass(&mut self, count: u64) {
-        self.picker.pass(count);
+        self.hyperslab.pass(count);
     }
 
-    /// Takes what is wanted of `bytes`, which hold whole numbers.
+    /// Collects the selected numbers in `bytes`, which contain whole numbers.
     pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
         self.sink()?;
         let size = self.dtype.num_bytes();
         let count = (bytes.len() / size) as u64;
         if let Some(sink) = &mut self.sink {
-            self.picker.take(count, |range| sink.push_bytes(&bytes[range.start * size..range.end * size]));
+            self.hyperslab.take(count, |range| sink.push_bytes(&bytes[range.start * size..range.end * size]));
         }
         self.tick()
     }
 
-    /// Takes all of `bytes`, which the reader has chosen itself.
-    pub(crate) fn push_wanted(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
+    /// Collects all of `bytes`. The reader has made the selection itself.
+    pub(crate) fn push_selected(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
         self.sink()?.push_bytes(bytes);
         self.tick()
     }
 
-    /// Takes one number that was written as text, if it is wanted.
-    pub(crate) fn push_number(
-        &mut self,
-        path: &Path,
-        number: Result<f64, String>,
-    ) -> Result<(), FormatError> {
-        let (index, name) = (self.picker.position(), self.dtype.name());
+    /// Collects a number that was written as text, if it is selected.
+    fn push_number(&mut self, path: &Path, number: Result<f64, String>) -> Result<(), FormatError> {
+        let (index, name) = (self.hyperslab.position(), self.dtype.name());
         let mut is_good = number.is_ok();
         self.sink()?;
         if let (Some(sink), Ok(x)) = (&mut self.sink, &number) {
-            self.picker.take(1, |_| is_good = sink.push_number(*x));
+            self.hyperslab.take(1, |_| is_good = sink.push_number(*x));
         }
         if !is_good {
             let found = number.map_or_else(|text| quoted(&text), |x| x.to_string());
@@ -126,7 +122,28 @@ impl<'a> Taker<'a> {
         if index.is_multiple_of(TEXT_TICK) { self.tick() } else { Ok(()) }
     }
 
-    /// Moves `num_bytes` bytes of `stream`, which is read from `path`, or as many of them as can be wanted.
+    /// Collects the selected ones of `count` numbers that are written as text. At most `num_bytes` bytes are left in
+    /// `reader`, the file at `path`.
+    pub(crate) fn push_text(
+        &mut self,
+        reader: &mut dyn BufRead,
+        path: &Path,
+        count: u64,
+        num_bytes: u64,
+    ) -> Result<(), FormatError> {
+        // A number has at least one digit, and a gap before the next.
+        let most = num_bytes.div_ceil(2);
+        if most < count {
+            return Err(self.short(path, count, most, "numbers"));
+        }
+        (0..count).try_for_each(|i| match next_number(reader).map_err(io_error(path))? {
+            Some(number) => self.push_number(path, number),
+            None => Err(self.short(path, count, i, "numbers")),
+        })
+    }
+
+    /// Collects the selected numbers in `num_bytes` bytes of `stream`, the file at `path`. It stops early when all
+    /// selected numbers have passed.
     pub(crate) fn pump(
         &mut self,
         stream: &mut dyn Stream,
@@ -144,7 +161,7 @@ impl<'a> Taker<'a> {
             };
             let gap = self.gap().saturating_mul(size).min(num_bytes - done);
             if gap >= WORTH_PASSING {
-                // In steps, so that it can be cancelled.
+                // Small steps allow cancelling.
                 let step = gap.min(PASS_BYTES) / size * size;
                 stream.pass(step).map_err(|e| damaged(done, e))?;
                 self.pass(step / size);
@@ -164,7 +181,7 @@ impl<'a> Taker<'a> {
         Ok(())
     }
 
-    /// Tells the progress and hears whether it was cancelled.
+    /// Reports progress and checks for cancelling.
     pub(crate) fn tick(&self) -> Result<(), FormatError> {
         if let Some(progress) = self.options.progress {
             let taken = self.sink.as_ref().map_or(0, VoxelSink::len);
@@ -173,22 +190,22 @@ impl<'a> Taker<'a> {
         self.options.check_cancelled(self.path)
     }
 
-    /// The error of too little data.
+    /// The error for a file that is too short.
     pub(crate) fn short(&self, path: &Path, expected: u64, found: u64, unit: &'static str) -> FormatError {
         FormatError::Short { path: shown(path), shape: self.shape.clone(), expected, found, unit }
     }
 
-    /// Checks that `found` bytes are as many as are needed.
+    /// Returns an error if `found` bytes are fewer than expected.
     pub(crate) fn check_length(&self, path: &Path, expected: u64, found: u64) -> Result<(), FormatError> {
         if found < expected { Err(self.short(path, expected, found, "bytes")) } else { Ok(()) }
     }
 
-    /// The error of a file that is damaged.
+    /// The error for a damaged file.
     pub(crate) fn data_error(&self, path: &Path, problem: impl Into<String>) -> FormatError {
         FormatError::Data { path: shown(path), problem: problem.into() }
     }
 
-    /// Notes something odd, once.
+    /// Adds a warning, unless it exists.
     pub(crate) fn warn(&mut self, kind: WarningKind, text: String) {
         let warning = Warning::new(kind, text);
         if !self.warnings.contains(&warning) && self.warnings.len() < MAX_WARNINGS {
@@ -196,7 +213,7 @@ impl<'a> Taker<'a> {
         }
     }
 
-    /// The sink, made when it is first needed.
+    /// The sink, which is created with the first voxel.
     fn sink(&mut self) -> Result<&mut VoxelSink, FormatError> {
         if self.sink.is_none() {
             let sink = VoxelSink::new(self.dtype, self.endian, self.chosen.num_voxels as usize);
@@ -205,7 +222,7 @@ impl<'a> Taker<'a> {
         Ok(self.sink.as_mut().expect("it was made above"))
     }
 
-    /// The voxels.
+    /// Returns the voxels.
     pub(crate) fn finish(mut self) -> Result<Decoded, FormatError> {
         let taken = self.sink()?.len() as u64;
         if taken != self.chosen.num_voxels {
@@ -224,13 +241,13 @@ impl<'a> Taker<'a> {
     }
 }
 
-/// Bytes read at a time: a multiple of every voxel size, small beside a volume, large beside a system call.
+/// Bytes to read at a time: a multiple of every voxel size, small beside a volume and large beside a system call.
 const CHUNK_BYTES: u64 = 256 * 1024;
-/// Fewer unwanted bytes are read with the others.
+/// Shorter gaps are read instead of skipped.
 const WORTH_PASSING: u64 = 64 * 1024;
-/// Most unwanted bytes passed without a look at whether it was cancelled.
+/// Most bytes to skip before the next check for cancelling.
 const PASS_BYTES: u64 = 16 << 20;
-/// Numbers in text between two looks at progress.
+/// Numbers in text between two reports of progress.
 const TEXT_TICK: u64 = 1 << 16;
-/// Remarks kept about the data of one file.
+/// Most warnings about the data of one file.
 const MAX_WARNINGS: usize = 16;

@@ -1,16 +1,16 @@
-//! Which of the numbers of a file are wanted: a range along each of its axes. The numbers come in the order of the file.
+//! Selects a range along each axis of a file from the stream of its numbers.
 
 use std::ops::Range;
 
-/// Takes the wanted numbers out of a stream of all.
-pub(crate) struct Picker {
-    /// Axes above the run: distance between neighbours, range, and where the run is.
+/// The numbers within a range along each axis, as runs in a stream of all numbers.
+pub(crate) struct Hyperslab {
+    /// The axes that are slower than a run.
     outer: Vec<Outer>,
-    /// What is left of the run of neighbouring numbers that comes next; `None` after the last.
+    /// The rest of the current run of selected numbers; `None` after the last run.
     run: Option<Range<u64>>,
     run_start: u64,
     run_length: u64,
-    /// Numbers that have passed.
+    /// Position in the stream, in numbers.
     position: u64,
 }
 
@@ -20,8 +20,9 @@ struct Outer {
     at: u64,
 }
 
-impl Picker {
-    /// Of axes of these lengths, fastest first, the numbers in these ranges, none of which may be empty.
+impl Hyperslab {
+    /// The selection of these ranges. Each axis has its length and its range, the fastest first. No range may be
+    /// empty.
     pub(crate) fn new(axes: &[(u64, Range<u64>)]) -> Self {
         let (mut stride, mut start, mut run_length) = (1, 0, None);
         let mut outer = Vec::new();
@@ -38,12 +39,12 @@ impl Picker {
         Self { outer, run: Some(start..start + run_length), run_start: start, run_length, position: 0 }
     }
 
-    /// Numbers that pass before the next wanted one; none if all were taken.
+    /// Numbers before the next selected one; 0 after the last.
     pub(crate) fn gap(&self) -> u64 {
         self.run.as_ref().map_or(0, |run| run.start - self.position)
     }
 
-    /// Whether all were taken.
+    /// Whether all selected numbers have passed.
     pub(crate) fn is_done(&self) -> bool {
         self.run.is_none()
     }
@@ -53,13 +54,14 @@ impl Picker {
         self.position
     }
 
-    /// Lets `count` numbers pass, which must not be more than [`Picker::gap`].
+    /// Skips `count` numbers, at most [`Hyperslab::gap`].
     pub(crate) fn pass(&mut self, count: u64) {
         debug_assert!(self.is_done() || count <= self.gap());
         self.position += count;
     }
 
-    /// Lets the next `count` numbers pass and tells `take` which of them are wanted, counted from the first.
+    /// Passes the next `count` numbers. Calls `take` with each range of selected ones, counted from the first of
+    /// them.
     pub(crate) fn take(&mut self, count: u64, mut take: impl FnMut(Range<usize>)) {
         let end = self.position + count;
         while let Some(run) = &mut self.run {
@@ -95,7 +97,7 @@ impl Picker {
 mod tests {
     use super::*;
 
-    /// The law: what is taken is what nested loops over the ranges would take, however the stream is cut.
+    /// The selection equals that of nested loops over the ranges, for any division of the stream.
     #[test]
     fn every_cut_of_the_stream_gives_the_same_numbers() {
         let sizes = [3u64, 4, 2, 5];
@@ -124,16 +126,16 @@ mod tests {
                 })
             };
             let expected: Vec<u64> = (0..all).filter(|&i| is_wanted(i)).collect();
-            let mut picker = Picker::new(&axes);
+            let mut hyperslab = Hyperslab::new(&axes);
             let mut found = Vec::new();
-            while !picker.is_done() {
-                let gap = picker.gap();
+            while !hyperslab.is_done() {
+                let gap = hyperslab.gap();
                 if next(2) == 0 {
-                    picker.pass(next(gap + 1));
+                    hyperslab.pass(next(gap + 1));
                 }
-                let start = picker.position();
+                let start = hyperslab.position();
                 let count = (1 + next(9)).min(all - start);
-                picker.take(count, |range| found.extend(range.map(|i| start + i as u64)));
+                hyperslab.take(count, |range| found.extend(range.map(|i| start + i as u64)));
             }
             assert_eq!(found, expected, "{axes:?}");
         }

@@ -1,7 +1,7 @@
-//! Names of the files that one header stands for.
+//! Lists of data files that one header names.
 
-/// `pattern` with its one `%d`, `%3d`, `%03d` or `%u` replaced by each number from `first` to `last`; `None` if it makes no
-/// list, or one of too many files.
+/// Replaces the one `%d`, `%3d`, `%03d` or `%u` in `pattern` by each number from `first` to `last`. Returns `None`
+/// for an invalid pattern, or if the list is too long.
 pub(crate) fn numbered_names(pattern: &str, first: i64, last: i64, step: i64) -> Option<Vec<String>> {
     if step == 0 {
         return None;
@@ -18,7 +18,7 @@ pub(crate) fn numbered_names(pattern: &str, first: i64, last: i64, step: i64) ->
     Some(names)
 }
 
-/// `pattern` with its one `%d`, `%3d`, `%03d` or `%u` replaced by `number`.
+/// Replaces the one `%d`, `%3d`, `%03d` or `%u` in `pattern` by `number`.
 fn numbered(pattern: &str, number: i64) -> Option<String> {
     let (before, rest) = pattern.split_once('%')?;
     let end = rest.find(|c: char| !c.is_ascii_digit())?;
@@ -31,5 +31,5 @@ fn numbered(pattern: &str, number: i64) -> Option<String> {
     Some(format!("{before}{digits}{after}"))
 }
 
-/// Files that one header may name.
+/// Most files of one header.
 pub(crate) const MAX_DATA_FILES: usize = 65_536;

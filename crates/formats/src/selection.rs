@@ -1,10 +1,10 @@
-//! Which part of a file with more than three axes, or more voxels than wanted, becomes the volume.
+//! The part of a file that becomes the volume.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// What to take of a file; what is not named is the first channel and time, the finest level that fits into memory, the
-/// largest series, and the whole of it.
+/// The part of a file to read. The default is the first channel and time, the finest level that fits into memory and
+/// the largest series, as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Selection {
     /// Channel, component or array, from 0.
@@ -19,16 +19,16 @@ pub struct Selection {
     pub region: Option<Region>,
 }
 
-/// A box of voxels, counted along the axes of the volume as it is shown.
+/// A box of voxels along the axes of the displayed volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Region {
     /// First voxel along x, y, z.
     pub min: [u32; 3],
-    /// Voxel after the last; `None`: to the end.
+    /// Voxel after the last; `None` is the end.
     pub max: [Option<u32>; 3],
 }
 
-/// As it is read.
+/// Prints the form that [`Region::from_str`] reads.
 impl fmt::Display for Region {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for axis in 0..3 {
@@ -43,7 +43,7 @@ impl fmt::Display for Region {
 impl FromStr for Region {
     type Err = String;
 
-    /// `FROM:TO,FROM:TO,FROM:TO`, the end not included; a missing number is the first or the last voxel.
+    /// Reads `FROM:TO,FROM:TO,FROM:TO`. The end is not included. A missing number is the first or the last voxel.
     fn from_str(text: &str) -> Result<Self, String> {
         let bad = || "expected FROM:TO along x, y and z, such as 0:100,50:,:".to_owned();
         let number = |word: &str| match word.trim() {

@@ -1,0 +1,28 @@
+//! Units that files name.
+
+/// A unit of length: its size in metres and its short name. Case does not matter.
+pub(crate) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
+    Some(match name.to_lowercase().as_str() {
+        "pm" | "picometer" => (1e-12, "pm"),
+        "å" | "\\u00c5" | "angstrom" | "angstroms" => (1e-10, "Å"),
+        "nm" | "nanometer" | "nanometers" | "nanometre" => (1e-9, "nm"),
+        // Two characters look like µ. The others stand for one that an encoding has lost, or for Java's escape.
+        "um" | "\u{b5}m" | "\u{3bc}m" | "\u{fffd}m" | "\\u00b5m" | "micron" | "microns" | "micrometer"
+        | "micrometers" | "micrometre" => (1e-6, "µm"),
+        "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
+        "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
+        "m" | "meter" | "meters" | "metre" => (1.0, "m"),
+        "in" | "inch" | "inches" => (0.0254, "in"),
+        _ => return None,
+    })
+}
+
+/// A unit of values as a file writes it, cut to what fits beside a number; `None` if it says that there is none.
+pub(crate) fn value_unit(name: &str) -> Option<String> {
+    let name = name.trim();
+    let is_none =
+        ["", "none", "unknown", "relative", "gray value"].contains(&name.to_ascii_lowercase().as_str());
+    (!is_none).then(|| name.chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect())
+}
+
+const MAX_UNIT_CHARS: usize = 24;
