@@ -192,7 +192,7 @@ fn a_new_look_reaches_the_picture_and_only_its_own_viewer() {
     };
     assert_eq!(after.frame.header.camera, before.frame.header.camera);
     assert!(error(&after.frame.flatten(), &before.frame.flatten()).max_abs_255 > 8);
-    let (_, look) = changing.look().unwrap();
+    let (_, look) = changing.talk().look.in_force().unwrap();
     assert_eq!(look.transfer.name, "shells");
     assert_eq!(staying.latest_frame().unwrap().frame.header.look, same.frame.header.look);
     runtime.block_on(server.close());

@@ -12,11 +12,12 @@ use isinglass_core::ids::{LookVersion, ShotId};
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
+use isinglass_core::session::screenshot::ReceivedShot;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{load_transfer, png};
 use isinglass_gpu::Backend;
-use isinglass_net::{Client, ClientOptions, ReceivedShot};
+use isinglass_net::{Client, ClientOptions};
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 use tokio::runtime::Runtime;
 
@@ -91,12 +92,16 @@ fn a_draft_of_the_shade_is_called_one_and_the_rest_has_all_of_it() {
     let client = connect(&runtime, &server);
     client.set_pose(pose(0.4), SIZE);
     wait_for("the first frame", || client.latest_frame());
-    assert!(!client.is_draft());
+    assert!(!client.talk().look.is_draft());
     let shaded = Look { lighting: SHADED, ..look() };
     client.set_look(shaded.clone()).unwrap();
-    let first = wait_for("the new look", || client.look().filter(|(_, l)| **l == shaded)).0;
+    let first = wait_for("the new look", || client.talk().look.in_force().filter(|(_, l)| **l == shaded)).0;
     // Once the final is there, frames have its number.
-    let last = wait_for("all of the shade", || client.look().filter(|_| !client.is_draft())).0;
+    let last = wait_for("all of the shade", || {
+        let talk = client.talk();
+        talk.look.in_force().filter(|_| !talk.look.is_draft())
+    })
+    .0;
     assert!(last > first, "{last} after {first}: the draft has a number of its own");
     let with_version = |version: LookVersion| {
         client.latest_frame().filter(|f| f.is_complete && f.frame.header.look == version)
@@ -117,10 +122,11 @@ fn a_draft_of_the_shade_is_called_one_and_the_rest_has_all_of_it() {
     // A look whose shade is there already is never a draft, nor is one without any.
     for known in [look(), shaded.clone()] {
         client.set_look(known.clone()).unwrap();
-        let version = wait_for("a look from before", || client.look().filter(|(_, l)| **l == known)).0;
-        assert!(!client.is_draft());
+        let version =
+            wait_for("a look from before", || client.talk().look.in_force().filter(|(_, l)| **l == known)).0;
+        assert!(!client.talk().look.is_draft());
         wait_for("its frame", || with_version(version));
-        assert!(!client.is_draft());
+        assert!(!client.talk().look.is_draft());
     }
     runtime.block_on(server.close());
 }
@@ -135,8 +141,8 @@ fn a_probe_tells_the_voxel_and_the_newest_question_wins() {
         volume.bounds().min + (Vec3::new(x as f32, y as f32, z as f32) + 0.5) * volume.spacing()
     };
     let answer = |client: &Client, point: Vec3| {
-        let id = client.probe(point.to_array());
-        wait_for("the answer", || client.probed().filter(|p| p.id == id))
+        let id = client.talk().probe.ask(point.to_array());
+        wait_for("the answer", || client.talk().probe.answer().filter(|p| p.id == id))
     };
     let mut values = std::collections::BTreeSet::new();
     for index in [[12, 12, 12], [0, 23, 5], [7, 11, 16]] {
@@ -147,7 +153,7 @@ fn a_probe_tells_the_voxel_and_the_newest_question_wins() {
     }
     assert!(values.len() > 1, "negative control: not one value everywhere");
     assert_eq!(answer(&one, Vec3::splat(1e6)).voxel, None);
-    assert_eq!(other.probed(), None, "the other viewer is told nothing");
+    assert_eq!(other.talk().probe.answer(), None, "the other viewer is told nothing");
     // A flood is no violation: only the newest is sent and answered.
     for i in 0..5000 {
         one.probe([i as f32, 0.0, 0.0]);
@@ -164,7 +170,7 @@ fn a_picture_to_keep_is_that_of_render_to_the_bit() {
     let server = serve(&runtime, &volume);
     let (one, other) = (connect(&runtime, &server), connect(&runtime, &server));
     let shot = |client: &Client, id: ShotId| {
-        let shot = wait_for("the picture", || client.take_shot());
+        let shot = wait_for("the picture", || client.talk().screenshot.take_outcome());
         let ReceivedShot { id: found, png } = Arc::unwrap_or_clone(shot);
         assert_eq!(found, id);
         png.unwrap()
@@ -200,22 +206,22 @@ fn the_newest_picture_wins_and_one_that_is_cancelled_does_not_come() {
     // A turntable that is given up: the pictures are large, so that none is there at once.
     let large = Intrinsics::perspective(3000, 2000, 0.6);
     for i in 0..5 {
-        client.shoot(pose(0.3 * i as f32), large, [0; 3]);
+        client.talk().screenshot.request(pose(0.3 * i as f32), large, [0; 3]);
     }
-    client.cancel_shot();
-    let small = client.shoot(pose(0.5), SIZE, [9; 3]);
-    let found = wait_for("the small picture", || client.take_shot());
+    client.talk().screenshot.cancel();
+    let small = client.talk().screenshot.request(pose(0.5), SIZE, [9; 3]);
+    let found = wait_for("the small picture", || client.talk().screenshot.take_outcome());
     assert_eq!(found.id, small);
     assert!(found.png.is_ok());
-    client.shoot(pose(0.2), large, [0; 3]);
-    client.cancel_shot();
+    client.talk().screenshot.request(pose(0.2), large, [0; 3]);
+    client.talk().screenshot.cancel();
     // Frames are made meanwhile and after.
     let id = client.set_pose(pose(0.7), SIZE);
     wait_for("a frame after it", || client.latest_frame().filter(|f| f.frame.header.pose == id));
-    assert!(client.take_shot().is_none());
+    assert!(client.talk().screenshot.take_outcome().is_none());
     // One larger than any that is made is not asked for.
-    let huge = client.shoot(pose(0.2), Intrinsics::perspective(8192, 8192, 0.6), [0; 3]);
-    let found = wait_for("the refusal", || client.take_shot());
+    let huge = client.talk().screenshot.request(pose(0.2), Intrinsics::perspective(8192, 8192, 0.6), [0; 3]);
+    let found = wait_for("the refusal", || client.talk().screenshot.take_outcome());
     assert!(found.id == huge && found.png.is_err());
     runtime.block_on(server.close());
 }

@@ -122,14 +122,14 @@ fn until<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
 }
 
 fn time_of(client: &Client) -> Option<u32> {
-    client.parts()?.shown.time
+    client.talk().selection.choices()?.shown.time
 }
 
 /// The complete picture of the volume that the client describes, which must be that of `time`.
 fn picture_of(client: &Client, time: u32) -> Picture {
     until("the picture of the volume", || {
         let frame = client.latest_frame()?;
-        let is_wanted = frame.is_complete && client.is_of_volume(&frame) && time_of(client) == Some(time);
+        let is_wanted = frame.is_complete && frame.is_of(&client.talk()) && time_of(client) == Some(time);
         is_wanted.then(|| frame.frame.flatten())
     })
 }
@@ -159,16 +159,20 @@ fn another_time_changes_picture_and_description_of_all_viewers() {
         // The control: time 0 again is what it was.
         assert_eq!(difference > 8, time != 0, "{time}: {difference}");
         for client in both {
-            let description = client.description().unwrap();
+            let description = client.talk().link.description().unwrap();
             let expected = volume(time);
             assert_eq!(description.volume.dims, expected.dims(), "{time}");
             assert_eq!(description.volume.value_range, expected.value_range(), "{time}");
             assert_eq!(description.volume.bounds(), expected.bounds(), "{time}");
             // Nobody had chosen a look, so each volume has its own.
-            let (_, look) = client.look().unwrap();
+            let (_, look) = client.talk().look.in_force().unwrap();
             assert_eq!(look.transfer.name, ["shells", "cubus", "cloud"][time as usize]);
             let load = until("the end of the load", || {
-                client.load().filter(|l| l.state == LoadState::Done && l.part == at(time).unwrap())
+                client
+                    .talk()
+                    .selection
+                    .load()
+                    .filter(|l| l.state == LoadState::Done && l.part == at(time).unwrap())
             });
             assert_eq!(load.is_own, std::ptr::eq(client, &asking));
         }
@@ -190,14 +194,14 @@ fn a_look_that_was_chosen_stays_over_a_change() {
     picture_of(&choosing, 0);
     choosing.set_look(Look::new(load_transfer("ct").unwrap())).unwrap();
     until("the look", || choosing.look().filter(|(_, look)| look.transfer.name == "ct"));
-    other.open_part(at(1));
+    other.talk().selection.open(at(1));
     picture_of(&choosing, 1);
     picture_of(&other, 1);
     assert_eq!(choosing.look().unwrap().1.transfer.name, "ct");
-    assert_eq!(other.look().unwrap().1.transfer.name, "cubus");
+    assert_eq!(other.talk().look.in_force().unwrap().1.transfer.name, "cubus");
     // And one can be taken back that the volume before came with.
     other.set_look(Look::new(load_transfer("shells").unwrap())).unwrap();
-    until("the look", || other.look().filter(|(_, look)| look.transfer.name == "shells"));
+    until("the look", || other.talk().look.in_force().filter(|(_, look)| look.transfer.name == "shells"));
     stage.end();
 }
 
@@ -207,16 +211,16 @@ fn a_look_that_nobody_chose_stays_over_times_and_gives_way_to_that_of_another_ch
     let viewer = stage.viewer();
     picture_of(&viewer, 0);
     let name_and_domain = || {
-        let transfer = &viewer.look().unwrap().1.transfer;
+        let transfer = &viewer.talk().look.in_force().unwrap().1.transfer;
         (transfer.name.clone(), transfer.domain)
     };
-    viewer.open_part(Some(Part { channel: Some(0), ..at(1).unwrap() }));
+    viewer.talk().selection.open(Some(Part { channel: Some(0), ..at(1).unwrap() }));
     picture_of(&viewer, 1);
     let first = volume(0);
     let kept = load_transfer("shells").unwrap().at_values(&first, &Histogram::of(&first)).domain;
     assert!(matches!(kept, Domain::Values(..)), "{kept:?}");
     assert_eq!(name_and_domain(), ("shells".into(), kept));
-    viewer.open_part(at(2));
+    viewer.talk().selection.open(at(2));
     picture_of(&viewer, 2);
     assert_eq!(name_and_domain(), ("cloud".into(), load_transfer("cloud").unwrap().domain));
     stage.end();
@@ -232,18 +236,23 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     let ended = |state: LoadState| {
         for client in both {
             let load = until("the end of a load", || {
-                client.load().filter(|l| !matches!(l.state, LoadState::Reading { .. }))
+                client.talk().selection.load().filter(|l| !matches!(l.state, LoadState::Reading { .. }))
             });
             assert_eq!(load.state, state);
-            assert_eq!((time_of(client), client.description().unwrap().volume.dims), (Some(0), dims));
-            assert_eq!(client.look().unwrap().0, version, "no frame is to be made anew");
+            assert_eq!(
+                (time_of(client), client.talk().link.description().unwrap().volume.dims),
+                (Some(0), dims)
+            );
+            assert_eq!(client.talk().look.in_force().unwrap().0, version, "no frame is to be made anew");
         }
     };
     asking.open_part(at(9));
     ended(LoadState::Failed("film: there is no such time".into()));
 
     let half = |client: &Client| {
-        until("half of a load", || client.load().filter(|l| l.state == LoadState::Reading { permille: 500 }))
+        until("half of a load", || {
+            client.talk().selection.load().filter(|l| l.state == LoadState::Reading { permille: 500 })
+        })
     };
     asking.open_part(at(1));
     let loads = both.map(half);

@@ -27,10 +27,11 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
+use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{ClientStats, Token, VolumeDescription, Welcome};
-use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
+use isinglass_core::wire::{Token, VolumeDescription, Welcome};
+use isinglass_net::{Clock, LinkStats, ReceivedFrame, State, Talking};
 
 fn main() {
     if !display_available() {
@@ -261,6 +262,7 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
 
 /// Renders on the CPU at once; until it is told to answer wishes, from a pose eight degrees beside the wish.
 struct StillSource {
+    session: Mutex<ClientSession>,
     scene: Scene,
     answers_wishes: Arc<AtomicBool>,
     beside: Option<Arc<ReceivedFrame>>,
@@ -271,7 +273,7 @@ impl StillSource {
     fn new(answers_wishes: Arc<AtomicBool>) -> Self {
         let transfer = isinglass_formats::preset("cloud").unwrap();
         let scene = Scene::new(Arc::new(Builtin::Cloud.volume(48)), &transfer, MarchSettings::default());
-        Self { scene, answers_wishes, beside: None, own: None }
+        Self { session: Mutex::default(), scene, answers_wishes, beside: None, own: None }
     }
 
     fn frame(&self, pose: Pose, intrinsics: Intrinsics, id: u32) -> Arc<ReceivedFrame> {
@@ -290,16 +292,16 @@ impl StillSource {
 }
 
 impl FrameSource for StillSource {
-    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
-        let q = glam::Quat::from_rotation_y(8f32.to_radians());
-        let beside = Pose { eye: q * pose.eye, world_from_view: q * pose.world_from_view };
-        self.beside = Some(self.frame(beside, intrinsics, 1));
-        self.own = Some(self.frame(pose, intrinsics, 2));
+    // Without a look there is no look panel over the picture.
+    fn talk(&self) -> Talking<'_, ClientSession> {
+        Talking::alone(&self.session)
     }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
         if self.answers_wishes.load(Ordering::Relaxed) { self.own.clone() } else { self.beside.clone() }
     }
+
+    fn note_shown(&mut self, _frame: FrameId) {}
 
     fn state(&self) -> State {
         State::Connected
@@ -307,6 +309,13 @@ impl FrameSource for StillSource {
 
     fn stats(&self) -> LinkStats {
         LinkStats::default()
+    }
+
+    fn set_pose(&mut self, _now: Duration, pose: Pose, intrinsics: Intrinsics) {
+        let q = glam::Quat::from_rotation_y(8f32.to_radians());
+        let beside = Pose { eye: q * pose.eye, world_from_view: q * pose.world_from_view };
+        self.beside = Some(self.frame(beside, intrinsics, 1));
+        self.own = Some(self.frame(pose, intrinsics, 2));
     }
 
     fn description(&self) -> Option<Arc<Welcome>> {
@@ -320,18 +329,7 @@ impl FrameSource for StillSource {
         }))
     }
 
-    // Without a look there is no look panel over the picture.
-    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        None
+    fn is_of_volume(&self, _frame: &ReceivedFrame) -> bool {
+        true
     }
-
-    fn set_look(&mut self, _look: Look) {}
-
-    fn take_notice(&mut self) -> Option<String> {
-        None
-    }
-
-    fn note_shown(&mut self, _frame: FrameId) {}
-
-    fn report(&mut self, _stats: ClientStats) {}
 }

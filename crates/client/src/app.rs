@@ -421,7 +421,8 @@ impl<S: FrameSource> ViewerApp<S> {
             bounds: r.bounds,
         });
         let state = self.viewing.source().state();
-        if let Some(notice) = self.viewing.source_mut().take_notice() {
+        let notice = self.viewing.source().talk().link.take_notice();
+        if let Some(notice) = notice {
             self.notice = Some((notice, now));
         }
         let is_active = !input.is_idle() || refresh.as_ref().is_some_and(|r| r.changed);
@@ -445,7 +446,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint(ui, rect, r, frame.clone());
                 panels::picture(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 self.paint_aids(ui, now, rect, r);
-                self.show_probe(&ctx, now, rect, r);
+                self.show_probe(&ctx, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
                     let (is_of_volume, taken) =
                         (self.viewing.source().is_of_volume(&frame), self.taken_at_top(&ctx));
@@ -478,9 +479,6 @@ impl<S: FrameSource> ViewerApp<S> {
             ctx.request_repaint();
         } else if let Some(wait) = self.rest(refresh.as_ref(), &state) {
             ctx.request_repaint_after(wait);
-        }
-        if let Some(due) = self.viewing.look_due() {
-            ctx.request_repaint_after(due.saturating_sub(now));
         }
         if self.marks_center(now) {
             ctx.request_repaint_after(CENTER_TIME);
@@ -585,14 +583,15 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         self.reported_at = now;
         let as_micros = |d: Duration| d.as_micros() as u64;
-        self.viewing.source_mut().report(ClientStats {
+        let stats = ClientStats {
             frames_per_second: model.refreshes_per_second.unwrap_or(0.0) as f32,
             age_micros: model.frame_age.map_or(0, as_micros),
             novel_view_micros: match model.view_time {
                 ViewTime::Gpu(d) => as_micros(d),
                 ViewTime::FrameInterval(_) | ViewTime::Unknown => 0,
             },
-        });
+        };
+        self.viewing.source().talk().link.report(stats);
     }
 
     fn set_title(&mut self, ctx: &egui::Context) {

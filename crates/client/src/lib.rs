@@ -30,7 +30,6 @@ mod number;
 mod open_dialog;
 mod orientation;
 mod overlay;
-mod pace;
 mod panels;
 mod parts_bar;
 mod pick;

@@ -1,30 +1,21 @@
 //! What is under the pointer: the point, from the depths of the frame that is shown, and its value, from the server.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use egui::{Align2, Context, Pos2, RichText, vec2};
 use glam::Vec3;
 use isinglass_core::wire::{Probed, VolumeDescription, Welcome};
 
-use crate::pace::Pace;
 use crate::panels::pane;
 
 /// The probe, on or off.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct ValueProbe {
     is_on: bool,
-    pace: Pace<Vec3>,
     /// The point that was asked for last.
     asked: Option<Vec3>,
     /// The volume that it was asked of.
     volume: Option<Arc<Welcome>>,
-}
-
-impl Default for ValueProbe {
-    fn default() -> Self {
-        Self { is_on: false, pace: Pace::new(PERIOD), asked: None, volume: None }
-    }
 }
 
 impl ValueProbe {
@@ -49,25 +40,10 @@ impl ValueProbe {
         }
     }
 
-    /// The pointer is at a point of the volume, or at none; the point to ask for now.
-    pub(crate) fn point_at(&mut self, now: Duration, point: Option<Vec3>) -> Option<Vec3> {
-        let due = match point {
-            // A point that rests is asked for once.
-            Some(point) if self.asked != Some(point) => {
-                self.asked = Some(point);
-                self.pace.offer(now, point)
-            }
-            _ => self.pace.poll(now),
-        };
-        if point.is_none() {
-            self.asked = None;
-        }
-        due
-    }
-
-    /// When a question that waits may go: there must be a refresh then.
-    pub(crate) fn due(&self) -> Option<Duration> {
-        self.pace.due()
+    /// The pointer is at a point of the volume, or at none; the point to ask for now. A point that rests is asked for once.
+    pub(crate) fn point_at(&mut self, point: Option<Vec3>) -> Option<Vec3> {
+        let before = std::mem::replace(&mut self.asked, point);
+        point.filter(|_| before != point)
     }
 }
 
@@ -143,9 +119,6 @@ pub(crate) fn show(ctx: &Context, at: Pos2, lines: &[String; 3]) {
     });
 }
 
-/// Points are asked for at most 30 times a second.
-const PERIOD: Duration = Duration::from_micros(33_334);
-
 #[cfg(test)]
 mod tests {
     use isinglass_core::ids::ProbeId;
@@ -209,31 +182,22 @@ mod tests {
         };
         let (head, heart) = (volume("head"), volume("heart"));
         let mut probe = ValueProbe::default();
-        let mut asks = |volume, seconds| {
+        let mut asks = |volume| {
             probe.ask_of(Some(volume));
-            probe.point_at(Duration::from_secs(seconds), Some(Vec3::ONE)).is_some()
+            probe.point_at(Some(Vec3::ONE)).is_some()
         };
-        assert_eq!(
-            [asks(&head, 1), asks(&head, 2), asks(&heart, 3), asks(&heart, 4)],
-            [true, false, true, false]
-        );
+        assert_eq!([asks(&head), asks(&head), asks(&heart), asks(&heart)], [true, false, true, false]);
     }
 
     #[test]
-    fn a_point_that_rests_is_asked_for_once_and_moving_ones_thirty_times_a_second() {
+    fn a_point_that_rests_is_asked_for_once() {
         let mut probe = ValueProbe::default();
         assert!(!probe.is_on());
         probe.toggle();
         assert!(probe.is_on());
-        let at = |i: u64| Duration::from_micros(i * 8_333);
-        let resting = (0..120).filter(|&i| probe.point_at(at(i), Some(Vec3::ONE)).is_some()).count();
-        assert_eq!(resting, 1);
-        let moving =
-            (120..240).filter(|&i| probe.point_at(at(i), Some(Vec3::splat(i as f32))).is_some()).count();
-        assert!((20..=31).contains(&moving), "{moving}");
-        assert!(probe.due().is_some());
-        let last = (240..260).filter_map(|i| probe.point_at(at(i), Some(Vec3::splat(239.0)))).last();
-        assert_eq!(last, Some(Vec3::splat(239.0)), "the newest arrives");
-        assert_eq!(probe.point_at(at(300), None), None);
+        let mut asked = |x: f32| probe.point_at(Some(Vec3::splat(x)));
+        assert_eq!([asked(1.0), asked(1.0), asked(2.0)], [Some(Vec3::ONE), None, Some(Vec3::splat(2.0))]);
+        assert_eq!(probe.point_at(None), None);
+        assert_eq!(probe.point_at(Some(Vec3::ONE)), Some(Vec3::ONE));
     }
 }

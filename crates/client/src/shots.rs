@@ -116,23 +116,18 @@ impl Shots {
         self.series = Some(Series { subject, total, done: 0, path, step: Step::Due });
     }
 
-    /// Goes on with what is being made, if `is_ready` for another request; what there is to tell the person. Never waits.
-    pub(crate) fn poll(
-        &mut self,
-        source: &mut impl FrameSource,
-        is_ready: bool,
-        ctx: &Context,
-    ) -> Option<String> {
+    /// Goes on with what is being made; what there is to tell the person. Never waits.
+    pub(crate) fn poll(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
         let series = self.series.as_mut()?;
         match &mut series.step {
-            Step::Due if !is_ready => None,
             Step::Due => {
                 let Subject { intrinsics, background, .. } = series.subject;
-                series.step = Step::Asked(source.shoot(series.pose(), intrinsics, background));
+                let id = source.talk().screenshot.request(series.pose(), intrinsics, background);
+                series.step = Step::Asked(id);
                 None
             }
             Step::Asked(id) => {
-                let shot = source.take_shot().filter(|shot| shot.id == *id)?;
+                let shot = source.talk().screenshot.take_outcome().filter(|shot| shot.id == *id)?;
                 match &shot.png {
                     Ok(_) => {
                         series.step = Step::Writing(Writing::start(series.file(), Arc::clone(&shot), ctx));
@@ -182,7 +177,8 @@ impl Shots {
 
     /// The server will answer no more: what has come is still written. What there is to tell the person.
     pub(crate) fn end(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
-        let told = self.poll(source, false, ctx);
+        let is_due = matches!(self.series.as_ref().map(|series| &series.step), Some(Step::Due));
+        let told = if is_due { None } else { self.poll(source, ctx) };
         match self.series.as_ref().map(|series| &series.step) {
             Some(Step::Due | Step::Asked(_)) => self.cancel(source),
             Some(Step::Writing(_)) | None => told,
@@ -192,7 +188,7 @@ impl Shots {
     /// Gives up what is being made; what there is to tell the person.
     fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
         let series = self.series.take()?;
-        source.cancel_shot();
+        source.talk().screenshot.cancel();
         Some(series.stopped())
     }
 

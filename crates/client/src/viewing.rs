@@ -7,20 +7,18 @@ use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose, Projection};
 use isinglass_core::clip::Clip;
-use isinglass_core::ids::{LookVersion, PoseId};
+use isinglass_core::ids::PoseId;
 use isinglass_core::layer::{MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::space::Aabb;
-use isinglass_core::wire::Welcome;
 use isinglass_net::{ReceivedFrame, State};
 
 use crate::camera_controls::angle_between_degrees;
 use crate::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
 use crate::frame_source::FrameSource;
 use crate::kept::KeptFrames;
-use crate::pace::Pace;
 
 /// How the picture on screen stands to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,28 +136,11 @@ pub struct Viewing<S> {
     refreshed_at: Duration,
     /// What a list costs the server to generate and encode, as it last said.
     micros_per_list: Option<f32>,
-    /// The look that was asked for, until the server has it.
-    wanted_look: Option<WantedLook>,
-    /// The one that was asked for last and that the server has had since.
-    own_look: Option<Arc<Look>>,
-    /// What the server said of its volume, and over which connection.
-    described: Option<(u32, Arc<Welcome>)>,
-    look_pace: Pace<Look>,
-    /// The server's looks, the newest last.
-    looks: VecDeque<(LookVersion, Arc<Look>)>,
     /// The last change of the one wished for.
     look_changed_at: Option<Duration>,
     older_look_since: Option<Duration>,
     /// The box of the volume that the newest frame is of.
     frame_bounds: Option<Aabb>,
-}
-
-/// A look that was asked for.
-struct WantedLook {
-    look: Arc<Look>,
-    /// The version that the server had then.
-    since: Option<LookVersion>,
-    at: Duration,
 }
 
 impl<S: FrameSource> Viewing<S> {
@@ -179,11 +160,6 @@ impl<S: FrameSource> Viewing<S> {
             moved_at: Duration::ZERO,
             refreshed_at: Duration::ZERO,
             micros_per_list: None,
-            wanted_look: None,
-            own_look: None,
-            described: None,
-            look_pace: Pace::new(LOOK_PERIOD),
-            looks: VecDeque::new(),
             look_changed_at: None,
             older_look_since: None,
             frame_bounds: None,
@@ -211,9 +187,6 @@ impl<S: FrameSource> Viewing<S> {
         let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
         let full = self.frame_size.frame_for(picture, max_side);
         self.began_at.get_or_insert(now);
-        self.keep_look(now);
-        self.send_look(now);
-        self.note_look();
         let newest = self.source.latest_frame();
         self.note_cost(newest.as_deref());
         self.note_delay(now, newest.as_deref());
@@ -238,10 +211,10 @@ impl<S: FrameSource> Viewing<S> {
         // How exact frames are seen says nothing of frames in blocks: they are there at rest, or come another way.
         let tells = |f: &&ReceivedFrame| !f.is_exact && is_of_volume && self.is_moving(now);
         let told = frame.as_deref().filter(tells).map(|f| turned_degrees(f, &camera, bounds));
-        self.source.note_turn(told);
+        self.source.talk().pose.note_turn(told);
         let wish = (ahead, size);
         if self.asked.replace(wish) != Some(wish) {
-            self.source.set_pose(ahead, size);
+            self.source.set_pose(now, ahead, size);
         }
         self.refreshed_at = now;
         let is_same = |(last_camera, last_frame): &(Camera, Option<Arc<ReceivedFrame>>)| {
@@ -298,7 +271,7 @@ impl<S: FrameSource> Viewing<S> {
     ) -> Intrinsics {
         let picture = ahead.intrinsics;
         let full = self.frame_size.frame_for(picture, max_side);
-        let k = self.source.look().map_or(MAX_K as u8, |(_, look)| look.k);
+        let k = self.source.talk().look.in_force().map_or(MAX_K as u8, |(_, look)| look.k);
         let limits = Limits { max_side, max_lists: max_lists(k) };
         if let Some(own) = own {
             // The picture is the server's own; what lies beside it is for the movement to come.
@@ -360,114 +333,31 @@ impl<S: FrameSource> Viewing<S> {
 
     /// The look to show as chosen: the one asked for last, until the server has it.
     pub fn look(&self) -> Option<Arc<Look>> {
-        let wanted = self.wanted_look.as_ref().map(|wanted| wanted.look.clone());
-        wanted.or_else(|| self.source.look().map(|(_, look)| look))
+        self.source.talk().look.chosen()
     }
 
-    /// Asks for another look; one that cannot be used is ignored. The source is asked no more often than 30 times a
-    /// second, for the newest.
+    /// Asks for another look; one that cannot be used is ignored.
     pub fn set_look(&mut self, now: Duration, look: Look) {
-        if let Err(e) = look.validate() {
-            tracing::warn!("look ignored: {e}");
-            return;
+        match self.source.talk().look.set(now.as_micros() as u64, look) {
+            Ok(()) => self.look_changed_at = Some(now),
+            Err(e) => tracing::warn!("look ignored: {e}"),
         }
-        self.want_look(now, Arc::new(look.clone()));
-        self.look_changed_at = Some(now);
-        if let Some(look) = self.look_pace.offer(now, look) {
-            self.source.set_look(look);
-        }
-    }
-
-    /// When a look that waits can be sent: there must be a refresh then.
-    pub fn look_due(&self) -> Option<Duration> {
-        self.look_pace.due()
-    }
-
-    fn want_look(&mut self, now: Duration, look: Arc<Look>) {
-        let in_force = self.source.look();
-        if self.wanted_look.is_none() && in_force.as_ref().is_some_and(|(_, known)| *known == look) {
-            // Nothing is to be changed, and no earlier wish is on its way.
-            self.own_look = Some(look);
-            return;
-        }
-        let since = in_force.map(|(version, _)| version);
-        self.wanted_look = Some(WantedLook { look, since, at: now });
-    }
-
-    /// After the connection was lost and is there again, the server begins with a look of its own until it hears of the one
-    /// that this viewer had asked for, which the source asks for again. Meanwhile that one stays wanted.
-    fn keep_look(&mut self, now: Duration) {
-        let connection = self.source.connection();
-        let Some(described) = self.source.description() else { return };
-        if self.source.connection() != connection {
-            // Between the two there was another: the next refresh sees both of that one.
-            return;
-        }
-        let Some((last, known)) = self.described.replace((connection, described.clone())) else { return };
-        if Arc::ptr_eq(&known, &described) || self.own_look.is_none() && self.wanted_look.is_none() {
-            return;
-        }
-        if connection == last {
-            // Another part of the file, with its own look: that counts from here on.
-            self.own_look = self.source.look().map(|(_, look)| look).filter(|_| self.own_look.is_some());
-            let before = self.looks.back().map(|(_, look)| look.clone());
-            if self.look_pace.due().is_none() && self.wanted_look.as_ref().map(|w| &w.look) == before.as_ref()
-            {
-                // That it was in force already needs no answer any more.
-                self.wanted_look = None;
-            }
-        } else if known.volume.name != described.volume.name {
-            // What was asked for was of the file before.
-            (self.own_look, self.wanted_look) = (None, None);
-        } else if let Some(look) = self.own_look.clone().filter(|_| self.wanted_look.is_none()) {
-            self.want_look(now, look);
-        }
-    }
-
-    fn send_look(&mut self, now: Duration) {
-        if let Some(look) = self.look_pace.poll(now) {
-            self.source.set_look(look);
-        }
-        let Some((wanted, (version, look))) = self.wanted_look.as_ref().zip(self.source.look()) else {
-            return;
-        };
-        // Where an earlier wish is still on its way, the look before it is in force once more only after that.
-        let is_answer = wanted.since != Some(version) || now >= wanted.at + LOOK_PATIENCE;
-        if self.look_pace.due().is_none() && look == wanted.look && is_answer {
-            // From here on the server's look is shown, whoever chose it.
-            (self.wanted_look, self.own_look) = (None, Some(look));
-        }
-    }
-
-    /// Whether a frame is made with the look that was asked for last.
-    fn has_wanted_look(&self, frame: &ReceivedFrame) -> bool {
-        let of_server = self.source.look();
-        of_server.as_ref().is_none_or(|(version, _)| *version == frame.frame.header.look)
-            && self.look() == of_server.map(|(_, look)| look)
     }
 
     /// Whether a picture of a frame is that of the look that was asked for last: if the frame has it, or one that differs in
     /// showing more of the volume, which the viewer cuts.
     fn shows_wanted_look(&self, frame: &ReceivedFrame, bounds: &Aabb) -> bool {
-        let of_frame = self.looks.iter().find(|(version, _)| *version == frame.frame.header.look);
-        self.has_wanted_look(frame)
-            || of_frame.zip(self.look()).is_some_and(|((_, of_frame), wanted)| {
+        let version = frame.frame.header.look;
+        let (is_chosen, looks) = {
+            let talk = self.source.talk();
+            (talk.look.is_chosen(version), talk.look.of_version(version).zip(talk.look.chosen()))
+        };
+        is_chosen
+            || looks.is_some_and(|(of_frame, wanted)| {
                 self.source.is_of_volume(frame)
                     && wanted.clip.is_within(&of_frame.clip, bounds)
-                    && **of_frame == Look { clip: of_frame.clip, ..(*wanted).clone() }
+                    && *of_frame == Look { clip: of_frame.clip, ..(*wanted).clone() }
             })
-    }
-
-    /// Remembers the looks of frames that may still be on their way.
-    fn note_look(&mut self) {
-        let Some((version, look)) = self.source.look() else { return };
-        if self.looks.back().is_none_or(|(last, known)| *last != version || !Arc::ptr_eq(known, &look)) {
-            self.looks.retain(|(known, _)| *known != version);
-            self.looks.push_back((version, look));
-        }
-        while self.looks.len() > MAX_LOOKS {
-            self.looks.pop_front();
-        }
     }
 
     /// Whether no frame has been there and the first is being asked for. That one is small, so that there is something to
@@ -519,8 +409,11 @@ impl<S: FrameSource> Viewing<S> {
         // A server may send a frame in blocks again exactly, or leave it at that.
         let complete_since = frame.times.at(Stage::WholeDecoded).map(Duration::from_micros);
         let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
-        let is_last = is_last && !self.source.is_draft();
-        is_own(frame, own) && frame.is_complete && self.has_wanted_look(frame) && is_last
+        let is_of_look = || {
+            let talk = self.source.talk();
+            !talk.look.is_draft() && talk.look.is_chosen(frame.frame.header.look)
+        };
+        is_own(frame, own) && frame.is_complete && is_last && is_of_look()
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> Option<Duration> {
@@ -577,15 +470,9 @@ const UNKNOWN_MICROS_PER_LIST: f32 = 3.0;
 /// Sizes of frames while the camera moves: few, so that they do not change all the time.
 const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
 const LEAST_MOVING_SCALE: f32 = 0.25;
-/// Looks go to the server at most so often: 30 times a second.
-const LOOK_PERIOD: Duration = Duration::from_micros(33_334);
 /// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
 /// asked for too early, no more.
 const FINER_PATIENCE: Duration = Duration::from_millis(1500);
-/// An answer to a look is no longer waited for where the server has that look: of several wishes it may answer the last alone.
-const LOOK_PATIENCE: Duration = Duration::from_secs(2);
-/// Looks that are remembered: at 30 a second four seconds' worth.
-const MAX_LOOKS: usize = 128;
 /// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
 const MAX_LEFT: usize = 256;
 

@@ -198,7 +198,7 @@ pub fn run_window_with_start(
     open_window(options, |options, opened| {
         let Opened { ctx, wake, views, status } = opened;
         let first = first(wake.clone()).map_err(ViewerError::Source)?;
-        let app = ViewerApp::new(options, views, Box::new(Nothing) as _, clock.clone(), status);
+        let app = ViewerApp::new(options, views, Box::<Nothing>::default() as _, clock.clone(), status);
         Ok(Box::new(StartWindow::new(app, services, first, &ctx, clock, wake)))
     })
 }

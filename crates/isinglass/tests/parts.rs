@@ -122,8 +122,8 @@ fn until<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
 fn picture_of(client: &Client, time: u32) -> Picture {
     until("the picture of a time", || {
         let frame = client.latest_frame()?;
-        let is_wanted = client.parts()?.shown.time == Some(time) && frame.is_complete;
-        (is_wanted && client.is_of_volume(&frame)).then(|| frame.frame.flatten())
+        let is_wanted = client.talk().selection.choices()?.shown.time == Some(time) && frame.is_complete;
+        (is_wanted && frame.is_of(&client.talk())).then(|| frame.frame.flatten())
     })
 }
 
@@ -139,8 +139,8 @@ fn middle(picture: &Picture) -> f32 {
 }
 
 fn refusal_of(client: &Client, part: Part) -> String {
-    client.open_part(Some(part));
-    until("a refusal", || match client.load().filter(|l| l.part == part)?.state {
+    client.talk().selection.open(Some(part));
+    until("a refusal", || match client.talk().selection.load().filter(|l| l.part == part)?.state {
         LoadState::Failed(problem) => Some(problem),
         LoadState::Reading { .. } | LoadState::Done | LoadState::Cancelled => None,
     })
@@ -161,7 +161,7 @@ fn another_time_of_a_file_moves_the_matter_for_two_viewers() {
             let found = middle(&picture_of(client, time));
             // NIfTI's x runs to the right of a body, which is seen from the front; a pixel is .025.
             assert!((found - place).abs() < 0.1 || (found - 1.0 + place).abs() < 0.1, "{time}: {found}");
-            let volume = client.description().unwrap().volume.clone();
+            let volume = client.talk().link.description().unwrap().volume.clone();
             assert_eq!((volume.dims, volume.value_range.1), ([16; 3], 1000.0 + time as f32));
         }
     }
@@ -186,20 +186,20 @@ fn a_part_without_room_or_leave_is_refused() {
     bench.write("film.nii", film());
     let served = serve(&bench, "--max-memory 20kB");
     let client = viewer(&served.1[0]);
-    let shown = until("parts", || client.parts()).shown;
+    let shown = until("parts", || client.talk().selection.choices()).shown;
     let problem = refusal_of(&client, Part { time: Some(1), ..shown });
     assert_eq!(
         problem,
         "film.nii: needs 12 kB of memory beside 12 kB of what is shown, expected at most 20 kB in all (--max-memory)"
     );
-    assert_eq!(client.parts().unwrap().shown.time, Some(0));
+    assert_eq!(client.talk().selection.choices().unwrap().shown.time, Some(0));
     drop(served);
 
     let served = serve(&bench, "--fixed");
     let client = viewer(&served.1[0]);
     let problem = refusal_of(&client, Part { time: Some(1), ..shown });
     assert_eq!(problem, "this server shows this part of its file only");
-    assert!(client.parts().is_none(), "and offers no other");
+    assert!(client.talk().selection.choices().is_none(), "and offers no other");
     drop(served);
     let words = ["film.nii: needs 12 kB of memory, expected at most 5 kB in all", "--max-memory"];
     bench.fails("serve film.nii --max-memory 5kB", 1, &words);

@@ -12,16 +12,16 @@ pub mod identity;
 mod journal;
 pub mod link;
 pub mod server;
+mod talk;
 mod transport;
 mod work;
 
-pub use client::{
-    Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, ReceivedShot, State,
-};
+pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State};
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};
 pub use journal::Journal;
 pub use link::{Link, LinkError, place_of, state_of_link};
 pub use server::{BindError, Greeting, Server, ServerOptions, Session, SessionClosed};
+pub use talk::Talking;
 pub use work::{AfterWork, Work};

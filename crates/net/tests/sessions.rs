@@ -13,8 +13,7 @@ use isinglass_core::codec::{
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::look::Look;
 use isinglass_core::session::ledger::Stage;
-use isinglass_core::session::server::Request;
-use isinglass_core::wire::{Part, PoseRequest, Refusal};
+use isinglass_core::wire::{Part, Refusal};
 use isinglass_net::{Client, ClientOptions, ConnectError, Identity, LinkModel, Server, ServerOptions, State};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -26,7 +25,7 @@ async fn a_viewer_gets_the_exact_frame_for_its_pose() {
     let id = client.set_pose(pose(3), INTRINSICS);
     let received = until_answered(&client, id).await;
     assert_eq!(client.state(), State::Connected);
-    assert_eq!(client.description().unwrap().volume, greeting().volume);
+    assert_eq!(client.talk().link.description().unwrap().volume, greeting().volume);
     // What arrives is what the codec makes of it, and of no other pose.
     let header = received.frame.header;
     let expected = |n| codec::decode(&bytes(encoded(header.frame, id, pose(n), INTRINSICS))).unwrap();
@@ -52,13 +51,12 @@ fn bytes(frame: codec::EncodedFrame) -> Vec<Vec<u8>> {
 async fn how_far_frames_are_turned_reaches_the_server() {
     let mut server = server();
     let client = connect(&server.mint_link("127.0.0.1").unwrap());
-    let mut session = server.accept().await.unwrap();
+    let session = server.accept().await.unwrap();
     for (noted, told) in [(None, None), (Some(7.4), Some(7)), (Some(500.0), Some(180)), (None, None)] {
-        client.note_turn(noted);
+        client.talk().pose.note_turn(noted);
         let id = client.set_pose(pose(told.unwrap_or(1).into()), INTRINSICS);
-        let has_come = |p: &Option<PoseRequest>| p.is_some_and(|p| p.id == id);
-        let request = *session.poses.wait_for(has_come).await.unwrap();
-        assert_eq!(request.unwrap().shown_turn_deg, told, "{noted:?}");
+        let newest = || session.talk().pose.newest().filter(|p| p.id == id);
+        assert_eq!(until("the pose", newest).await.shown_turn_deg, told, "{noted:?}");
     }
 }
 
@@ -71,7 +69,8 @@ async fn a_look_reaches_the_server_and_comes_back() {
     let mut wanted = look();
     wanted.shaded = true;
     client.set_look(wanted.clone()).unwrap();
-    let (version, _) = until("the look", || client.look().filter(|(_, l)| **l == wanted)).await;
+    let (version, _) =
+        until("the look", || client.talk().look.in_force().filter(|(_, l)| **l == wanted)).await;
     assert_eq!(version.0, 2);
     wanted.k = 99;
     assert!(client.set_look(wanted).is_err());
@@ -83,17 +82,17 @@ async fn a_look_that_is_taken_back_at_once_is_taken_back() {
     let mut server = server();
     let link = server.mint_link("127.0.0.1").unwrap();
     let client = connect(&link);
-    let mut session = server.accept().await.unwrap();
+    let session = server.accept().await.unwrap();
     until("the welcome", || (client.state() == State::Connected).then_some(())).await;
     for wanted in [Look { shaded: true, ..look() }, look()] {
         client.set_look(wanted.clone()).unwrap();
-        let asked = until("the look", || session.requests.try_recv().ok()).await;
-        assert_eq!(asked, Request::SetLook(wanted));
+        let asked = until("the look", || session.talk().look.poll_wanted()).await;
+        assert_eq!(asked, wanted);
     }
     // The same once more is nothing to ask for.
     client.set_look(look()).unwrap();
-    let nothing = tokio::time::timeout(Duration::from_millis(300), session.requests.recv()).await;
-    assert!(nothing.is_err(), "{nothing:?}");
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(session.talk().look.poll_wanted(), None);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -101,7 +100,7 @@ async fn the_newest_pose_wins() {
     let mut server = server();
     let link = server.mint_link("127.0.0.1").unwrap();
     let client = connect(&link);
-    let mut session = server.accept().await.unwrap();
+    let session = server.accept().await.unwrap();
     let mut last = PoseId(0);
     for n in 1..=40 {
         last = client.set_pose(pose(n), INTRINSICS);
@@ -109,12 +108,11 @@ async fn the_newest_pose_wins() {
     }
     assert_eq!(last, PoseId(40));
     assert_eq!(client.set_pose(pose(40), INTRINSICS), last, "the same pose is no new one");
-    let newest =
-        until("the last pose", || (*session.poses.borrow_and_update()).filter(|p| p.id == last)).await;
+    let newest = until("the last pose", || session.talk().pose.poll_new().filter(|p| p.id == last)).await;
     assert_eq!((newest.pose, newest.intrinsics), (pose(40), INTRINSICS));
     // At rest the pose is repeated, and the repetition is not a new pose.
     tokio::time::sleep(Duration::from_millis(300)).await;
-    assert!(!session.poses.has_changed().unwrap());
+    assert_eq!(session.talk().pose.poll_new(), None);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -179,7 +177,7 @@ async fn superseded_refinements_are_given_up_and_bases_are_not() {
     }
     assert!(bases >= 6, "{bases} of 12 bases: newer frames have starved the older");
     assert!(wholes < bases, "{wholes} of {bases} frames are whole: nothing was given up");
-    let known = || (session.frames.newest_complete() == FrameId(12)).then_some(());
+    let known = || (session.talk().chunks.newest_complete() == FrameId(12)).then_some(());
     until("the acknowledgement of the last frame", known).await;
     // The control: when each frame may finish before the next, all are whole, so it was the newer ones that ended the
     // others.
@@ -239,14 +237,14 @@ async fn a_part_that_is_wished_for_without_a_connection_is_forgotten() {
     until("the welcome", || (client.state() == State::Connected).then_some(())).await;
     control.close("a test");
     until("the loss", || matches!(client.state(), State::Reconnecting { .. }).then_some(())).await;
-    client.open_part(Some(Part { time: Some(1), ..Part::default() }));
-    let mut session = server.accept().await.unwrap();
+    client.talk().selection.open(Some(Part { time: Some(1), ..Part::default() }));
+    let session = server.accept().await.unwrap();
     until("the welcome", || (client.state() == State::Connected).then_some(())).await;
     // The control: one that is wished for now.
     let wanted = Part { time: Some(2), ..Part::default() };
-    client.open_part(Some(wanted));
-    let asked = until("the part", || session.requests.try_recv().ok()).await;
-    assert_eq!(asked, Request::OpenPart(wanted));
+    client.talk().selection.open(Some(wanted));
+    let asked = until("the part", || session.talk().selection.poll_order()).await;
+    assert_eq!(asked, Some(wanted));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -315,15 +313,15 @@ async fn predicted_frames_are_shown_and_a_lost_one_is_healed() {
     let model = LinkModel { rtt: ms(20), jitter: ms(3), loss: 0.01, reorder: true, ..Default::default() };
     let client =
         Client::connect(&link, ClientOptions { conditioner: Some(model), ..Default::default() }).unwrap();
-    let mut session = server.accept().await.unwrap();
+    let session = server.accept().await.unwrap();
     let settings = blocks::Settings::of(50);
     let size = isinglass_core::camera::Intrinsics { width: 48, height: 32, ..INTRINSICS };
     let mut sent = References::default();
     let (mut named, mut shown_predicted, mut withheld) = (0, 0, 0);
     for n in 1..=50u32 {
         let id = client.set_pose(pose(n), size);
-        until("the pose", || (*session.poses.borrow_and_update()).filter(|p| p.id == id)).await;
-        let reference = sent.next(session.frames.newest_decoded()).cloned();
+        until("the pose", || session.talk().pose.newest().filter(|p| p.id == id)).await;
+        let reference = sent.next(session.talk().chunks.reported()).cloned();
         let made = frame(FrameId(n), id, pose(n), size);
         let (encoded, decoded) = blocks::encode(&made, &settings, reference.as_deref()).unwrap();
         named += u32::from(reference.is_some());

@@ -10,8 +10,8 @@ mod generator;
 mod lights;
 mod parts;
 mod pipeline;
+mod screenshots;
 mod serving;
-mod shots;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -144,10 +144,10 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         load: load_in,
     };
     let coders = pipeline::coders()?;
-    let house = serving::House { generator, present, load, orders, plan, after_work, coders };
+    let common = serving::Common { generator, present, load, orders, plan, after_work, coders };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
-    let serving = tokio::spawn(serving::serve(server, librarian, house, receiver, attendance_in, newest_in));
+    let serving = tokio::spawn(serving::serve(server, librarian, common, receiver, attendance_in, newest_in));
     Ok(RunningServer { address, commands, attendance, newest, serving })
 }
 

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 use isinglass_core::ids::{LoadId, LookVersion};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
+use isinglass_core::session::selection::Load;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
@@ -16,7 +16,6 @@ use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
 use isinglass_gpu::{Backend, Renderer};
 use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
-use tokio::time::Instant;
 
 use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
@@ -77,30 +76,8 @@ pub(crate) struct Present {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SceneNumber(pub(crate) u32);
 
-/// What a viewer wants of the file.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Order {
-    /// Another part.
-    Open(ViewerId, Part),
-    /// The part that is being read is not wanted any more.
-    Cancel,
-}
-
-/// How the newest load stands.
-#[derive(Clone, Debug)]
-pub(crate) struct Load {
-    pub(crate) id: LoadId,
-    pub(crate) viewer: ViewerId,
-    pub(crate) part: Part,
-    pub(crate) bytes_needed: u64,
-    pub(crate) state: LoadState,
-}
-
-impl Load {
-    pub(crate) fn is_reading(&self) -> bool {
-        matches!(self.state, LoadState::Reading { .. })
-    }
-}
+/// A part of the file that a viewer asks for; none: the one that is being read is no longer wanted.
+pub(crate) type Order = (ViewerId, Option<Part>);
 
 impl Present {
     pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Parts>) -> Self {
@@ -153,7 +130,7 @@ impl Librarian {
             while let Ok(newer) = self.orders.try_recv() {
                 order = newer;
             }
-            let Order::Open(viewer, part) = order else {
+            let (viewer, Some(part)) = order else {
                 next = self.orders.recv().await;
                 continue;
             };
@@ -277,22 +254,5 @@ struct CancelOnDrop(Arc<AtomicBool>);
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Viewers hear of a load's progress at most so often.
-pub(crate) const TELL_PERIOD: Duration = Duration::from_millis(100);
-
-/// Returns when there is news of a load to tell. Nothing is lost if this is dropped.
-pub(crate) async fn load_due(load: &mut watch::Receiver<Option<Load>>, tell_at: Instant) {
-    if load.changed().await.is_err() {
-        // Without a librarian there is no more news.
-        return std::future::pending().await;
-    }
-    // It has yet to be told.
-    load.mark_changed();
-    let is_reading = load.borrow().as_ref().is_some_and(Load::is_reading);
-    if is_reading {
-        tokio::time::sleep_until(tell_at).await;
     }
 }

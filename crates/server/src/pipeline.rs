@@ -7,12 +7,13 @@ use std::time::Duration;
 
 use isinglass_core::codec::blocks::Reference;
 use isinglass_core::codec::{CodecError, Coding, EncodedFrame};
-use isinglass_core::ids::{FrameId, LookVersion};
+use isinglass_core::ids::FrameId;
 use isinglass_core::layer::FrameHeader;
+use isinglass_core::session::frames::{Asked, Sending};
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::schedule::{Schedule, Station};
-use isinglass_core::wire::{PoseRequest, ServerStats};
-use isinglass_net::server::{ControlSender, FrameSender};
+use isinglass_core::wire::ServerStats;
+use isinglass_net::server::{Control, FrameSender};
 use isinglass_net::{AfterWork, Journal, SessionClosed, Work};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::task::JoinHandle;
@@ -21,7 +22,7 @@ use tracing::Instrument;
 
 use crate::ServeError;
 use crate::generator::{GenerateError, Generated, Wish};
-use crate::serving::House;
+use crate::serving::Common;
 
 /// The threads that encode the frames of all viewers.
 pub(crate) type Coders = Arc<ThreadPool>;
@@ -36,39 +37,12 @@ pub(crate) fn coders() -> Result<Coders, ServeError> {
 /// A frame is encoded no faster by more.
 const MAX_CODERS: usize = 8;
 
-/// A frame that was asked of the generator.
-#[derive(Clone)]
-pub(crate) struct Asked {
-    pub(crate) request: PoseRequest,
-    pub(crate) header: FrameHeader,
-    /// When the request was taken up.
-    pub(crate) asked_at: Instant,
-    /// Whether the same pose was answered before, with another look or shade.
-    pub(crate) is_again: bool,
-    pub(crate) wish: Wish,
-}
-
-/// What a frame is sent as.
+/// A frame on its way to the coder and the network.
 #[derive(Clone)]
 pub(crate) struct Ticket {
-    pub(crate) request: PoseRequest,
-    pub(crate) version: LookVersion,
-    /// When the request was taken up.
-    pub(crate) asked_at: Instant,
-    pub(crate) coding: Coding,
+    pub(crate) sending: Sending,
     pub(crate) reference: Option<Arc<Reference>>,
-    /// Whether the same frame was sent before, less fine.
-    pub(crate) is_finer: bool,
-    /// Whether the viewer has the exact picture of it already, with another margin.
-    pub(crate) is_margin: bool,
     pub(crate) wish: Wish,
-}
-
-impl Ticket {
-    /// Whether it is one of a moving camera's, whose next ones are like it.
-    fn is_usual(&self) -> bool {
-        !self.is_finer && !self.is_margin
-    }
 }
 
 /// A frame that is coded.
@@ -105,12 +79,12 @@ pub(crate) enum Event {
 /// See the module. `advance` hands frames on; `next` waits for a station.
 pub(crate) struct Pipeline {
     frames: FrameSender,
-    control: ControlSender,
+    control: Control,
     journal: Journal,
     after_work: AfterWork,
     coders: Coders,
     schedule: Schedule,
-    generating: Option<At<Option<Result<Generated, GenerateError>>, Asked>>,
+    generating: Option<At<Option<Result<Generated, GenerateError>>, (Asked, Wish)>>,
     /// Generated, in front of the coder.
     made: Option<(Asked, Generated)>,
     coding: Option<At<Result<Coded, CodecError>, Ticket>>,
@@ -135,20 +109,20 @@ impl<T, F> Drop for At<T, F> {
 impl Drop for Pipeline {
     fn drop(&mut self) {
         // Nobody waits for what is on threads.
-        let asked = self.generating.as_ref().map(|at| &at.of.wish);
+        let asked = self.generating.as_ref().map(|at| &at.of.1);
         let coding = self.coding.as_ref().map(|at| &at.of.wish);
         asked.into_iter().chain(coding).for_each(Wish::give_up);
     }
 }
 
 impl Pipeline {
-    pub(crate) fn new(frames: FrameSender, control: ControlSender, journal: Journal, house: &House) -> Self {
+    pub(crate) fn new(frames: FrameSender, control: Control, journal: Journal, common: &Common) -> Self {
         Self {
             frames,
             control,
             journal,
-            after_work: house.after_work.clone(),
-            coders: house.coders.clone(),
+            after_work: common.after_work.clone(),
+            coders: common.coders.clone(),
             schedule: Schedule::default(),
             generating: None,
             made: None,
@@ -183,17 +157,18 @@ impl Pipeline {
     pub(crate) fn generate(
         &mut self,
         asked: Asked,
+        wish: Wish,
         making: impl Future<Output = Option<Result<Generated, GenerateError>>> + Send + 'static,
     ) {
         let frame = asked.header.frame;
         self.journal.open(frame, asked.header.pose);
         self.journal.stamp(frame, Stage::Begun);
         self.schedule.handle_begun(self.now_micros(), Station::Generate, lists(&asked.header));
-        self.generating = Some(At { task: tokio::spawn(making), of: asked, frame });
+        self.generating = Some(At { task: tokio::spawn(making), of: (asked, wish), frame });
     }
 
-    /// What is being generated.
-    pub(crate) fn generating(&self) -> Option<&Asked> {
+    /// What is being generated, and whether it is wanted.
+    pub(crate) fn generating(&self) -> Option<&(Asked, Wish)> {
         self.generating.as_ref().map(|at| &at.of)
     }
 
@@ -211,10 +186,10 @@ impl Pipeline {
     /// Encodes a frame on a thread for blocking work.
     pub(crate) fn code(&mut self, generated: Generated, mut ticket: Ticket) {
         let header = generated.frame.header;
-        if let Coding::Blocks(settings) = &mut ticket.coding {
+        if let Coding::Blocks(settings) = &mut ticket.sending.coding {
             settings.max_bands = settings.max_bands.max(self.coders.current_num_threads() as u8);
         }
-        if ticket.is_finer {
+        if ticket.sending.is_finer {
             self.journal.open(header.frame, header.pose);
         }
         self.journal.stamp(header.frame, Stage::CodingBegun);
@@ -223,7 +198,7 @@ impl Pipeline {
         let task = tokio::task::spawn_blocking(move || {
             let started = Instant::now();
             let wanted = || ticket.wish.holds();
-            let (coding, reference) = (&ticket.coding, ticket.reference.as_deref());
+            let (coding, reference) = (&ticket.sending.coding, ticket.reference.as_deref());
             let work = || coding.encode_while(&generated.frame, reference, &wanted);
             let (encoded, reference) = after_work.run(Work::Encode, || coders.install(work))?;
             let encode_micros = started.elapsed().as_micros() as u64;
@@ -246,11 +221,11 @@ impl Pipeline {
         let Coded { ticket, generated, encoded, encode_micros, .. } = coded;
         let header = generated.frame.header;
         self.schedule.handle_begun(self.now_micros(), Station::Send, lists(&header));
-        if !ticket.is_finer {
-            self.control.stats(ServerStats {
+        if !ticket.sending.is_finer {
+            self.control.talk().link.report(ServerStats {
                 frame: header.frame,
                 pose: header.pose,
-                pose_stamp_micros: ticket.request.stamp_micros,
+                pose_stamp_micros: ticket.sending.asked.request.stamp_micros,
                 generate_micros: generated.generate_micros,
                 encode_micros,
                 bytes: encoded.num_bytes() as u64,
@@ -260,7 +235,7 @@ impl Pipeline {
         let (frames, of) = (self.frames.clone(), ticket.clone());
         let sending = async move {
             let (frame, pose) = (header.frame, header.pose);
-            match ticket.is_finer {
+            match ticket.sending.is_finer {
                 true => frames.send_finer(frame, pose, encoded.chunks).await?,
                 false => frames.send(frame, pose, encoded.chunks).await?,
             }
@@ -275,7 +250,7 @@ impl Pipeline {
         tokio::select! {
             biased;
             sent = ended(&mut self.sending) => {
-                let is_usual = self.sending.take().is_some_and(|at| at.of.is_usual());
+                let is_usual = self.sending.take().is_some_and(|at| at.of.sending.is_usual());
                 self.schedule.handle_done(self.now_micros(), Station::Send, is_usual);
                 Event::Sent(sent.unwrap_or(Err(SessionClosed)))
             }
@@ -290,7 +265,7 @@ impl Pipeline {
         let coded =
             coded.and_then(|c| if c.ticket.wish.holds() { Ok(c) } else { Err(CodecError::Abandoned) });
         if coded.is_ok() {
-            self.schedule.handle_done(self.now_micros(), Station::Code, at.of.is_usual());
+            self.schedule.handle_done(self.now_micros(), Station::Code, at.of.sending.is_usual());
         } else {
             self.schedule.handle_given_up(Station::Code);
             self.journal.give_up(at.frame);
@@ -309,7 +284,7 @@ impl Pipeline {
         if let Some(at) = at.as_ref().filter(|_| !matches!(generated, Some(Ok(_)))) {
             self.journal.give_up(at.frame);
         }
-        Event::Generated(at.map(|at| at.of.clone()), generated)
+        Event::Generated(at.map(|at| at.of.0), generated)
     }
 
     /// A frame that was generated goes no further.
@@ -320,11 +295,12 @@ impl Pipeline {
 
     /// Gives up the frames for which `is_outdated`, behind the generator. Others may name one in blocks that is coded, so that is sent
     /// to its end.
-    pub(crate) fn give_up(&mut self, is_outdated: impl Fn(&Ticket) -> bool) {
+    pub(crate) fn give_up(&mut self, is_outdated: impl Fn(&Sending) -> bool) {
+        let is_outdated = |ticket: &Ticket| is_outdated(&ticket.sending);
         if let Some(at) = self.coding.as_ref().filter(|at| is_outdated(&at.of)) {
             at.of.wish.give_up();
         }
-        let is_exact = |t: &Ticket| matches!(t.coding, Coding::Exact(_));
+        let is_exact = |t: &Ticket| matches!(t.sending.coding, Coding::Exact(_));
         if let Some(coded) = self.coded.take_if(|c| is_exact(&c.ticket) && is_outdated(&c.ticket)) {
             self.schedule.handle_dropped(Station::Send);
             self.journal.give_up(coded.generated.frame.header.frame);

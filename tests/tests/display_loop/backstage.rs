@@ -82,8 +82,6 @@ enum Order {
     EndServer,
     /// Another one, on another port; its client comes.
     StartServer,
-    /// A client that is not wanted any more; it takes a moment to say goodbye.
-    Forget(Client),
 }
 
 /// See the module.
@@ -107,10 +105,6 @@ impl Backstage {
 
     pub(crate) fn end_server(&self) {
         self.orders.try_send(Order::EndServer).unwrap();
-    }
-
-    pub(crate) fn forget(&self, client: Client) {
-        assert!(self.orders.try_send(Order::Forget(client)).is_ok());
     }
 
     /// The client of the server that was started last, once.
@@ -158,7 +152,6 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                 clients.send(Client::connect(&link, options).unwrap()).unwrap();
                 wake();
             }
-            Order::Forget(client) => drop(client),
         }
     }
     if let Some(server) = server {

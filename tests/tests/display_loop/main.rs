@@ -14,17 +14,16 @@
 mod allocator;
 mod backstage;
 
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use isinglass_client::{FrameSource, Probe, ScriptStep, Waits, WindowOptions, display_available, run_window};
-use isinglass_core::camera::{Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion};
-use isinglass_core::look::Look;
-use isinglass_core::wire::{ClientStats, LoadStatus, Part, Parts, Welcome};
-use isinglass_net::{Client, Clock, LinkStats, ReceivedFrame, State};
+use isinglass_core::ids::FrameId;
+use isinglass_core::session::ClientSession;
+use isinglass_core::wire::Part;
+use isinglass_net::{Client, Clock, LinkStats, ReceivedFrame, State, Talking};
 
 use backstage::Backstage;
 
@@ -127,10 +126,10 @@ impl Seen {
 /// `delay`.
 fn play(delay: Duration) -> Seen {
     let seen = Rc::new(RefCell::new(Seen::default()));
-    let client = Rc::new(RefCell::new(None::<Client>));
+    let clients = Rc::new(Clients::default());
     let backstage = Rc::new(RefCell::new(None::<Backstage>));
     let script = {
-        let (seen, client, backstage) = (seen.clone(), client.clone(), backstage.clone());
+        let (seen, clients, backstage) = (seen.clone(), clients.clone(), backstage.clone());
         let mut newest = None;
         move |probe: &Probe| {
             let mut seen = seen.borrow_mut();
@@ -138,13 +137,10 @@ fn play(delay: Duration) -> Seen {
             let backstage = backstage.borrow();
             let backstage = backstage.as_ref().unwrap();
             if let Some(next) = backstage.client() {
-                if let Some(before) = client.borrow_mut().replace(next) {
-                    backstage.forget(before);
-                }
+                clients.put(next);
                 newest = None;
             }
-            let client = client.borrow();
-            let Some(client) = client.as_ref() else { return ScriptStep::Continue };
+            let Some(client) = clients.get() else { return ScriptStep::Continue };
             let frame = client.latest_frame();
             if frame.is_none() && seen.begun_at.is_none() {
                 return ScriptStep::Continue;
@@ -164,11 +160,11 @@ fn play(delay: Duration) -> Seen {
             if n < seen.act_begun_at + REFRESHES {
                 return ScriptStep::Continue;
             }
-            let time = client.parts().and_then(|parts| parts.shown.time);
-            let has_frame = frame.is_some_and(|frame| client.is_of_volume(&frame));
+            let time = client.talk().selection.choices().and_then(|parts| parts.shown.time);
+            let has_frame = frame.is_some_and(|frame| frame.is_of(&client.talk()));
             let next = match seen.act {
                 Act::First => {
-                    client.open_part(Some(Part { time: Some(1), ..Part::default() }));
+                    client.talk().selection.open(Some(Part { time: Some(1), ..Part::default() }));
                     Act::OtherVolume
                 }
                 Act::OtherVolume if time == Some(1) && has_frame => {
@@ -195,85 +191,67 @@ fn play(delay: Duration) -> Seen {
     };
     let clock = Clock::start();
     run_window(options, clock.clone(), {
-        let (client, backstage) = (client.clone(), backstage.clone());
+        let (clients, backstage) = (clients.clone(), backstage.clone());
         move |wake| {
             let servers = Backstage::new(clock, wake);
             servers.start_server();
             *backstage.borrow_mut() = Some(servers);
-            Ok(DelayedSource { client, delay })
+            Ok(DelayedSource { clients, nobody: Mutex::default(), delay })
         }
     })
     .unwrap();
-    client.borrow_mut().take();
     seen.take()
 }
 
-/// The network's client, shared with the script, which may put another in its place.
-struct DelayedSource {
-    client: Rc<RefCell<Option<Client>>>,
-    delay: Duration,
-}
+/// The clients of both servers, shared with the script. The one that came last counts.
+#[derive(Default)]
+struct Clients([OnceCell<Client>; 2]);
 
-impl DelayedSource {
-    fn of_client<T>(&self, read: impl FnOnce(&Client) -> T) -> Option<T> {
-        self.client.borrow().as_ref().map(read)
+impl Clients {
+    fn put(&self, client: Client) {
+        let place = self.0.iter().find(|place| place.get().is_none()).expect("there are two servers");
+        assert!(place.set(client).is_ok());
+    }
+
+    fn get(&self) -> Option<&Client> {
+        self.0.iter().rev().find_map(OnceCell::get)
     }
 }
 
+struct DelayedSource {
+    clients: Rc<Clients>,
+    nobody: Mutex<ClientSession>,
+    delay: Duration,
+}
+
 impl FrameSource for DelayedSource {
-    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
-        self.of_client(|client| client.set_pose(pose, intrinsics));
+    /// Before there is a client, what is said is forgotten.
+    fn talk(&self) -> Talking<'_, ClientSession> {
+        match self.clients.get() {
+            Some(client) => client.talk(),
+            None => Talking::alone(&self.nobody),
+        }
     }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
         if !self.delay.is_zero() {
             std::thread::sleep(self.delay);
         }
-        self.of_client(Client::latest_frame)?
-    }
-
-    fn state(&self) -> State {
-        self.of_client(Client::state).unwrap_or(State::Connecting { attempt: 1, problem: None })
-    }
-
-    fn stats(&self) -> LinkStats {
-        self.of_client(Client::stats).unwrap_or_default()
-    }
-
-    fn description(&self) -> Option<Arc<Welcome>> {
-        self.of_client(Client::description)?
-    }
-
-    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        self.of_client(Client::look)?
-    }
-
-    fn set_look(&mut self, look: Look) {
-        self.of_client(|client| client.set_look(look).unwrap());
-    }
-
-    fn take_notice(&mut self) -> Option<String> {
-        self.of_client(Client::take_notice)?
+        self.clients.get()?.latest_frame()
     }
 
     fn note_shown(&mut self, frame: FrameId) {
-        self.of_client(|client| client.note_shown(frame));
+        if let Some(client) = self.clients.get() {
+            client.note_shown(frame);
+        }
     }
 
-    fn report(&mut self, stats: ClientStats) {
-        self.of_client(|client| client.report(stats));
+    fn state(&self) -> State {
+        self.clients.get().map_or(State::Connecting { attempt: 1, problem: None }, |client| client.state())
     }
 
-    fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
-        self.of_client(|client| client.is_of_volume(frame)).unwrap_or(true)
-    }
-
-    fn parts(&self) -> Option<Arc<Parts>> {
-        self.of_client(Client::parts)?
-    }
-
-    fn load(&self) -> Option<LoadStatus> {
-        self.of_client(Client::load)?
+    fn stats(&self) -> LinkStats {
+        self.clients.get().map(|client| client.stats()).unwrap_or_default()
     }
 }
 

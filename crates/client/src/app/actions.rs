@@ -56,7 +56,10 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Start => self.wants_start = true,
                 Action::StepTime(by) => {
                     let source = self.viewing.source();
-                    let (parts, load) = (source.parts(), source.load());
+                    let (parts, load) = {
+                        let talk = source.talk();
+                        (talk.selection.choices(), talk.selection.load())
+                    };
                     let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
                     self.do_part(now, wish);
                 }

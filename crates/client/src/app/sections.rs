@@ -91,13 +91,12 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
             }
         }
-        // A look that waits goes first: the picture is to be made with it.
-        let (is_ready, taken) = (self.viewing.look_due().is_none(), self.taken_at_top(ctx));
+        let taken = self.taken_at_top(ctx);
         let source = self.viewing.source_mut();
         let done = match source.state() {
             // None will come any more.
             State::Refused(_) => self.shots.end(source, ctx),
-            _ => self.shots.poll(source, is_ready, ctx),
+            _ => self.shots.poll(source, ctx),
         };
         if let Some(notice) = self.shots.show(ctx, subject, source, taken).or(done) {
             self.notice = Some((notice, now));
@@ -106,13 +105,7 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     /// Asks for the value under the pointer, and shows what is known of it.
-    pub(super) fn show_probe(
-        &mut self,
-        ctx: &egui::Context,
-        now: Duration,
-        rect: egui::Rect,
-        refresh: &Refresh,
-    ) {
+    pub(super) fn show_probe(&mut self, ctx: &egui::Context, rect: egui::Rect, refresh: &Refresh) {
         // A dialog is not to be covered, whoever opens it while the pointer rests.
         let has_dialog = self.shows_help || self.shots.is_dialog_open() || self.open_dialog.is_open();
         if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
@@ -125,15 +118,13 @@ impl<S: FrameSource> ViewerApp<S> {
             visible_point(&frame.frame, &region, &refresh.camera, pixel)
         });
         self.probe.ask_of(self.viewing.source().description().as_ref());
-        if let Some(due) = self.probe.point_at(now, point) {
-            self.viewing.source_mut().probe(due);
-        }
-        if let Some(due) = self.probe.due() {
-            ctx.request_repaint_after(due.saturating_sub(now));
-        }
         let source = self.viewing.source();
+        if let Some(point) = self.probe.point_at(point) {
+            source.talk().probe.ask(point.to_array());
+        }
+        let answer = source.talk().probe.answer();
         if let (Some(at), Some(point), Some(description)) = (at, point, source.description()) {
-            probe::show(ctx, at, &probe::lines(point, source.probed().as_ref(), &description.volume));
+            probe::show(ctx, at, &probe::lines(point, answer.as_ref(), &description.volume));
         }
     }
 
@@ -222,7 +213,10 @@ impl<S: FrameSource> ViewerApp<S> {
 
     pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
         let source = self.viewing.source();
-        let (parts, load) = (source.parts(), source.load());
+        let (parts, load) = {
+            let talk = source.talk();
+            (talk.selection.choices(), talk.selection.load())
+        };
         let (right, bindings) = (self.right_width(), &self.options.bindings);
         let wish = self.parts_bar.show(ctx, now, right, bindings, parts.as_deref(), load.as_ref());
         self.do_part(now, wish);
@@ -237,7 +231,7 @@ impl<S: FrameSource> ViewerApp<S> {
             self.notice = Some((NO_SERVER_FOR_PART.into(), now));
             return;
         }
-        self.viewing.source_mut().open_part(match wish {
+        self.viewing.source().talk().selection.open(match wish {
             PartsWish::Open(part) => Some(part),
             PartsWish::Cancel => None,
         });

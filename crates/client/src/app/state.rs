@@ -105,7 +105,8 @@ impl<S: FrameSource> ViewerApp<S> {
             Some(source) => volume.opened_from(source),
             None => SavedVolume { server: self.options.link.as_ref().map(Link::place), ..volume },
         };
-        let volume = match self.viewing.source().parts() {
+        let parts = self.viewing.source().talk().selection.choices();
+        let volume = match parts {
             // The part may have been changed since.
             Some(parts) => save_part(volume, &parts.shown),
             None => volume,
@@ -273,7 +274,10 @@ impl<S: FrameSource> ViewerApp<S> {
             self.coming = Some(ComingState { asked: None, until: None, is_told: true, ..coming });
             return;
         }
-        let (parts, load) = (source.parts(), source.load());
+        let (parts, load) = {
+            let talk = source.talk();
+            (talk.selection.choices(), talk.selection.load())
+        };
         let Some(description) = source.description() else { return };
         let saved = coming.read.state.volume.as_ref();
         let part = saved.zip(parts.as_deref()).map(|(v, parts)| StatePart::of(v, &description.volume, parts));

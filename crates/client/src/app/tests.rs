@@ -1,22 +1,24 @@
 //! The whole window's widgets and keys on a volume that is rendered here.
 
-use std::sync::Arc;
+use std::cell::{RefCell, RefMut};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use egui::{Event, Key, Modifiers, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId, ProbeId, ShotId};
+use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
+use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{LoadStatus, Parts, ProbeRequest, Probed, Token, VolumeDescription, Welcome};
-use isinglass_net::{LinkStats, ReceivedShot};
+use isinglass_core::wire::{ClientMessage, ShotRequest, Token, VolumeDescription, Welcome};
+use isinglass_net::{LinkStats, Talking};
 
 use super::*;
 use crate::camera_controls::InitialOrbit;
@@ -27,6 +29,12 @@ mod keeping;
 
 /// A server in a moment: frames of 48 pixels, made when they are asked for. While it `sleeps`, looks wait.
 struct HereSource {
+    session: Mutex<ClientSession>,
+    here: RefCell<Here>,
+    micros: Arc<AtomicU64>,
+}
+
+struct Here {
     scene: Scene,
     look: (LookVersion, Arc<Look>),
     wanted: Option<Look>,
@@ -36,13 +44,9 @@ struct HereSource {
     num_looks: usize,
     sleeps: bool,
     orientation: Option<String>,
-    probed: Option<Probed>,
     num_probes: usize,
-    shot: Option<Arc<ReceivedShot>>,
     num_shots: u32,
     num_cancelled: usize,
-    parts: Option<Arc<Parts>>,
-    load: Option<LoadStatus>,
     state: State,
     stats: LinkStats,
 }
@@ -52,7 +56,7 @@ impl HereSource {
         let transfer = isinglass_formats::preset("shells").unwrap();
         let scene = Scene::new(Arc::new(Builtin::Shells.volume(24)), &transfer, MarchSettings::default());
         let look = Look::new(transfer);
-        Self {
+        let here = Here {
             scene,
             look: (LookVersion(1), Arc::new(look)),
             wanted: None,
@@ -62,28 +66,79 @@ impl HereSource {
             num_looks: 0,
             sleeps: false,
             orientation: None,
-            probed: None,
             num_probes: 0,
-            shot: None,
             num_shots: 0,
             num_cancelled: 0,
-            parts: None,
-            load: None,
             state: State::Connected,
             stats: LinkStats::default(),
+        };
+        let mut session = ClientSession::default();
+        session.handle_welcome(0, here.welcome());
+        Self { session: Mutex::new(session), here: RefCell::new(here), micros: Arc::default() }
+    }
+
+    fn here(&self) -> RefMut<'_, Here> {
+        self.here.borrow_mut()
+    }
+
+    /// Answers what was asked since the last time.
+    fn serve(&self) {
+        let (mut session, now) = (self.session.lock().unwrap(), self.micros.load(Ordering::Relaxed));
+        let here = &mut *self.here();
+        while let Some(message) = session.poll_message(now) {
+            match message {
+                ClientMessage::SetLook(look) => {
+                    here.num_looks += 1;
+                    here.wanted = Some(look);
+                }
+                ClientMessage::Probe(question) => {
+                    here.num_probes += 1;
+                    session.probe.handle_answer(question.answer(&here.scene.volume));
+                }
+                ClientMessage::Shoot(shot) => {
+                    here.num_shots += 1;
+                    if !here.sleeps {
+                        session.screenshot.handle_png(shot.id, here.png(&shot));
+                    }
+                }
+                ClientMessage::CancelShot => here.num_cancelled += 1,
+                _ => {}
+            }
+        }
+        if let Some(look) = here.wanted.take_if(|_| !here.sleeps) {
+            let volume = here.scene.volume.clone();
+            here.scene = Scene::new(volume, &look.transfer, look.march_settings());
+            here.look = (here.look.0.next(), Arc::new(look.clone()));
+            session.look.handle_changed(now, here.look.0, look, false);
+            here.render();
+        }
+    }
+}
+
+impl Here {
+    fn welcome(&self) -> Welcome {
+        let mut volume = VolumeDescription::of(&self.scene.volume, &self.scene.histogram);
+        volume.orientation.clone_from(&self.orientation);
+        Welcome {
+            ticket: Token::new([0; 16]),
+            volume,
+            look_version: self.look.0,
+            look: (*self.look.1).clone(),
+            max_side: 4096,
+            max_poses_per_second: 100,
         }
     }
 
+    fn png(&self, shot: &ShotRequest) -> Vec<u8> {
+        let view = shot.view().unwrap();
+        let camera = Camera::new(view.pose, view.intrinsics, &self.scene.volume.bounds());
+        let linear = ViewAids { background: shot.background, ..ViewAids::default() }.linear_background();
+        let rgb = render(&self.scene, &camera).to_srgb8(linear);
+        isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &rgb).unwrap()
+    }
+
     fn render(&mut self) {
-        if self.sleeps {
-            return;
-        }
-        if let Some(look) = self.wanted.take() {
-            let volume = self.scene.volume.clone();
-            self.scene = Scene::new(volume, &look.transfer, look.march_settings());
-            self.look = (self.look.0.next(), Arc::new(look));
-        }
-        let Some((pose, intrinsics)) = self.asked else { return };
+        let Some((pose, intrinsics)) = self.asked.filter(|_| !self.sleeps) else { return };
         self.num_frames += 1;
         let header = FrameHeader {
             frame: FrameId(self.num_frames),
@@ -100,92 +155,37 @@ impl HereSource {
 }
 
 impl FrameSource for HereSource {
-    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
-        self.asked = Some((pose, intrinsics));
-        self.render();
+    fn talk(&self) -> Talking<'_, ClientSession> {
+        self.serve();
+        Talking::alone(&self.session)
     }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
-        self.frame.clone()
-    }
-
-    fn state(&self) -> State {
-        self.state.clone()
-    }
-
-    fn stats(&self) -> LinkStats {
-        self.stats
-    }
-
-    fn description(&self) -> Option<Arc<Welcome>> {
-        let mut volume = VolumeDescription::of(&self.scene.volume, &self.scene.histogram);
-        volume.orientation.clone_from(&self.orientation);
-        Some(Arc::new(Welcome {
-            ticket: Token::new([0; 16]),
-            volume,
-            look_version: self.look.0,
-            look: (*self.look.1).clone(),
-            max_side: 4096,
-            max_poses_per_second: 100,
-        }))
-    }
-
-    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        Some(self.look.clone())
-    }
-
-    fn set_look(&mut self, look: Look) {
-        self.num_looks += 1;
-        self.wanted = Some(look);
-        self.render();
-    }
-
-    fn take_notice(&mut self) -> Option<String> {
-        None
+        self.here().frame.clone()
     }
 
     fn note_shown(&mut self, _frame: FrameId) {}
 
-    fn report(&mut self, _stats: ClientStats) {}
-
-    fn parts(&self) -> Option<Arc<Parts>> {
-        self.parts.clone()
+    fn state(&self) -> State {
+        self.here().state.clone()
     }
 
-    fn load(&self) -> Option<LoadStatus> {
-        self.load.clone()
+    fn stats(&self) -> LinkStats {
+        self.here().stats
     }
 
-    fn probe(&mut self, point: glam::Vec3) {
-        self.num_probes += 1;
-        let request = ProbeRequest { id: ProbeId(1), point: point.to_array() };
-        self.probed = Some(request.answer(&self.scene.volume));
+    fn set_pose(&mut self, _now: Duration, pose: Pose, intrinsics: Intrinsics) {
+        let here = self.here.get_mut();
+        here.asked = Some((pose, intrinsics));
+        here.render();
     }
 
-    fn probed(&self) -> Option<Probed> {
-        self.probed
+    fn description(&self) -> Option<Arc<Welcome>> {
+        Some(Arc::new(self.here().welcome()))
     }
 
-    /// At once; while the server sleeps, never.
-    fn shoot(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
-        self.num_shots += 1;
-        let id = ShotId(self.num_shots);
-        if !self.sleeps {
-            let camera = Camera::new(pose, intrinsics, &self.scene.volume.bounds());
-            let linear = ViewAids { background, ..ViewAids::default() }.linear_background();
-            let rgb = render(&self.scene, &camera).to_srgb8(linear);
-            let png = isinglass_formats::png::encode(intrinsics.width, intrinsics.height, &rgb);
-            self.shot = Some(Arc::new(ReceivedShot { id, png: png.map_err(|e| e.to_string()) }));
-        }
-        id
-    }
-
-    fn cancel_shot(&mut self) {
-        self.num_cancelled += 1;
-    }
-
-    fn take_shot(&mut self) -> Option<Arc<ReceivedShot>> {
-        self.shot.take()
+    fn is_of_volume(&self, _frame: &ReceivedFrame) -> bool {
+        true
     }
 }
 
@@ -205,7 +205,7 @@ fn window_on(
     size: [f32; 2],
     pixels_per_point: f32,
 ) -> Harness<'static, ViewerApp<HereSource>> {
-    let micros = Arc::new(AtomicU64::new(0));
+    let micros = source.micros.clone();
     let clock = {
         let micros = micros.clone();
         Clock::new(move || micros.load(Ordering::Relaxed))
@@ -288,7 +288,7 @@ fn editing_a_point_changes_the_picture_and_undo_brings_it_back_to_the_byte() {
     assert!(!w.state().editor.has_selection(), "the curve gets the key, too");
     // What the picture on the screen stands for is said all the time.
     let version = w.state().viewing.source().latest_frame().unwrap().frame.header.look;
-    assert_eq!(version, w.state().viewing.source().look().unwrap().0);
+    assert_eq!(version, w.state().viewing.source().here().look.0);
 }
 
 #[test]
@@ -297,8 +297,8 @@ fn edits_are_paced_and_a_picture_of_the_look_before_is_called_so() {
     open_panel(&mut w);
     let point = w.get_by_label_contains("point 2 of ").rect().center();
     assert!(w.query_by_label_contains("shown with the look before").is_none());
-    w.state_mut().viewing.source_mut().sleeps = true;
-    let looks = w.state().viewing.source().num_looks;
+    w.state().viewing.source().here().sleeps = true;
+    let looks = w.state().viewing.source().here().num_looks;
     let button = |pos, pressed| Event::PointerButton {
         pos,
         button: PointerButton::Primary,
@@ -312,15 +312,14 @@ fn edits_are_paced_and_a_picture_of_the_look_before_is_called_so() {
         w.event(Event::PointerMoved(point + vec2(0.0, -(i as f32) * 0.5)));
     }
     w.step();
-    let sent = w.state().viewing.source().num_looks - looks;
+    let sent = w.state().viewing.source().here().num_looks - looks;
     assert!((20..=31).contains(&sent), "{sent} looks in a second");
     w.event(button(point, false));
     rest(&mut w);
     assert!(w.query_by_label_contains("shown with the look before").is_some());
-    let last = w.state().viewing.source().wanted.clone().unwrap();
+    let last = w.state().viewing.source().here().wanted.clone().unwrap();
     assert_eq!(w.state().viewing.look().as_deref(), Some(&last), "the newest has arrived");
-    w.state_mut().viewing.source_mut().sleeps = false;
-    w.state_mut().viewing.source_mut().render();
+    w.state().viewing.source().here().sleeps = false;
     rest(&mut w);
     assert!(w.query_by_label_contains("shown with the look before").is_none());
 }
@@ -334,8 +333,8 @@ fn every_preset_in_the_panel_is_what_its_label_says() {
         w.run_steps(4);
         w.get_by_role_and_label(egui::Role::Button, name).click();
         rest(&mut w);
-        let transfer = &w.state().viewing.source().look.1.transfer;
-        assert_eq!(Some(transfer.clone()), isinglass_formats::preset(name));
+        let transfer = w.state().viewing.source().here().look.1.transfer.clone();
+        assert_eq!(Some(transfer), isinglass_formats::preset(name));
     }
 }
 
@@ -343,7 +342,8 @@ fn every_preset_in_the_panel_is_what_its_label_says() {
 fn a_body_is_seen_upright_at_first() {
     let first = |letters: Option<&str>| {
         let orbit = InitialOrbit { elevation_degrees: 0.0, azimuth_degrees: 0.0, ..Default::default() };
-        let source = HereSource { orientation: letters.map(Into::into), ..HereSource::new() };
+        let source = HereSource::new();
+        source.here().orientation = letters.map(Into::into);
         pose(&window_on(source, orbit, [640.0, 480.0], 1.0))
     };
     for letters in [None, Some("RAS"), Some("LPS")] {
@@ -360,7 +360,7 @@ fn standard_views_look_from_where_the_key_says() {
     let mut w = window([640.0, 480.0]);
     let first = pose(&w);
     for letters in [None, Some("RAS".to_owned())] {
-        w.state_mut().viewing.source_mut().orientation.clone_from(&letters);
+        w.state().viewing.source().here().orientation.clone_from(&letters);
         let orientation = Orientation::of(letters.as_deref());
         for (key, side) in [
             (Key::Num1, crate::bindings::Side::Front),

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use isinglass_net::ReceivedShot;
+use isinglass_core::session::screenshot::ReceivedShot;
 
 use crate::bell::Bell;
 

@@ -13,15 +13,13 @@ mod services;
 mod tests;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use egui::{Align2, RichText, vec2};
-use isinglass_core::camera::{Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion};
-use isinglass_core::look::Look;
-use isinglass_core::wire::{ClientStats, Welcome};
+use isinglass_core::ids::FrameId;
+use isinglass_core::session::ClientSession;
 use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
-use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
+use isinglass_net::{Clock, LinkStats, ReceivedFrame, State, Talking};
 
 use self::opening::{Opened, Opening, later};
 use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
@@ -252,7 +250,7 @@ impl StartWindow {
     /// Bytes of the volume that a server of this window holds: of what it shows now, if it has said so.
     fn held(&self) -> u64 {
         let Some((_, bytes)) = self.server else { return 0 };
-        self.app.source().parts().map_or(bytes, |parts| parts.bytes_in_memory)
+        self.app.source().talk().selection.choices().map_or(bytes, |parts| parts.bytes_in_memory)
     }
 
     fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
@@ -268,7 +266,7 @@ impl StartWindow {
 
     /// Ends what is shown.
     fn close(&mut self) {
-        later((self.app.turn_to(Box::new(Nothing), Origin::default()), self.server.take()));
+        later((self.app.turn_to(Box::<Nothing>::default(), Origin::default()), self.server.take()));
         (self.has_session, self.is_page_shown) = (false, true);
     }
 
@@ -366,14 +364,19 @@ impl eframe::App for StartWindow {
 }
 
 /// Before anything is opened.
-pub(crate) struct Nothing;
+#[derive(Default)]
+pub(crate) struct Nothing(Mutex<ClientSession>);
 
 impl FrameSource for Nothing {
-    fn set_pose(&mut self, _pose: Pose, _intrinsics: Intrinsics) {}
+    fn talk(&self) -> Talking<'_, ClientSession> {
+        Talking::alone(&self.0)
+    }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
         None
     }
+
+    fn note_shown(&mut self, _frame: FrameId) {}
 
     fn state(&self) -> State {
         State::Connecting { attempt: 1, problem: None }
@@ -382,24 +385,6 @@ impl FrameSource for Nothing {
     fn stats(&self) -> LinkStats {
         LinkStats::default()
     }
-
-    fn description(&self) -> Option<Arc<Welcome>> {
-        None
-    }
-
-    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        None
-    }
-
-    fn set_look(&mut self, _look: Look) {}
-
-    fn take_notice(&mut self) -> Option<String> {
-        None
-    }
-
-    fn note_shown(&mut self, _frame: FrameId) {}
-
-    fn report(&mut self, _stats: ClientStats) {}
 }
 
 /// How often a window that opens something is refreshed.

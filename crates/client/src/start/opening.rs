@@ -217,7 +217,7 @@ impl Opening {
     }
 
     fn opened(&mut self, client: Box<Client>) -> Opened {
-        let shows = client.description().map(|d| d.volume.name.clone()).unwrap_or_default();
+        let shows = client.talk().link.description().map(|d| d.volume.name.clone()).unwrap_or_default();
         let bytes = self.outline.as_ref().map_or(0, |o| o.bytes_in_memory);
         Opened {
             source: client,

@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 use egui::{Event, Key, Modifiers};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
+use isinglass_core::ids::LookVersion;
+use isinglass_core::look::Look;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::VolumeDescription;
@@ -163,7 +165,7 @@ impl Stage {
         };
         let make = move |ctx: &egui::Context| {
             let views = NovelViews::new(Vec::new(), LAYERS, Arc::new(|| {}));
-            let source: BoxedSource = Box::new(Nothing);
+            let source: BoxedSource = Box::<Nothing>::default();
             let app = ViewerApp::new(WindowOptions::default(), views, source, clock.clone(), Arc::default());
             let wake: Waker = Arc::new(|| {});
             StartWindow::new(app, services, first, ctx, clock, wake)

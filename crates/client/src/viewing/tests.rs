@@ -1,12 +1,16 @@
 //! Laws of [`super::Viewing`].
 
+use std::cell::RefCell;
+use std::sync::Mutex;
+
 use glam::Vec3;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::{Life, Stage};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use isinglass_core::wire::{ClientStats, ServerStats, Token, VolumeDescription, Welcome};
-use isinglass_net::{ConnectError, LinkStats};
+use isinglass_core::wire::{ClientMessage, ServerStats, Token, VolumeDescription, Welcome};
+use isinglass_net::{ConnectError, LinkStats, Talking};
 
 use super::*;
 
@@ -15,47 +19,54 @@ use super::*;
 pub(crate) struct FakeSource {
     pub(crate) asked: Vec<(Pose, Intrinsics)>,
     pub(crate) frame: Option<Arc<ReceivedFrame>>,
-    pub(crate) look: Option<(LookVersion, Arc<Look>)>,
-    pub(crate) wanted_looks: Vec<Look>,
+    pub(crate) session: Mutex<ClientSession>,
+    pub(crate) wanted_looks: RefCell<Vec<Look>>,
     pub(crate) shown: Vec<FrameId>,
-    pub(crate) turned: Option<f32>,
     pub(crate) max_side: Option<u32>,
     pub(crate) stats: LinkStats,
     /// Whether frames come in blocks.
     pub(crate) in_blocks: bool,
     /// Frames of older looks are of the volume before.
     pub(crate) volume_since: LookVersion,
-    /// Number of the connection, and the volume that is there.
-    pub(crate) connection: u32,
-    pub(crate) volume: &'static str,
     /// Why there is no connection.
     pub(crate) refused: Option<ConnectError>,
 }
 
 impl FrameSource for FakeSource {
-    fn set_pose(&mut self, pose: Pose, intrinsics: Intrinsics) {
-        self.asked.push((pose, intrinsics));
+    /// Looks are sent at once.
+    fn talk(&self) -> Talking<'_, ClientSession> {
+        let mut talk = Talking::alone(&self.session);
+        if let Some(due) = talk.look.due().filter(|_| talk.look.is_waiting())
+            && let Some(ClientMessage::SetLook(look)) = talk.look.poll_message(due)
+        {
+            self.wanted_looks.borrow_mut().push(look);
+        }
+        talk
     }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
         self.frame.clone()
     }
 
-    fn state(&self) -> State {
-        self.refused.clone().map_or(State::Connected, State::Refused)
+    fn note_shown(&mut self, frame: FrameId) {
+        self.shown.push(frame);
     }
 
-    fn connection(&self) -> u32 {
-        self.connection
+    fn state(&self) -> State {
+        self.refused.clone().map_or(State::Connected, State::Refused)
     }
 
     fn stats(&self) -> LinkStats {
         self.stats
     }
 
+    fn set_pose(&mut self, _now: Duration, pose: Pose, intrinsics: Intrinsics) {
+        self.asked.push((pose, intrinsics));
+    }
+
     fn description(&self) -> Option<Arc<Welcome>> {
         let volume = VolumeDescription {
-            name: self.volume.into(),
+            name: "volume".into(),
             dims: [2, 2, 2],
             spacing: [1.0; 3],
             unit: None,
@@ -76,41 +87,28 @@ impl FrameSource for FakeSource {
         }))
     }
 
-    fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        self.look.clone()
-    }
-
-    fn set_look(&mut self, look: Look) {
-        self.wanted_looks.push(look);
-    }
-
-    fn take_notice(&mut self) -> Option<String> {
-        None
-    }
-
-    fn note_shown(&mut self, frame: FrameId) {
-        self.shown.push(frame);
-    }
-
-    fn note_turn(&mut self, degrees: Option<f32>) {
-        self.turned = degrees;
-    }
-
-    fn report(&mut self, _stats: ClientStats) {}
-
     fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
         frame.frame.header.look >= self.volume_since
     }
 }
 
 impl FakeSource {
+    /// The server has another look in force.
+    fn put_look(&self, version: u32, look: Look) {
+        self.talk().look.handle_changed(0, LookVersion(version), look, false);
+    }
+
+    fn turned(&self) -> Option<u8> {
+        self.talk().pose.shown_turn_deg()
+    }
+
     /// Answers the wish number `pose`, from 1, that was made at `pose_set`.
     fn answer(&mut self, pose: u32, pose_set: Duration, is_complete: bool) {
         let (at, intrinsics) = self.asked[pose as usize - 1];
         let header = FrameHeader {
             frame: FrameId(pose),
             pose: PoseId(pose),
-            look: self.look.as_ref().map_or(LookVersion(0), |l| l.0),
+            look: self.talk().look.in_force().map_or(LookVersion(0), |l| l.0),
             camera: Camera::new(at, intrinsics, &BOUNDS),
             k: 4,
             mode: Default::default(),
@@ -203,14 +201,14 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
     assert!((r.turned_degrees.unwrap() - 11.0 * 0.2f32.cos()).abs() < 0.1, "{r:?}");
     assert!(turned.len() == 9);
     // How far frames in blocks are turned is told to the server, of exact ones not.
-    assert_eq!(v.source.turned, None);
+    assert_eq!(v.source.turned(), None);
     v.source.in_blocks = true;
     v.source.answer(12, ms(11 * 16), true);
     let r = v.refresh(ms(21 * 16), at(21.0), PICTURE, &BOUNDS);
-    assert!(r.turned_degrees > Some(8.0) && v.source.turned == r.turned_degrees, "{r:?}");
+    assert!(r.turned_degrees > Some(8.0) && v.source.turned() == Some(9), "{r:?}");
     // A rest is told before anything is asked for because of it.
     v.refresh(ms(21 * 16 + 200), at(21.0), PICTURE, &BOUNDS);
-    assert_eq!(v.source.turned, None);
+    assert_eq!(v.source.turned(), None);
 }
 
 #[test]
@@ -331,7 +329,7 @@ fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
     v.source.answer(5, ms(1050), true);
     v.refresh(ms(1300), near(0.2), picture, &BOUNDS);
     assert!(v.source.asked[5].1 != picture);
-    v.source.look = Some((LookVersion(7), Arc::new(look("bone"))));
+    v.source.put_look(7, look("bone"));
     v.refresh(ms(1400), near(0.2), picture, &BOUNDS);
     assert_eq!(v.source.asked[6], (near(0.2), picture));
 }
@@ -396,15 +394,15 @@ fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
 #[test]
 fn a_look_that_is_on_its_way_is_not_exact() {
     let mut v = viewing();
-    v.source.look = Some((LookVersion(1), Arc::new(look("bone"))));
+    v.source.put_look(1, look("bone"));
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
     v.source.answer(1, ms(0), true);
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     v.set_look(ms(20), look("skin"));
-    assert_eq!(v.source.wanted_looks, [look("skin")]);
     assert_eq!(v.look(), Some(Arc::new(look("skin"))));
+    assert_eq!(*v.source.wanted_looks.borrow(), [look("skin")]);
     assert_eq!(v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-    v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
+    v.source.put_look(2, look("skin"));
     assert_eq!(v.refresh(ms(40), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     v.source.answer(1, ms(0), true);
     assert_eq!(v.refresh(ms(50), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
@@ -414,78 +412,21 @@ fn a_look_that_is_on_its_way_is_not_exact() {
     assert_eq!(v.refresh(ms(4_000), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
 }
 
-/// Changed and changed back within a round trip: the answer to the first wish comes when the second is long made.
 #[test]
-fn a_look_that_was_changed_back_is_not_undone_by_a_late_answer() {
+fn while_a_look_is_edited_the_picture_says_that_it_is_older() {
     let mut v = viewing();
-    let in_force = |v: &mut Viewing<FakeSource>, version, name| {
-        v.source.look = Some((LookVersion(version), Arc::new(look(name))));
-    };
-    in_force(&mut v, 1, "bone");
-    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-    v.set_look(ms(100), look("skin"));
-    v.set_look(ms(200), look("bone"));
-    for (now, version, name) in [(210, 1, "bone"), (300, 2, "skin"), (400, 3, "bone")] {
-        in_force(&mut v, version, name);
-        v.refresh(ms(now), at(0.0), PICTURE, &BOUNDS);
-        assert_eq!(v.look(), Some(Arc::new(look("bone"))), "at {now}");
-    }
-    // From then on the server's counts again, also where it has answered the last wish alone.
-    in_force(&mut v, 4, "flesh");
-    assert_eq!(v.look(), Some(Arc::new(look("flesh"))));
-    v.set_look(ms(500), look("flesh"));
-    v.refresh(ms(2600), at(0.0), PICTURE, &BOUNDS);
-    in_force(&mut v, 5, "bone");
-    assert_eq!(v.look(), Some(Arc::new(look("bone"))));
-}
-
-#[test]
-fn over_another_connection_the_look_that_was_asked_for_stays() {
-    for (volume, expected) in [("cube", "skin"), ("sphere", "first")] {
-        let mut v = viewing();
-        (v.source.max_side, v.source.connection, v.source.volume) = (Some(1000), 1, "cube");
-        v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
-        v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-        v.set_look(ms(10), look("skin"));
-        v.source.look = Some((LookVersion(2), Arc::new(look("skin"))));
-        v.refresh(ms(20), at(0.0), PICTURE, &BOUNDS);
-        // The server's own, until it hears of this viewer's.
-        (v.source.connection, v.source.volume) = (2, volume);
-        v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
-        v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS);
-        assert_eq!(v.look(), Some(Arc::new(look(expected))), "{volume}");
-    }
-    // A viewer that never asked for one has the server's.
-    let mut v = viewing();
-    (v.source.max_side, v.source.connection) = (Some(1000), 1);
-    v.source.look = Some((LookVersion(1), Arc::new(look("first"))));
-    v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-    v.source.connection = 2;
-    v.source.look = Some((LookVersion(1), Arc::new(look("second"))));
-    v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS);
-    assert_eq!(v.look(), Some(Arc::new(look("second"))));
-}
-
-#[test]
-fn edits_of_a_look_go_out_thirty_times_a_second_and_the_newest_wins() {
-    let mut v = viewing();
-    v.source.look = Some((LookVersion(1), Arc::new(look("0"))));
+    v.source.put_look(1, look("0"));
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
     v.source.answer(1, ms(0), true);
     assert_eq!(v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).older_look_since, None);
-    // A second of dragging at 125 Hz, as mice report.
     for i in 1..=125u64 {
         v.set_look(ms(i * 8), look(&i.to_string()));
         assert_eq!(v.look(), Some(Arc::new(look(&i.to_string()))), "the panel shows the newest at once");
         let refresh = v.refresh(ms(i * 8), at(0.0), PICTURE, &BOUNDS);
-        assert_eq!(refresh.older_look_since, Some(ms(8)), "the picture says that it is older");
+        assert_eq!(refresh.older_look_since, Some(ms(8)));
     }
-    assert!((20..=31).contains(&v.source.wanted_looks.len()), "{}", v.source.wanted_looks.len());
-    let due = v.look_due().unwrap();
-    v.refresh(due, at(0.0), PICTURE, &BOUNDS);
-    assert_eq!((v.look_due(), v.source.wanted_looks.last()), (None, Some(&look("125"))));
     // Granted, but the frame is still of the look before; then it is there.
-    v.source.look = Some((LookVersion(2), Arc::new(look("125"))));
+    v.source.put_look(2, look("125"));
     assert_eq!(v.refresh(ms(1100), at(0.0), PICTURE, &BOUNDS).older_look_since, Some(ms(8)));
     v.source.answer(1, ms(0), true);
     let refresh = v.refresh(ms(1200), at(0.0), PICTURE, &BOUNDS);
@@ -496,7 +437,7 @@ fn edits_of_a_look_go_out_thirty_times_a_second_and_the_newest_wins() {
 fn a_look_being_edited_is_seen_in_small_frames() {
     let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
     let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
-    v.source.look = Some((LookVersion(1), Arc::new(look("bone"))));
+    v.source.put_look(1, look("bone"));
     v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
     v.source.answer(1, ms(1), true);
     v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
@@ -536,7 +477,7 @@ fn a_refresh_knows_whether_anything_changed_and_tells_of_new_frames_once() {
 #[test]
 fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_it_is_there() {
     let mut viewing = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
-    viewing.source.look = Some((LookVersion(1), Arc::new(look("first"))));
+    viewing.source.put_look(1, look("first"));
     viewing.refresh(ms(0), at(10.0), PICTURE, &BOUNDS);
     viewing.source.answer(1, ms(0), true);
     let before = viewing.refresh(ms(500), at(10.0), PICTURE, &BOUNDS);
@@ -545,7 +486,7 @@ fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_
     // Ten times as large, seen from ten times as far.
     let large = Aabb { min: BOUNDS.min * 10.0, max: BOUNDS.max * 10.0 };
     let far = Pose { eye: at(10.0).eye * 10.0, ..at(10.0) };
-    viewing.source.look = Some((LookVersion(2), Arc::new(look("second"))));
+    viewing.source.put_look(2, look("second"));
     viewing.source.volume_since = LookVersion(2);
     let meanwhile = viewing.refresh(ms(510), far, PICTURE, &large);
     assert_eq!(viewing.source.asked.last().unwrap().0, far, "the new volume is asked for");
@@ -566,7 +507,7 @@ fn a_cut_is_no_older_look_but_anything_else_is() {
         clip: Clip { bounds: Some(Aabb { min: Vec3::NEG_ONE, max: Vec3::splat(max) }), plane: None },
         ..look("first")
     };
-    v.source.look = Some((LookVersion(3), Arc::new(clipped(0.5))));
+    v.source.put_look(3, clipped(0.5));
     v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS);
     v.source.answer(1, ms(10), true);
     let refresh = |v: &mut Viewing<FakeSource>, time| v.refresh(ms(time), at(0.0), PICTURE, &BOUNDS);
@@ -577,7 +518,7 @@ fn a_cut_is_no_older_look_but_anything_else_is() {
     assert_eq!((cut.older_look_since, cut.clip), (None, clipped(0.3).clip));
     assert_eq!(cut.standing, Standing::Refining);
     // The server has it, the frame that is shown is still the one before.
-    v.source.look = Some((LookVersion(4), Arc::new(clipped(0.3))));
+    v.source.put_look(4, clipped(0.3));
     assert_eq!(refresh(&mut v, 80).older_look_since, None);
     // Larger than the frame knows, or another transfer function: not this picture.
     v.set_look(ms(90), clipped(0.6));

@@ -85,7 +85,7 @@ impl LinkState {
 /// For each frame: `handle_generated`, `handle_turned`, `handle_link`, then `next` (or `finer` for one that is sent again because the
 /// camera rests), and `handle_encoded` when that is done.
 #[derive(Clone, Debug)]
-pub struct Pilot {
+pub struct CodingControl {
     plan: Plan,
     control: RateControl,
     /// What the link carries, bytes a second, as far as it has shown; none: no queue was seen.
@@ -109,7 +109,7 @@ pub struct Pilot {
     timely_quality: f64,
 }
 
-impl Pilot {
+impl CodingControl {
     /// Knows nothing of the link yet.
     pub fn new(plan: Plan) -> Self {
         Self {

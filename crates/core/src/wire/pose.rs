@@ -57,6 +57,19 @@ pub enum PoseError {
 }
 
 impl PoseRequest {
+    /// A view alone, with nothing said of the one who asks for it.
+    pub fn of_view(pose: Pose, intrinsics: Intrinsics) -> Self {
+        Self {
+            id: PoseId(1),
+            stamp_micros: 0,
+            pose,
+            intrinsics,
+            newest_complete: None,
+            shown_turn_deg: None,
+            decode_nanos_per_list: 0,
+        }
+    }
+
     /// The bytes of the datagram.
     pub fn encode(&self) -> [u8; POSE_BYTES] {
         let mut out = [0; POSE_BYTES];

@@ -65,21 +65,12 @@ pub const MAX_SHOT_BYTES: usize = 3 * MAX_SHOT_PIXELS + (1 << 20);
 mod tests {
     use super::*;
     use crate::camera::{Intrinsics, Pose};
-    use crate::ids::PoseId;
     use glam::Vec3;
 
     fn request(width: u32, height: u32) -> ShotRequest {
         let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0);
         let intrinsics = Intrinsics::perspective(width, height, 0.5);
-        let view = PoseRequest {
-            id: PoseId(1),
-            stamp_micros: 0,
-            pose,
-            intrinsics,
-            newest_complete: None,
-            shown_turn_deg: None,
-            decode_nanos_per_list: 0,
-        };
+        let view = PoseRequest::of_view(pose, intrinsics);
         ShotRequest { id: ShotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
     }
 

@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
-use isinglass_core::session::client::{ChunkPlace, Prediction};
+use isinglass_core::session::chunks::{ChunkPlace, Prediction};
 use isinglass_core::wire::shot::shot_id;
 use quinn::{Connection, RecvStream};
 
-use super::{Shared, shot};
+use super::{Shared, screenshot};
 use crate::transport::{RESET_SUPERSEDED, STOP_UNUSABLE};
 
 /// Reads all streams of a connection, each in its own task, until the connection is over.
@@ -39,9 +39,9 @@ async fn read(
             let header = header.ok_or_else(|| format!("a stream of {} bytes is no chunk", bytes.len()))?;
             let now = shared.clock.now_micros();
             let first = first_byte_micros.unwrap_or(now);
-            let mut session = shared.session();
-            if session.connection() == number {
-                session.handle_chunk(now, first, place(&header, &bytes), bytes).map_err(|e| e.to_string())?;
+            let mut chunks = shared.chunks();
+            if chunks.connection() == number {
+                chunks.handle_chunk(now, first, place(&header, &bytes), bytes).map_err(|e| e.to_string())?;
                 shared.decode_wanted.notify_one();
             }
             return Ok(());
@@ -54,7 +54,7 @@ async fn read(
         }
         bytes.extend_from_slice(&part.bytes);
         if header.is_none() && shot_id(&bytes).is_some() {
-            return shot::read(shared, stream, bytes, budget).await;
+            return screenshot::read(shared, stream, bytes, budget).await;
         }
         if header.is_none() && bytes.len() >= HEADER_BYTES {
             let read = codec::peek(&bytes);
@@ -63,7 +63,7 @@ async fn read(
             }
             header = Some(read.map_err(|e| e.to_string())?);
         }
-        if header.as_ref().is_some_and(|h| !shared.session().wants(h.frame.frame, is_predicting(h))) {
+        if header.as_ref().is_some_and(|h| !shared.chunks().wants(h.frame.frame, is_predicting(h))) {
             let _ = stream.stop(RESET_SUPERSEDED);
             return Ok(());
         }

@@ -4,27 +4,26 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isinglass_core::ids::ShotId;
+use isinglass_core::session::client;
+use isinglass_core::session::pose::ReceiverReport;
 use isinglass_core::wire::control::hello;
-use isinglass_core::wire::{
-    ClientMessage, Part, Refusal, ServerMessage, ShotRequest, Token, VolumeChange, Welcome,
-};
+use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token};
 use quinn::{
     AsyncUdpSocket, Connection, ConnectionError, Endpoint, EndpointConfig, RecvStream, Runtime,
     SendDatagramError, SendStream, TokioRuntime, TransportErrorCode,
 };
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
-use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, timeout};
 use tracing::Instrument;
 
-use super::{ClientOptions, ConnectError, Shared, State, chunks, shot};
+use super::{ClientOptions, ConnectError, Shared, State, chunks};
 use crate::conditioner::{ConditionedSocket, LinkModel};
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{IdentityError, Mismatch, SERVER_NAME, pinned_tls, random_token};
 use crate::link::Link;
+use crate::talk::until_due;
 use crate::transport::{self, AUTH_DEADLINE, SILENCE_LIMIT};
 
 /// Whom to call, and what to say.
@@ -86,29 +85,14 @@ impl Dialer {
         match message {
             ServerMessage::Welcome(welcome) => {
                 self.token = welcome.ticket.clone();
-                let number = {
-                    let mut session = shared.session();
-                    session.handle_connected();
-                    session.connection()
+                shared.chunks().handle_connected();
+                let now = shared.clock.now_micros();
+                let description = {
+                    let mut talk = shared.talk.lock();
+                    talk.handle_welcome(now, *welcome);
+                    talk.link.description()
                 };
-                if number > 1 {
-                    // Wished for while nobody was there, perhaps minutes ago: it would change what all others see.
-                    shared.part.send_if_modified(|wish| wish.take().is_some());
-                }
-                let is_other = |known: &Arc<Welcome>| known.volume.name != welcome.volume.name;
-                if shared.status.read().welcome.as_ref().is_some_and(is_other) {
-                    // The look that was asked for was one of another file. Of another part of a file it stays.
-                    shared.look.send_if_modified(|wish| wish.take().is_some());
-                }
-                shared.update(|s| {
-                    s.connection = number;
-                    s.look = Some((welcome.look_version, Arc::new(welcome.look.clone())));
-                    s.is_draft = false;
-                    s.welcome = Some(Arc::new(*welcome));
-                    // Both are said again, if there are any.
-                    (s.parts, s.load) = (None, None);
-                    s.state = State::Connected;
-                });
+                shared.update(|s| (s.welcome, s.state) = (description, State::Connected));
                 Ok(Dialed { endpoint, connection, send, recv })
             }
             ServerMessage::Refused(refusal) => {
@@ -231,10 +215,6 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     let mut stop = shared.stop.subscribe();
     let stopped = async move { stop.wait_for(|s| *s).await.map(drop).unwrap_or_default() };
     tokio::pin!(stopped);
-    // Kept over connections: a wish made between a welcome and the first message after it is not lost, and one that was
-    // sent is not sent again.
-    let mut parts = shared.part.subscribe();
-    parts.mark_changed();
     let mut lost_at = None;
     let mut attempt = 1;
     loop {
@@ -249,13 +229,14 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                 let mut dialed = dialed;
                 let ended = tokio::select! {
                     () = &mut stopped => None,
-                    ended = drive(&shared, &mut dialed, &mut parts).instrument(span) => Some(ended),
+                    ended = drive(&shared, &mut dialed).instrument(span) => Some(ended),
                 };
                 let Some(ended) = ended else {
                     let _ = control_stream::send(&mut dialed.send, &ClientMessage::Bye).await;
                     dialed.connection.close(transport::CLOSE_BYE, b"");
                     return say_goodbye(&dialed.endpoint).await;
                 };
+                shared.talk.lock().handle_lost();
                 lost_at = Some(shared.clock.now_micros());
                 match ended {
                     Ended::Connection => {
@@ -312,9 +293,6 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     }
 }
 
-/// The newest wish for another part of the file; its inside is none where it is one for no other.
-type PartWishes = watch::Receiver<Option<Option<Part>>>;
-
 /// Why a connection is not driven any more.
 enum Ended {
     Connection,
@@ -322,13 +300,13 @@ enum Ended {
     Silence,
 }
 
-async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed, parts: &mut PartWishes) -> Ended {
+async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed) -> Ended {
     let Dialed { connection, send, recv, .. } = dialed;
-    let number = shared.session().connection();
+    let number = shared.chunks().connection();
     tokio::select! {
         () = chunks::read_all(shared, connection, number) => Ended::Connection,
         ended = read_messages(shared, recv) => ended,
-        () = write_messages(shared, send, parts) => Ended::Connection,
+        () = write_messages(shared, send) => Ended::Connection,
         () = send_poses(shared, connection) => Ended::Connection,
         () = watch_link(shared, connection) => Ended::Silence,
     }
@@ -336,115 +314,36 @@ async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed, parts: &mut PartWishes
 
 async fn read_messages(shared: &Shared, stream: &mut RecvStream) -> Ended {
     loop {
-        match control_stream::receive::<ServerMessage>(stream).await {
-            Ok(ServerMessage::LookChanged { version, look, is_draft }) => {
-                shared.update(|s| (s.look, s.is_draft) = (Some((version, Arc::new(look))), is_draft));
-            }
-            Ok(ServerMessage::VolumeChanged(change)) => change_volume(shared, *change),
-            Ok(ServerMessage::Parts(parts)) => shared.update(|s| s.parts = Some(Arc::new(*parts))),
-            Ok(ServerMessage::Load(load)) => shared.update(|s| s.load = Some(load)),
-            Ok(ServerMessage::Probed(probed)) => shared.update(|s| s.probed = Some(probed)),
-            Ok(ServerMessage::ShotFailed { id, why }) => shot::settle(shared, id, Err(why)),
-            Ok(ServerMessage::Notice(text)) => {
-                shared.status.put_notice(text);
-                (shared.wake)();
-            }
-            Ok(ServerMessage::Stats(stats)) => shared.status.update(|s| s.stats.server = stats),
-            Ok(ServerMessage::Refused(refusal)) => return Ended::Problem(ConnectError::Refused(refusal)),
-            Ok(ServerMessage::Welcome(_)) => {
-                return Ended::Problem(ConnectError::Protocol("a second welcome".into()));
-            }
+        let message = match control_stream::receive::<ServerMessage>(stream).await {
+            Ok(message) => message,
             Err(ReceiveError::Control(e)) => return Ended::Problem(ConnectError::Protocol(e.to_string())),
             Err(ReceiveError::Ended(_)) => return Ended::Connection,
+        };
+        // The overlay shows these with the next frame.
+        let is_quiet = matches!(message, ServerMessage::Stats(_));
+        let handled = shared.talk.lock().handle_message(shared.clock.now_micros(), message);
+        match handled {
+            Ok(()) if is_quiet => {}
+            Ok(()) => (shared.wake)(),
+            Err(client::Ended::Refused(refusal)) => {
+                return Ended::Problem(ConnectError::Refused(refusal));
+            }
+            Err(client::Ended::Broken(how)) => return Ended::Problem(ConnectError::Protocol(how.into())),
         }
     }
 }
 
-/// Another volume is shown from now on. Its look may be another too, which is not to be undone by asking again for the one
-/// before: over the next connection that of the new volume is asked for.
-fn change_volume(shared: &Shared, change: VolumeChange) {
-    let VolumeChange { volume, look_version, look } = change;
-    let before = shared.status.read().look.clone();
-    shared.look.send_if_modified(|wanted| {
-        if wanted.is_some() && wanted.as_ref() == before.as_ref().map(|(_, look)| &**look) {
-            *wanted = Some(look.clone());
-        }
-        false
-    });
-    shared.update(|s| {
-        if let Some(welcome) = &s.welcome {
-            s.welcome =
-                Some(Arc::new(Welcome { volume, look_version, look: look.clone(), ..(**welcome).clone() }));
-        }
-        s.look = Some((look_version, Arc::new(look)));
-        (s.is_draft, s.probed) = (false, None);
-    });
-}
-
-/// Looks, parts and reports, the newest of each.
-async fn write_messages(shared: &Shared, stream: &mut SendStream, parts: &mut PartWishes) {
-    let mut looks = shared.look.subscribe();
-    let mut reports = shared.report.subscribe();
-    let mut probes = shared.probe.subscribe();
-    // Nor is a question forgotten that was asked without a connection.
-    probes.mark_changed();
-    let mut shots = shared.shot.subscribe();
-    // A look that was asked for over a connection that is gone is asked for again.
-    looks.mark_changed();
-    // Once one was asked for over this connection, what is in force is on its way to that one.
-    let in_force = || shared.status.read().look.as_ref().map(|(_, look)| look.as_ref().clone());
-    let since = || shared.status.read().welcome.as_ref().map(|w| w.look_version);
-    let (mut asked, mut asked_since) = (in_force(), since());
-    let mut next_report = Instant::now() + REPORT_INTERVAL;
-    // After the look: a picture that is still waited for is asked for again, too.
-    shots.mark_changed();
-    let (mut shoots_at, mut probes_at) = (Instant::now(), Instant::now());
-    let mut asked_shot = None;
+async fn write_messages(shared: &Shared, stream: &mut SendStream) {
+    let mut changed = shared.talk.subscribe();
     loop {
-        let message = tokio::select! {
-            biased;
-            changed = looks.changed() => {
-                let wanted = looks.borrow_and_update().clone();
-                if changed.is_err() {
-                    return;
-                }
-                // Another volume may have come with another look.
-                if std::mem::replace(&mut asked_since, since()) != asked_since {
-                    asked = in_force();
-                }
-                let wanted = wanted.filter(|w| asked.as_ref() != Some(w));
-                asked = wanted.clone().or(asked);
-                wanted.map(ClientMessage::SetLook)
-            }
-            changed = parts.changed() => {
-                if changed.is_err() {
-                    return;
-                }
-                let wish = *parts.borrow_and_update();
-                wish.map(|part| part.map_or(ClientMessage::CancelPart, ClientMessage::OpenPart))
-            }
-            changed = changed_after(shoots_at, &mut shots) => {
-                if changed.is_err() {
-                    return;
-                }
-                shoots_at = Instant::now() + SHOT_INTERVAL;
-                let waiting = shots.borrow_and_update().clone();
-                shot_message(waiting, &mut asked_shot)
-            }
-            changed = changed_after(probes_at, &mut probes) => {
-                if changed.is_err() {
-                    return;
-                }
-                probes_at = Instant::now() + PROBE_INTERVAL;
-                probes.borrow_and_update().map(ClientMessage::Probe)
-            }
-            () = tokio::time::sleep_until(next_report) => {
-                next_report += REPORT_INTERVAL;
-                let report = if reports.has_changed().unwrap_or(false) { *reports.borrow_and_update() } else { None };
-                report.map(ClientMessage::Stats)
-            }
+        let (message, due) = {
+            let mut talk = shared.talk.lock_quietly();
+            (talk.poll_message(shared.clock.now_micros()), talk.due())
         };
-        let Some(message) = message else { continue };
+        let Some(message) = message else {
+            until_due(&mut changed, &shared.clock, due).await;
+            continue;
+        };
         match control_stream::send(stream, &message).await {
             Ok(()) => {}
             Err(control_stream::SendError::Control(e)) => tracing::error!("not sent: {e}"),
@@ -453,50 +352,28 @@ async fn write_messages(shared: &Shared, stream: &mut SendStream, parts: &mut Pa
     }
 }
 
-/// Waits for a moment, and then for a change: who asks too often is sent away.
-async fn changed_after<T>(
-    at: Instant,
-    value: &mut watch::Receiver<T>,
-) -> Result<(), watch::error::RecvError> {
-    tokio::time::sleep_until(at).await;
-    value.changed().await
-}
-
-/// What to say of the picture that is wanted; `asked` is the one that the server knows of.
-fn shot_message(waiting: Option<ShotRequest>, asked: &mut Option<ShotId>) -> Option<ClientMessage> {
-    let before = std::mem::replace(asked, waiting.as_ref().map(|w| w.id));
-    match waiting {
-        Some(shot) => (before != Some(shot.id)).then_some(ClientMessage::Shoot(shot)),
-        None => before.map(|_| ClientMessage::CancelShot),
-    }
-}
-
-/// A datagram for every new pose, at most 120 a second, and ten a second at rest: a lost one heals by itself, the
-/// newest complete frame is acknowledged, and no timer on the way grows sleepy.
 async fn send_poses(shared: &Shared, connection: &Connection) {
-    let mut poses = shared.pose.subscribe();
-    poses.mark_changed();
-    let mut noted = None;
+    let mut changed = shared.talk.subscribe();
     loop {
-        let _ = timeout(POSE_REPEAT, poses.changed()).await;
-        let newest = *poses.borrow_and_update();
-        if let Some(mut request) = newest {
-            if noted.replace(request.id) != Some(request.id) {
-                shared.session().handle_pose(request.stamp_micros, request.id);
-            }
-            {
-                let session = shared.session();
-                request.newest_complete = session.newest_complete();
-                request.decode_nanos_per_list = session.decode_nanos_per_list();
-            }
-            request.shown_turn_deg = shared.wishes.shown_turn_deg();
-            match connection.send_datagram(request.encode().to_vec().into()) {
-                Ok(()) => {}
-                Err(SendDatagramError::ConnectionLost(_)) => return,
-                Err(e) => tracing::error!("no pose can be sent: {e}"),
-            }
+        let report = {
+            let chunks = shared.chunks();
+            let decode_nanos_per_list = chunks.decode_nanos_per_list();
+            ReceiverReport { newest_complete: chunks.newest_complete(), decode_nanos_per_list }
+        };
+        let (request, due) = {
+            let mut talk = shared.talk.lock_quietly();
+            (talk.pose.poll_datagram(shared.clock.now_micros(), report), talk.pose.due())
+        };
+        let Some(request) = request else {
+            until_due(&mut changed, &shared.clock, due).await;
+            continue;
+        };
+        shared.chunks().handle_pose(request.stamp_micros, request.id);
+        match connection.send_datagram(request.encode().to_vec().into()) {
+            Ok(()) => {}
+            Err(SendDatagramError::ConnectionLost(_)) => return,
+            Err(e) => tracing::error!("no pose can be sent: {e}"),
         }
-        tokio::time::sleep(POSE_INTERVAL).await;
     }
 }
 
@@ -513,8 +390,7 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
             heard_at = now;
         }
         let seconds = (now - before_at).as_secs_f64();
-        let frames_per_second = shared.session().frames_per_second(shared.clock.now_micros());
-        shared.note_shown();
+        let frames_per_second = shared.chunks().frames_per_second(shared.clock.now_micros());
         shared.status.update(|status| {
             let link = &mut status.stats;
             if seconds > 0.0 {
@@ -557,13 +433,6 @@ impl Backoff {
 
 /// The TLS alert `no_application_protocol`, which QUIC carries in a crypto error (RFC 9001, section 4.8).
 const NO_COMMON_ALPN: u8 = 120;
-const POSE_INTERVAL: Duration = Duration::from_micros(8_300);
-const POSE_REPEAT: Duration = Duration::from_millis(100);
-/// Questions go out at most 30 times a second.
-const PROBE_INTERVAL: Duration = Duration::from_micros(33_334);
-/// And pictures are asked for.
-const SHOT_INTERVAL: Duration = PROBE_INTERVAL;
-const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
 /// Why a connection is closed comes with the end of its streams, or soon after.
 const REASON_WAIT: Duration = Duration::from_secs(1);

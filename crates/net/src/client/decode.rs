@@ -8,7 +8,7 @@ use std::time::Duration;
 use isinglass_core::codec::blocks::{Reference, References};
 use isinglass_core::codec::{self, Assembly, CodecError};
 use isinglass_core::layer::LayeredFrame;
-use isinglass_core::session::client::DecodeJob;
+use isinglass_core::session::chunks::DecodeJob;
 
 use super::{ReceivedFrame, Shared};
 use crate::work::Work;
@@ -46,7 +46,7 @@ pub(super) fn run(shared: &Shared) {
             Ok(decoded) => decoded,
             Err(problem) => {
                 shared.note_broken_chunk(format!("frame {} cannot be decoded: {problem}", job.frame));
-                shared.session().handle_broken(job.connection, job.frame);
+                shared.chunks().handle_broken(job.connection, job.frame);
                 assembly = None;
                 continue;
             }
@@ -58,9 +58,9 @@ pub(super) fn run(shared: &Shared) {
         let now = shared.clock.now_micros();
         let num_lists = frame.header.camera.intrinsics.num_pixels();
         let times = {
-            let mut session = shared.session();
-            session.handle_decode_time(now.saturating_sub(begun_micros), num_lists);
-            session.handle_decoded(now, job.connection, job.frame, job.is_last)
+            let mut chunks = shared.chunks();
+            chunks.handle_decode_time(now.saturating_sub(begun_micros), num_lists);
+            chunks.handle_decoded(now, job.connection, job.frame, job.is_last)
         };
         let Some(times) = times else { continue };
         let is_complete = job.is_last;
@@ -74,18 +74,18 @@ pub(super) fn run(shared: &Shared) {
 
 /// Waits for something to decode; `None` when the client stops.
 fn next_job(shared: &Shared) -> Option<DecodeJob> {
-    let mut session = shared.session();
+    let mut chunks = shared.chunks();
     loop {
         if shared.is_stopping() {
             return None;
         }
         let now = shared.clock.now_micros();
-        if let Some(job) = session.poll_decode(now) {
+        if let Some(job) = chunks.poll_decode(now) {
             return Some(job);
         }
-        let held = session.hold_until().map(|until| Duration::from_micros(until.saturating_sub(now)));
-        let waited = shared.decode_wanted.wait_timeout(session, held.unwrap_or(Duration::from_secs(1)));
-        session = waited.unwrap_or_else(PoisonError::into_inner).0;
+        let held = chunks.hold_until().map(|until| Duration::from_micros(until.saturating_sub(now)));
+        let waited = shared.decode_wanted.wait_timeout(chunks, held.unwrap_or(Duration::from_secs(1)));
+        chunks = waited.unwrap_or_else(PoisonError::into_inner).0;
     }
 }
 

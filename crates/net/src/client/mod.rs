@@ -1,15 +1,14 @@
 //! The client: keeps a connection up and the newest frame at hand, and never makes its caller wait.
 //!
-//! One thread drives the network, another decodes; what the caller reads is swapped in whole, and what it wishes is swapped out
-//! by a third, so that no call of a display loop takes a lock that those threads hold. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
+//! One thread drives the network, another decodes. All that is said goes through one lock, which every thread holds for
+//! moments. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
 
 mod chunks;
 mod connection;
 mod decode;
 mod error;
-mod shot;
+mod screenshot;
 mod status;
-mod wishes;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
@@ -17,27 +16,23 @@ use std::time::Duration;
 
 use arc_swap::ArcSwapOption;
 use isinglass_core::camera::{Intrinsics, Pose};
-use isinglass_core::ids::{FrameId, LookVersion, PoseId, ProbeId, ShotId};
+use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::{Look, LookError};
-use isinglass_core::session::client;
+use isinglass_core::session::ClientSession;
+use isinglass_core::session::chunks::ChunksClient;
 use isinglass_core::session::ledger::Life;
-use isinglass_core::wire::{
-    ClientStats, LoadStatus, Part, Parts, PoseRequest, ProbeRequest, Probed, ServerStats, ShotRequest,
-    Welcome,
-};
+use isinglass_core::wire::{ServerStats, Welcome};
 use tokio::sync::watch;
 
 use crate::clock::Clock;
 use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
-
 use crate::link::Link;
+use crate::talk::{Talk, Talking};
 use crate::work::AfterWork;
 
 pub use error::ConnectError;
-pub use shot::ReceivedShot;
 use status::{Status, StatusBoard};
-use wishes::Wishes;
 
 /// How to connect.
 #[derive(Clone)]
@@ -128,6 +123,13 @@ pub struct ReceivedFrame {
     pub times: Life,
 }
 
+impl ReceivedFrame {
+    /// Whether it is of the volume that the session describes, and not of the one before.
+    pub fn is_of(&self, session: &ClientSession) -> bool {
+        session.is_of_volume(self.times.connection, self.frame.header.look)
+    }
+}
+
 /// What the overlay shows. Times are on the client's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStats {
@@ -163,25 +165,16 @@ impl Client {
             model.validate()?;
         }
         let dialer = connection::Dialer::new(link.clone(), &options)?;
-        let (shown, shown_in) = mpsc::sync_channel(MAX_SHOWN);
         let shared = Arc::new(Shared {
             clock: options.clock,
             after_work: options.after_work,
             wake: options.wake,
-            session: Mutex::default(),
+            talk: Talk::new(ClientSession::default()),
+            chunks: Mutex::default(),
             decode_wanted: Condvar::new(),
             is_stopping: AtomicBool::new(false),
             frame: ArcSwapOption::empty(),
             status: StatusBoard::new(),
-            wishes: Wishes::default(),
-            shown,
-            shown_in: Mutex::new(shown_in),
-            pose: watch::Sender::new(None),
-            look: watch::Sender::new(None),
-            part: watch::Sender::new(None),
-            report: watch::Sender::new(None),
-            probe: watch::Sender::new(None),
-            shot: watch::Sender::new(None),
             stop: watch::Sender::new(false),
             counters: Arc::default(),
         });
@@ -199,76 +192,30 @@ impl Client {
             .name("isinglass-decode".into())
             .spawn(move || decode::run(&for_decoding))
             .inspect_err(|_| shared.stop())?;
-        let for_wishes = shared.clone();
-        let messenger = std::thread::Builder::new()
-            .name("isinglass-wishes".into())
-            .spawn(move || wishes::carry(&for_wishes))
-            .inspect_err(|_| shared.stop())?;
-        // Before anybody can wish for anything.
-        let _ = shared.wishes.messenger.set(messenger.thread().clone());
         Ok(Self { shared, done })
     }
 
-    /// Asks for frames from this pose. The newest wins; an unusable pose is ignored. Returns the pose's number.
+    /// The conversation with the server: all that this viewer may say, and what it has heard.
+    pub fn talk(&self) -> Talking<'_, ClientSession> {
+        self.shared.talk.lock()
+    }
+
+    /// Asks for frames from this pose, set now. The newest wins; an unusable pose is ignored. Returns the newest pose's
+    /// number.
     pub fn set_pose(&self, pose: Pose, intrinsics: Intrinsics) -> PoseId {
-        self.shared.wishes.pose(self.shared.clock.now_micros(), pose, intrinsics)
+        let mut talk = self.talk();
+        if let Err(e) = talk.pose.set(self.shared.clock.now_micros(), pose, intrinsics) {
+            tracing::warn!("pose ignored: {e}");
+        }
+        talk.pose.newest().map_or(PoseId(0), |newest| newest.id)
     }
 
-    /// What the datagrams from now on say of [`PoseRequest::shown_turn_deg`], degrees: the server makes frames to be seen so,
-    /// with the bytes there are. It takes what the first datagram of a pose says.
-    pub fn note_turn(&self, degrees: Option<f32>) {
-        self.shared.wishes.note_turn(degrees);
-    }
-
-    /// Asks for another look. The newest wins; it is asked for again after a lost connection.
+    /// Asks for another look, now.
     ///
     /// # Errors
     /// If the look cannot be used.
     pub fn set_look(&self, look: Look) -> Result<(), LookError> {
-        look.validate()?;
-        self.shared.wishes.look(look);
-        Ok(())
-    }
-
-    /// Asks for another part of the server's file, for all its viewers; none: the one that is being read is not wanted any
-    /// more. The newest wish wins. One that cannot be sent for lack of a connection is forgotten.
-    pub fn open_part(&self, part: Option<Part>) {
-        self.shared.wishes.part(part);
-    }
-
-    /// Tells the server how this client fares, once a second at most.
-    pub fn report(&self, stats: ClientStats) {
-        self.shared.wishes.report(stats);
-    }
-
-    /// Whether frames of that look show a draft of it, with a final one to follow.
-    pub fn is_draft(&self) -> bool {
-        self.shared.status.read().is_draft
-    }
-
-    /// Asks for the value at a point of world space; the newest question wins, and one is answered.
-    pub fn probe(&self, point: [f32; 3]) -> ProbeId {
-        self.shared.wishes.probe(point)
-    }
-
-    /// The newest answer.
-    pub fn probed(&self) -> Option<Probed> {
-        self.shared.status.read().probed
-    }
-
-    /// Asks for a picture to keep, under the look that was asked for last. It takes the place of one that has not come.
-    pub fn shoot(&self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
-        self.shared.wishes.shot(pose, intrinsics, background)
-    }
-
-    /// The picture that was asked for last is no longer wanted.
-    pub fn cancel_shot(&self) {
-        self.shared.wishes.cancel_shot();
-    }
-
-    /// What has become of the picture that was asked for last; taken when it is asked for.
-    pub fn take_shot(&self) -> Option<Arc<ReceivedShot>> {
-        self.shared.status.take_shot()
+        self.talk().look.set(self.shared.clock.now_micros(), look)
     }
 
     /// The newest frame that can be shown, if there has been one.
@@ -278,56 +225,17 @@ impl Client {
 
     /// A frame of the present connection was on the screen: closes its ledger.
     pub fn note_shown(&self, frame: FrameId) {
-        // Without a connection nobody fetches these, and no ledger is open.
-        let _ = self.shared.shown.try_send((frame, self.shared.clock.now_micros()));
+        self.shared.chunks().handle_shown(self.shared.clock.now_micros(), frame);
     }
 
     /// The lives of the last frames, oldest first.
     pub fn ledger(&self) -> Vec<Life> {
-        self.shared.note_shown();
-        self.shared.session().ledger().iter().copied().collect()
-    }
-
-    /// Number of the newest connection, from 1; 0 before the first.
-    pub fn connection(&self) -> u32 {
-        self.shared.status.read().connection
+        self.shared.chunks().ledger().iter().copied().collect()
     }
 
     /// Where the connection stands.
     pub fn state(&self) -> State {
         self.shared.status.read().state.clone()
-    }
-
-    /// What the server said when it let this client in, last time; of the volume that is shown now.
-    pub fn description(&self) -> Option<Arc<Welcome>> {
-        self.shared.status.read().welcome.clone()
-    }
-
-    /// The look that the server has said is in force, and its number.
-    pub fn look(&self) -> Option<(LookVersion, Arc<Look>)> {
-        self.shared.status.read().look.clone()
-    }
-
-    /// Whether a frame is of the volume that [`Client::description`] describes, and not of the one before.
-    pub fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
-        let status = self.shared.status.read();
-        let since = status.welcome.as_ref().map_or(LookVersion(0), |w| w.look_version);
-        frame.times.connection == status.connection && frame.frame.header.look >= since
-    }
-
-    /// What the server's file holds beside what is shown, once it said so.
-    pub fn parts(&self) -> Option<Arc<Parts>> {
-        self.shared.status.read().parts.clone()
-    }
-
-    /// How the reading of another part stands, as last heard.
-    pub fn load(&self) -> Option<LoadStatus> {
-        self.shared.status.read().load.clone()
-    }
-
-    /// The last line that the server wanted shown; taken when it is asked for.
-    pub fn take_notice(&self) -> Option<String> {
-        self.shared.status.take_notice()
     }
 
     /// What went wrong last with a chunk or message.
@@ -337,7 +245,8 @@ impl Client {
 
     /// What the overlay shows.
     pub fn stats(&self) -> LinkStats {
-        self.shared.status.read().stats
+        let server = self.talk().link.server_stats();
+        LinkStats { server, ..self.shared.status.read().stats }
     }
 
     /// What has become of the packets, if there is a conditioner.
@@ -373,51 +282,31 @@ impl std::fmt::Debug for Client {
     }
 }
 
-/// What the caller, the network thread and the decoding thread share. No lock is held while waiting for anything
-/// but the lock's own condition; `session` is for the two threads alone.
+/// What the caller, the network thread and the decoding thread share. No lock is held while waiting for anything but the
+/// lock's own condition, and none while another is taken.
 struct Shared {
     clock: Clock,
     after_work: AfterWork,
     wake: Arc<dyn Fn() + Send + Sync>,
-    session: Mutex<client::Session>,
+    talk: Talk<ClientSession>,
+    chunks: Mutex<ChunksClient>,
     decode_wanted: Condvar,
     is_stopping: AtomicBool,
     frame: ArcSwapOption<ReceivedFrame>,
     status: StatusBoard,
-    wishes: Wishes,
-    /// Frames that were on the screen, and when, on their way to the ledger.
-    shown: mpsc::SyncSender<(FrameId, u64)>,
-    shown_in: Mutex<mpsc::Receiver<(FrameId, u64)>>,
-    pose: watch::Sender<Option<PoseRequest>>,
-    look: watch::Sender<Option<Look>>,
-    /// The newest wish for another part; its inside is none where it is one for no other.
-    part: watch::Sender<Option<Option<Part>>>,
-    report: watch::Sender<Option<ClientStats>>,
-    probe: watch::Sender<Option<ProbeRequest>>,
-    /// The picture that has not been answered.
-    shot: watch::Sender<Option<ShotRequest>>,
     stop: watch::Sender<bool>,
     counters: Arc<SharedCounters>,
 }
 
 impl Shared {
-    fn session(&self) -> MutexGuard<'_, client::Session> {
-        lock(&self.session)
+    fn chunks(&self) -> MutexGuard<'_, ChunksClient> {
+        lock(&self.chunks)
     }
 
     /// Changes the status and tells everyone.
     fn update(&self, change: impl FnOnce(&mut Status)) {
         self.status.update(change);
         (self.wake)();
-    }
-
-    /// Enters what was shown into the ledger.
-    fn note_shown(&self) {
-        let shown = lock(&self.shown_in);
-        let mut session = self.session();
-        for (frame, at_micros) in shown.try_iter() {
-            session.handle_shown(at_micros, frame);
-        }
     }
 
     /// Something of the server's could not be used.
@@ -432,9 +321,8 @@ impl Shared {
     fn stop(&self) {
         self.stop.send_replace(true);
         self.is_stopping.store(true, Ordering::Release);
-        self.wishes.knock();
         // Taken and given back, so that the decoding thread is either before its check or in its wait.
-        drop(self.session());
+        drop(self.chunks());
         self.decode_wanted.notify_all();
     }
 
@@ -447,6 +335,3 @@ impl Shared {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
-
-/// Frames shown that wait to be entered into the ledger: those of several seconds.
-const MAX_SHOWN: usize = 256;

@@ -9,9 +9,9 @@ use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId, ShotId};
+use isinglass_core::session::chunks::{Rank, SHOT_PRIORITY, priority};
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
-use isinglass_core::session::server::{Rank, SHOT_PRIORITY, priority};
 use isinglass_core::wire::shot::shot_header;
 use quinn::{SendStream, WriteError};
 use tokio::time::Instant;
@@ -99,16 +99,6 @@ impl FrameSender {
         self.link.pace().bytes_per_second = bytes_per_second;
     }
 
-    /// The newest frame that the viewer has decoded, where frames are predicted from each other; 0 for none.
-    pub fn newest_decoded(&self) -> FrameId {
-        self.link.state().reported()
-    }
-
-    /// The newest frame whose base the viewer has; 0 for none.
-    pub fn newest_complete(&self) -> FrameId {
-        self.link.state().newest_complete()
-    }
-
     async fn send_inner(
         &self,
         frame: FrameId,
@@ -117,7 +107,7 @@ impl FrameSender {
     ) -> Result<(), SessionClosed> {
         let link = &self.link;
         // From here on refinements of older frames are superseded, which frees the window for this base.
-        link.state().handle_base_handed(frame);
+        link.talk.lock_quietly().chunks.handle_base_handed(frame);
         link.progress.send_replace(());
         // Later frames may be predicted from this one, so it must arrive, and before them.
         let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| h.is_rate()));
@@ -154,7 +144,7 @@ async fn deliver_base(link: &Link, frame: FrameId, streams: Vec<ChunkStream>, is
         is_delivered = all_delivered(&streams) => {
             if is_delivered {
                 tracing::trace!("base delivered");
-                link.state().handle_base_delivered(frame);
+                link.talk.lock_quietly().chunks.handle_base_delivered(frame);
                 link.progress.send_replace(());
             }
         }
@@ -209,7 +199,7 @@ impl Drop for Writing<'_> {
 /// Returns when the chunks of a frame are not worth sending any more.
 async fn superseded(link: &Link, frame: FrameId, is_base: bool) {
     let mut progress = link.progress.subscribe();
-    while !link.state().is_superseded(frame, is_base) {
+    while !link.talk.lock_quietly().chunks.is_superseded(frame, is_base) {
         if progress.changed().await.is_err() {
             return;
         }

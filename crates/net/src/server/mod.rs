@@ -14,7 +14,9 @@ use isinglass_core::camera::MAX_SIDE;
 use isinglass_core::ids::LookVersion;
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::{Admission, ViewerId};
-use isinglass_core::session::server::{CONTROL_PRIORITY, MAX_POSES_PER_SECOND, violation};
+use isinglass_core::session::chunks::CONTROL_PRIORITY;
+use isinglass_core::session::pose::MAX_POSES_PER_SECOND;
+use isinglass_core::session::server::violation;
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, SendStream, TokioRuntime};
 use tokio::sync::{Notify, mpsc};
@@ -30,7 +32,7 @@ use crate::transport;
 use strangers::{MAX_STRANGERS, Strangers};
 
 pub use frames::FrameSender;
-pub use session::{ControlSender, Session, SessionClosed};
+pub use session::{Control, Session, SessionClosed};
 
 /// A bound endpoint that lets viewers in.
 #[derive(Debug)]

@@ -9,7 +9,6 @@ use isinglass_core::codec::{self, EncodedFrame, Settings};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
 use isinglass_core::look::Look;
-use isinglass_core::session::server::Request;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::wire::{ServerStats, VolumeDescription};
@@ -94,33 +93,25 @@ pub(crate) fn serve(mut server: Server) {
 /// Answers every pose of one viewer with a frame, and every look with the same look.
 pub(crate) async fn answer(mut session: Session) {
     let mut id = FrameId(0);
-    let mut version = LookVersion(1);
-    loop {
-        tokio::select! {
-            changed = session.poses.changed() => {
-                if changed.is_err() {
-                    return;
-                }
-                let Some(request) = *session.poses.borrow_and_update() else { continue };
-                id = id.next();
-                let encoded = encoded(id, request.id, request.pose, request.intrinsics);
-                let bytes = encoded.num_bytes() as u64;
-                if session.frames.send(id, request.id, encoded.chunks).await.is_err() {
-                    return;
-                }
-                let pose_stamp_micros = request.stamp_micros;
-                let stats = ServerStats { frame: id, pose: request.id, pose_stamp_micros, bytes, ..Default::default() };
-                session.control.stats(stats);
+    while session.hear().await {
+        let newest = {
+            let mut talk = session.talk();
+            if let Some(look) = talk.look.poll_wanted() {
+                talk.look.begin(0, look, true);
             }
-            Some(request) = session.requests.recv() => {
-                if let Request::SetLook(look) = request {
-                    version = version.next();
-                    if session.control.look_changed(version, look, false).await.is_err() {
-                        return;
-                    }
-                }
-            }
+            talk.pose.poll_new()
+        };
+        let Some(request) = newest else { continue };
+        id = id.next();
+        let encoded = encoded(id, request.id, request.pose, request.intrinsics);
+        let bytes = encoded.num_bytes() as u64;
+        if session.frames.send(id, request.id, encoded.chunks).await.is_err() {
+            return;
         }
+        let pose_stamp_micros = request.stamp_micros;
+        let stats =
+            ServerStats { frame: id, pose: request.id, pose_stamp_micros, bytes, ..Default::default() };
+        session.talk().link.report(stats);
     }
 }
 

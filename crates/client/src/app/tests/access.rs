@@ -12,8 +12,8 @@ use crate::window_walk::{
 /// A film of two channels, two levels and three series, of which another time is being read.
 fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
     let shown = Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None };
-    let source = w.state_mut().viewing.source_mut();
-    source.parts = Some(Arc::new(Parts {
+    let mut talk = w.state().viewing.source().talk();
+    talk.selection.handle_choices(Parts {
         shown,
         whole_dims: [24; 3],
         num_channels: 2,
@@ -22,10 +22,16 @@ fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
         levels: vec![[24; 3], [12; 3]],
         num_series: 3,
         ..Parts::default()
-    }));
+    });
     let state = LoadState::Reading { permille: 250 };
     let part = Part { time: Some(2), ..shown };
-    source.load = Some(LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1 << 30, state });
+    talk.selection.handle_load(LoadStatus {
+        load: LoadId(1),
+        is_own: true,
+        part,
+        bytes_needed: 1 << 30,
+        state,
+    });
 }
 
 /// Every panel and section is open, the volume is clipped and its file has parts.
@@ -117,7 +123,7 @@ fn panes_keep_clear_of_each_other_and_of_axes_and_scale() {
         if has_panel {
             open_panel(&mut w);
         }
-        w.state_mut().viewing.source_mut().sleeps = true;
+        w.state().viewing.source().here().sleeps = true;
         press(&mut w, Modifiers::NONE, Key::M);
         w.state_mut().notice = Some((long.into(), Duration::from_secs(1000)));
         rest(&mut w);

@@ -38,7 +38,7 @@ fn dragging_a_face_cuts_the_picture_at_once_and_the_server_s_frame_makes_it_exac
     assert!(w.state().clip_editor.is_shown);
     assert_eq!(w.state().last_standing, Some(Standing::Settled), "a box around all of it cuts nothing");
     let (before, pose_before) = (cast(&w), pose(&w));
-    w.state_mut().viewing.source_mut().sleeps = true;
+    w.state().viewing.source().here().sleeps = true;
     let old = w.state().viewing.source().latest_frame().unwrap();
     // The nearest face is drawn inwards.
     let from = handle(&w, 2, true);
@@ -62,8 +62,7 @@ fn dragging_a_face_cuts_the_picture_at_once_and_the_server_s_frame_makes_it_exac
     // Cut here, the old frame shows what is asked for, but is not the server's picture of it.
     assert!(w.query_by_label_contains("shown with the look before").is_none());
     assert_eq!(w.state().last_standing, Some(Standing::Refining));
-    w.state_mut().viewing.source_mut().sleeps = false;
-    w.state_mut().viewing.source_mut().render();
+    w.state().viewing.source().here().sleeps = false;
     rest(&mut w);
     assert_eq!(w.state().last_standing, Some(Standing::Settled));
     let exact = cast(&w);
@@ -72,13 +71,12 @@ fn dragging_a_face_cuts_the_picture_at_once_and_the_server_s_frame_makes_it_exac
             && !Arc::ptr_eq(&old, &w.state().viewing.source().latest_frame().unwrap())
     );
     // Drawn out again there is nothing to be seen of what the newest frame does not hold, and that is said.
-    w.state_mut().viewing.source_mut().sleeps = true;
+    w.state().viewing.source().here().sleeps = true;
     let from = handle(&w, 2, true);
     let outwards = (from - handle(&w, 2, false)) * 0.8;
     drag(&mut w, from, outwards, Modifiers::NONE);
     assert!(w.query_by_label_contains("shown with the look before").is_some());
-    w.state_mut().viewing.source_mut().sleeps = false;
-    w.state_mut().viewing.source_mut().render();
+    w.state().viewing.source().here().sleeps = false;
     rest(&mut w);
     assert!(w.query_by_label_contains("shown with the look before").is_none());
     assert!(most_apart(&cast(&w), &exact) > 20, "the server has what was cut away");
@@ -96,7 +94,7 @@ fn the_projection_changes_by_key_and_in_the_panel_and_keeps_size_and_centre() {
     let before = camera(&w);
     press(&mut w, Modifiers::NONE, Key::Num5);
     assert!(is_parallel(&w));
-    let asked = w.state().viewing.source().asked.unwrap();
+    let asked = w.state().viewing.source().here().asked.unwrap();
     assert_eq!(asked.0, camera(&w).pose);
     assert!(asked.1.projection.is_orthographic(), "and the server is asked for such frames");
     assert_eq!(w.state().last_standing, Some(Standing::Settled));
@@ -162,7 +160,6 @@ fn a_clip_that_leaves_nothing_of_another_volume_is_given_up() {
     w.state_mut().viewing.set_look(Duration::from_secs(9), Look { clip: corner, ..look });
     rest(&mut w);
     assert_eq!(w.state().viewing.look().unwrap().clip, corner, "something of this one is left");
-    let source = w.state_mut().viewing.source_mut();
     let half = Builtin::Shells.volume(24);
     let volume = isinglass_core::volume::Volume::new(
         half.dims(),
@@ -171,8 +168,11 @@ fn a_clip_that_leaves_nothing_of_another_volume_is_given_up() {
         (1.0, 0.0),
         Default::default(),
     );
-    source.scene = Scene::new(Arc::new(volume.unwrap()), &source.look.1.transfer, source.scene.settings);
-    source.render();
+    {
+        let here = &mut *w.state().viewing.source().here();
+        here.scene = Scene::new(Arc::new(volume.unwrap()), &here.look.1.transfer, here.scene.settings);
+        here.render();
+    }
     rest(&mut w);
     assert_eq!(w.state().viewing.look().unwrap().clip, Clip::default());
 }

@@ -53,7 +53,8 @@ impl Drop for Folder {
 /// The file of what the window shows.
 fn expected(w: &Harness<'_, ViewerApp<HereSource>>, pose: Pose, (width, height): (u32, u32)) -> Vec<u8> {
     let app = w.state();
-    let scene = &app.viewing.source().scene;
+    let here = app.viewing.source().here();
+    let scene = &here.scene;
     let intrinsics = Intrinsics::perspective(width, height, app.options.fov_y);
     let camera = Camera::new(pose, intrinsics, &scene.volume.bounds());
     let rgb = render(scene, &camera).to_srgb8(app.aids.linear_background());
@@ -112,7 +113,7 @@ fn a_turntable_is_as_many_pictures_as_asked_for_and_can_be_given_up() {
     };
     assert!(files[2].1 == expected(&w, third, (40, 30)), "turned about the vertical");
     // A server that takes its time: the window goes on, and the rest is given up.
-    w.state_mut().viewing.source_mut().sleeps = true;
+    w.state().viewing.source().here().sleeps = true;
     press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
     w.get_by_label("Make the turntable").click();
     w.run_steps(4);
@@ -123,7 +124,7 @@ fn a_turntable_is_as_many_pictures_as_asked_for_and_can_be_given_up() {
     w.get_by_label("Cancel").click();
     w.run_steps(4);
     assert!(!w.state().shots.is_busy());
-    assert_eq!(w.state().viewing.source().num_cancelled, 1);
+    assert_eq!(w.state().viewing.source().here().num_cancelled, 1);
     assert_eq!(folder.files().len(), 5);
 }
 
@@ -134,13 +135,16 @@ fn the_probe_shows_the_voxel_under_the_pointer() {
     w.event(Event::PointerMoved(at));
     rest(&mut w);
     assert!(w.query_by_label_contains("voxel ").is_none(), "off at first");
-    assert_eq!(w.state().viewing.source().num_probes, 0);
+    assert_eq!(w.state().viewing.source().here().num_probes, 0);
     press(&mut w, Modifiers::NONE, Key::P);
-    let source = w.state().viewing.source();
-    assert_eq!(source.num_probes, 1, "a pointer that rests asks once");
-    let found = source.probed.unwrap().voxel.unwrap();
+    let found = w.state().viewing.source().talk().probe.answer().unwrap().voxel.unwrap();
     let [x, y, z] = found.index.map(|i| i as i32);
-    assert_eq!(found.value, source.scene.volume.value_from_stored(source.scene.volume.stored_at(x, y, z)));
+    {
+        let here = w.state().viewing.source().here();
+        assert_eq!(here.num_probes, 1, "a pointer that rests asks once");
+        let volume = &here.scene.volume;
+        assert_eq!(found.value, volume.value_from_stored(volume.stored_at(x, y, z)));
+    }
     assert!(w.query_by_label_contains(&format!("voxel {x}, {y}, {z}")).is_some());
     assert!(w.query_by_label(&format!("{}", found.value)).is_some());
     // A dialog that a key opens takes its place at once.
@@ -179,7 +183,7 @@ fn the_light_can_be_moved_in_the_picture_and_shade_changes_it() {
     w.event(Event::PointerMoved(to));
     w.event(button(to, false));
     rest(&mut w);
-    let lighting = w.state().viewing.source().look.1.lighting;
+    let lighting = w.state().viewing.source().here().look.1.lighting;
     assert_ne!(lighting, Lighting::default());
     assert_eq!(pose(&w), camera, "the camera stays");
     let moved = picture(&w);
@@ -191,14 +195,14 @@ fn the_light_can_be_moved_in_the_picture_and_shade_changes_it() {
     rest(&mut w);
     w.get_by_label("reset the light").click();
     rest(&mut w);
-    assert_eq!(w.state().viewing.source().look.1.lighting, Lighting::default());
+    assert_eq!(w.state().viewing.source().here().look.1.lighting, Lighting::default());
     assert_eq!(picture(&w), before);
     // The ball, and the slider of the shadows.
     let ball = w.get_by_label("light direction").rect().center();
     drag(&mut w, ball, vec2(20.0, 0.0), Modifiers::NONE);
-    assert_ne!(w.state().viewing.source().look.1.lighting, Lighting::default());
+    assert_ne!(w.state().viewing.source().here().look.1.lighting, Lighting::default());
     let slider = w.get_by_role_and_label(egui::Role::Slider, "shadows").rect();
     drag(&mut w, slider.left_center() + vec2(4.0, 0.0), vec2(60.0, 0.0), Modifiers::NONE);
-    assert!(w.state().viewing.source().look.1.lighting.shadows > 0.3);
+    assert!(w.state().viewing.source().here().look.1.lighting.shadows > 0.3);
     assert_ne!(picture(&w), before);
 }

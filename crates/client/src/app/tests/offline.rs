@@ -16,11 +16,11 @@ fn states() -> [State; 2] {
 #[test]
 fn what_rests_is_offline_and_nothing_is_received() {
     let mut w = window([900.0, 700.0]);
-    w.state_mut().viewing.source_mut().stats.bytes_per_second = 43_000.0;
+    w.state().viewing.source().here().stats.bytes_per_second = 43_000.0;
     rest(&mut w);
     assert!(w.query_by_label("43 kB/s").is_some() && w.query_by_label("offline").is_none());
     for state in states() {
-        w.state_mut().viewing.source_mut().state = state;
+        w.state().viewing.source().here().state = state;
         rest(&mut w);
         assert!(w.query_by_label("offline").is_some() && w.query_by_label("0 B/s").is_some());
     }
@@ -29,28 +29,28 @@ fn what_rests_is_offline_and_nothing_is_received() {
 #[test]
 fn nothing_is_on_its_way_that_nobody_works_on() {
     let mut w = window([900.0, 700.0]);
-    w.state_mut().viewing.source_mut().sleeps = true;
+    w.state().viewing.source().here().sleeps = true;
     press(&mut w, Modifiers::NONE, Key::M);
     assert!(w.query_by_label_contains("the new one is on its way").is_some());
     let is_said = |w: &Harness<'_, ViewerApp<HereSource>>, text| w.query_by_label_contains(text).is_some();
     for (state, text) in
         states().into_iter().zip(["waits until connected again", "there is no connection for"])
     {
-        w.state_mut().viewing.source_mut().state = state;
+        w.state().viewing.source().here().state = state;
         rest(&mut w);
         assert!(is_said(&w, text) && !is_said(&w, "on its way"), "{text}");
         press(&mut w, Modifiers::NONE, Key::F12);
         assert!(is_said(&w, "No picture: "), "the refusal is seen");
-        assert!(!w.state().shots.is_busy() && w.state().viewing.source().num_shots == 0);
+        assert!(!w.state().shots.is_busy() && w.state().viewing.source().here().num_shots == 0);
         press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
         assert!(w.get_by_label("Take the picture").accesskit_node().is_disabled());
         press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
     }
     // One that was asked for before waits as well.
-    w.state_mut().viewing.source_mut().state = State::Connected;
+    w.state().viewing.source().here().state = State::Connected;
     press(&mut w, Modifiers::NONE, Key::F12);
     assert!(is_said(&w, "the server renders the picture"));
-    w.state_mut().viewing.source_mut().state = states()[0].clone();
+    w.state().viewing.source().here().state = states()[0].clone();
     rest(&mut w);
     assert!(is_said(&w, "the picture waits until connected again") && !is_said(&w, "the server renders the"));
 }

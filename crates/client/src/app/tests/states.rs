@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use isinglass_core::ids::LoadId;
-use isinglass_core::wire::{LoadState, Part};
+use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 use isinglass_formats::{SavedState, VolumeSource, read_state};
 
 use super::*;
@@ -234,7 +234,7 @@ fn with_level_to_come() -> (Harness<'static, ViewerApp<HereSource>>, Parts) {
         levels: vec![[24; 3], [12; 3]],
         ..Parts::default()
     };
-    w.state_mut().viewing.source_mut().parts = Some(Arc::new(parts.clone()));
+    w.state().viewing.source().talk().selection.handle_choices(parts.clone());
     rest(&mut w);
     let mut wanted = state(&w);
     let volume = wanted.volume.as_mut().unwrap();
@@ -262,7 +262,7 @@ fn reading_a_part_may_be_slow_but_not_stand_still() {
     for percent in 0..4 {
         let state = LoadState::Reading { permille: percent * 10 };
         let load = LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1, state };
-        w.state_mut().viewing.source_mut().load = Some(load);
+        w.state().viewing.source().talk().selection.handle_load(load);
         rest(&mut w);
         wait(&mut w);
         assert!(w.state().coming.is_some() && w.state().notice().is_empty(), "{}", w.state().notice());
@@ -341,9 +341,11 @@ fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_no
     // The server reads the level, and then shows one of another size.
     let part = Part { level: Some(1), ..parts.shown };
     let load = LoadStatus { load: LoadId(1), is_own: true, part, bytes_needed: 1, state: LoadState::Done };
-    let source = w.state_mut().viewing.source_mut();
-    source.load = Some(load);
-    source.parts = Some(Arc::new(Parts { shown: part, whole_dims: [24; 3], ..parts }));
+    {
+        let mut talk = w.state().viewing.source().talk();
+        talk.selection.handle_load(load);
+        talk.selection.handle_choices(Parts { shown: part, whole_dims: [24; 3], ..parts });
+    }
     rest(&mut w);
     assert!(w.state().coming.is_some(), "its description may be on the way");
     for _ in 0..12 {

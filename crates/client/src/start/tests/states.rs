@@ -1,6 +1,7 @@
 //! States that are opened where their volume is not shown yet.
 
-use isinglass_core::camera::Intrinsics;
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::look::Look;
 use isinglass_formats::{SavedCamera, SavedState, SavedVolume, preset};
 
 use super::*;

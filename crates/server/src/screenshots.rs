@@ -7,7 +7,7 @@ use isinglass_core::look::Look;
 use isinglass_core::picture::linear_from_srgb;
 use isinglass_core::wire::ShotRequest;
 use isinglass_formats::png;
-use isinglass_net::server::{ControlSender, FrameSender};
+use isinglass_net::server::{Control, FrameSender};
 use tokio::task::JoinHandle;
 use tracing::Instrument;
 
@@ -15,15 +15,15 @@ use crate::generator::Generator;
 use crate::parts::Present;
 
 /// The pictures of one viewer. What is in the making is given up when another is asked for, and with the viewer.
-pub(crate) struct Shots {
+pub(crate) struct Screenshots {
     generator: Generator,
     frames: FrameSender,
-    control: ControlSender,
+    control: Control,
     running: Option<JoinHandle<()>>,
 }
 
-impl Shots {
-    pub(crate) fn new(generator: Generator, frames: FrameSender, control: ControlSender) -> Self {
+impl Screenshots {
+    pub(crate) fn new(generator: Generator, frames: FrameSender, control: Control) -> Self {
         Self { generator, frames, control, running: None }
     }
 
@@ -35,14 +35,14 @@ impl Shots {
         let (frames, control) = (self.frames.clone(), self.control.clone());
         let id = shot.id;
         let work = async move {
-            // Where the viewer has left, nobody waits for it.
-            let _ = match make(&generator, &shot, &look, &present).await {
-                Ok(png) => frames.send_shot(id, &png).await,
+            match make(&generator, &shot, &look, &present).await {
+                // Where the viewer has left, nobody waits for it.
+                Ok(png) => drop(frames.send_shot(id, &png).await),
                 Err(why) => {
                     tracing::warn!("no picture: {why}");
-                    control.shot_failed(id, &why).await
+                    control.talk().screenshot.handle_failed(id, &why);
                 }
-            };
+            }
         };
         self.running = Some(tokio::spawn(work.instrument(tracing::debug_span!("picture", id = id.0))));
     }
@@ -54,7 +54,7 @@ impl Shots {
     }
 }
 
-impl Drop for Shots {
+impl Drop for Screenshots {
     fn drop(&mut self) {
         self.give_up();
     }

@@ -1,4 +1,4 @@
-//! The session by itself: chunks in any order, at any time.
+//! Both halves by themselves: chunks in any order, at any time.
 
 use super::super::ledger::MAX_LIVES;
 use super::*;
@@ -14,13 +14,13 @@ fn place(frame: u32, index: u16) -> ChunkPlace {
     }
 }
 
-fn arrive(s: &mut Session, now: u64, frame: u32, index: u16) -> Result<(), ChunkError> {
+fn arrive(s: &mut ChunksClient, now: u64, frame: u32, index: u16) -> Result<(), ChunkError> {
     s.handle_chunk(now, now, place(frame, index), vec![index as u8; 3])
 }
 
 #[test]
 fn a_frame_is_decoded_at_its_base_and_at_its_end() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
     s.handle_pose(5, PoseId(10));
     for (now, index) in [(10, 2), (11, 1)] {
@@ -52,9 +52,9 @@ fn a_frame_is_decoded_at_its_base_and_at_its_end() {
 
 #[test]
 fn a_base_waits_for_its_refinements_while_they_keep_up() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
-    let arrives = |s: &mut Session, now, frame, indices: &[u16]| {
+    let arrives = |s: &mut ChunksClient, now, frame, indices: &[u16]| {
         indices.iter().for_each(|i| arrive(s, now, frame, *i).unwrap());
         let job = s.poll_decode(now)?;
         s.handle_decoded(now, job.connection, job.frame, job.is_last);
@@ -81,7 +81,7 @@ fn a_base_waits_for_its_refinements_while_they_keep_up() {
 
 #[test]
 fn chunks_that_contradict_are_errors_and_late_ones_are_dropped() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     let bad = [
         ChunkPlace { num_chunks: 17, ..place(1, 0) },
         ChunkPlace { num_base_chunks: 0, ..place(1, 0) },
@@ -109,7 +109,7 @@ fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
         seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (seed >> 33) % n
     };
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
     let (mut shown, mut jobs, mut fulls) = (FrameId(0), 0, 0);
     let mut in_flight: Vec<(u32, u16)> = vec![];
@@ -136,14 +136,14 @@ fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
 
 #[test]
 fn predicted_frames_wait_for_what_they_name() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
-    let arrive = |s: &mut Session, frame: u32, reference: u32| {
+    let arrive = |s: &mut ChunksClient, frame: u32, reference: u32| {
         let prediction = Some(Prediction { reference: (reference > 0).then_some(FrameId(reference)) });
         let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
-    let decode = |s: &mut Session| {
+    let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
         assert!(job.is_first && job.is_last);
         s.handle_decoded(0, job.connection, job.frame, true);
@@ -183,22 +183,22 @@ fn predicted_frames_wait_for_what_they_name() {
 /// never be decoded.
 #[test]
 fn an_exact_frame_comes_after_the_references_before_it() {
-    let decode = |s: &mut Session| {
+    let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
         s.handle_decoded(0, job.connection, job.frame, job.is_last);
         Some(job.frame.0)
     };
-    let arrive = |s: &mut Session, frame: u32, index: u16, prediction: Option<Option<u32>>| {
+    let arrive = |s: &mut ChunksClient, frame: u32, index: u16, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
         let place = ChunkPlace { num_chunks: 2, num_base_chunks: 2, prediction, ..place(frame, index) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
-    let whole = |s: &mut Session, frame: u32, prediction| {
+    let whole = |s: &mut ChunksClient, frame: u32, prediction| {
         arrive(s, frame, 0, prediction);
         arrive(s, frame, 1, prediction);
     };
     let begun = || {
-        let mut s = Session::default();
+        let mut s = ChunksClient::default();
         s.handle_connected();
         whole(&mut s, 1, Some(None));
         assert_eq!(decode(&mut s), Some(1));
@@ -243,14 +243,14 @@ fn an_exact_frame_comes_after_the_references_before_it() {
 /// All of frame 2 is lost, and 3, which is exact, comes before it is sent again: those after may be predicted from it.
 #[test]
 fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
-    let whole = |s: &mut Session, frame: u32, prediction: Option<Option<u32>>| {
+    let whole = |s: &mut ChunksClient, frame: u32, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
         let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
-    let decode = |s: &mut Session| {
+    let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
         let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
         Some((job.frame.0, is_shown))
@@ -280,14 +280,14 @@ fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
 /// Of what was dropped for a newer frame, the rest comes late: it can never be whole, so nothing waits for it.
 #[test]
 fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
-    let chunk = |s: &mut Session, frame: u32, index: u16, num: u16, prediction: Option<Option<u32>>| {
+    let chunk = |s: &mut ChunksClient, frame: u32, index: u16, num: u16, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
         let place = ChunkPlace { num_chunks: num, num_base_chunks: num, prediction, ..place(frame, index) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
-    let decode = |s: &mut Session| {
+    let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
         let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
         Some((job.frame.0, is_shown))
@@ -309,15 +309,15 @@ fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
 /// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the late one.
 #[test]
 fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
     let chunk =
-        |s: &mut Session, frame: u32, index: u16, num_chunks: u16, prediction: Option<Option<u32>>| {
+        |s: &mut ChunksClient, frame: u32, index: u16, num_chunks: u16, prediction: Option<Option<u32>>| {
             let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
             let place = ChunkPlace { num_chunks, num_base_chunks: 1, prediction, ..place(frame, index) };
             s.handle_chunk(0, 0, place, vec![]).unwrap();
         };
-    let decode = |s: &mut Session| {
+    let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(1_000_000)?;
         s.handle_decoded(0, job.connection, job.frame, job.is_last);
         Some((job.frame.0, job.is_first, job.is_last))
@@ -343,9 +343,9 @@ fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
 /// While a lost packet is sent again, as many frames come as may be predicted from each other. None of them is lost.
 #[test]
 fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
-    let arrive = |s: &mut Session, frame: u32, num_bytes: usize| {
+    let arrive = |s: &mut ChunksClient, frame: u32, num_bytes: usize| {
         let prediction = Some(Prediction { reference: (frame > 1).then(|| FrameId(frame - 1)) });
         let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![0; num_bytes]).unwrap();
@@ -367,7 +367,7 @@ fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
 
 #[test]
 fn a_broken_frame_does_not_stand_in_the_way() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
     for (frame, index) in [(1, 0), (1, 1), (1_000_000, 0), (1_000_000, 1)] {
         arrive(&mut s, 0, frame, index).unwrap();
@@ -386,7 +386,7 @@ fn a_broken_frame_does_not_stand_in_the_way() {
 
 #[test]
 fn a_new_connection_starts_its_frames_again() {
-    let mut s = Session::default();
+    let mut s = ChunksClient::default();
     s.handle_connected();
     arrive(&mut s, 0, 50, 0).unwrap();
     arrive(&mut s, 0, 50, 1).unwrap();
@@ -404,5 +404,63 @@ fn a_new_connection_starts_its_frames_again() {
         assert!(s.handle_decoded(3, job.connection, job.frame, true).is_some());
         assert!(arrive(&mut s, 4, 1, 0).is_err());
         s.handle_connected();
+    }
+}
+
+#[test]
+fn a_base_outlives_newer_frames_until_one_of_them_is_complete() {
+    let mut s = ChunksServer::default();
+    for n in 1..100 {
+        s.handle_base_handed(FrameId(n));
+        assert!(!s.is_superseded(FrameId(1), true), "frame 1 is all that may ever arrive");
+        assert_eq!(s.is_superseded(FrameId(1), false), n > 1);
+        assert!(!s.is_superseded(FrameId(n), false));
+    }
+    s.handle_base_delivered(FrameId(40));
+    for n in 1..100 {
+        assert_eq!(s.is_superseded(FrameId(n), true), n < 40);
+    }
+}
+
+#[test]
+fn a_claim_of_frames_never_sent_does_not_stop_the_newest() {
+    let mut s = ChunksServer::default();
+    s.handle_base_handed(FrameId(5));
+    s.handle_report(FrameId(u32::MAX), true);
+    assert_eq!((s.newest_complete(), s.reported()), (FrameId(5), FrameId(5)));
+    s.handle_base_handed(FrameId(6));
+    assert!(!s.is_superseded(FrameId(6), true));
+}
+
+#[test]
+fn what_the_newest_pose_reports_may_go_back() {
+    let mut s = ChunksServer::default();
+    s.handle_base_handed(FrameId(9));
+    for (named, is_newest, reported) in
+        [(5, true, 5), (7, true, 7), (4, false, 7), (6, true, 6), (5, true, 5)]
+    {
+        s.handle_report(FrameId(named), is_newest);
+        assert_eq!(s.reported(), FrameId(reported));
+    }
+    assert_eq!(s.newest_complete(), FrameId(7));
+}
+
+#[test]
+fn priorities_never_mix_ranks() {
+    use Rank::{Base, Predicting, Refinement};
+    for n in [1u32, 2, 1_000_000, 0x01ff_fffe] {
+        let (old, new) = (FrameId(n), FrameId(n + 1));
+        let p = |f, i, rank| priority(f, ChunkIndex(i), rank);
+        assert!(p(new, 0, Base) > p(old, 0, Base));
+        assert!(p(new, 15, Refinement) > p(old, 0, Refinement));
+        assert!(p(old, 0, Base) > p(old, 1, Base));
+        assert!(p(old, 15, Base) > p(new, 0, Refinement));
+        assert!(p(FrameId(0), 15, Base) > p(FrameId(FRAMES), 0, Refinement));
+        // What others wait for goes before them.
+        assert!(p(old, 15, Predicting) > p(new, 0, Predicting));
+        assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
+        assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Base));
+        assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
+        assert!(p(FrameId(0), 15, Refinement) > SHOT_PRIORITY);
     }
 }

@@ -1,0 +1,547 @@
+//! The chunks of frames on their way: what the server sends and gives up, and what the client decodes.
+//!
+//! Each chunk comes on a stream of its own; see [`crate::codec`]. A frame is a *base*, which can be shown alone, and
+//! *refinements*. If every superseded chunk were dropped, a link slower than the offer would deliver nothing: each frame
+//! would be cancelled just before it is through. So the server
+//! - drops a base only when a *newer base is known to be complete* at the client;
+//! - drops refinements the moment a newer base is handed over.
+//!
+//! The client has at most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] in reassembly; a newer one pushes the oldest
+//! out. A frame whose base is complete ends the older ones. What is handed out for decoding never goes back to an older
+//! frame. The exception are frames that others may be predicted from, and that were overtaken by one that is not. A frame
+//! that is predicted from another waits for it.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use super::ledger::{Ledger, Life, Stage};
+use crate::codec::MAX_CHUNKS;
+use crate::codec::blocks::MAX_REFERENCES;
+use crate::ids::{ChunkIndex, FrameId, PoseId};
+
+/// Where a chunk belongs, as its own header says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChunkPlace {
+    /// The frame.
+    pub frame: FrameId,
+    /// The pose that the frame answers.
+    pub pose: PoseId,
+    /// Position in the frame.
+    pub index: ChunkIndex,
+    /// Chunks of the frame, 1 to [`MAX_CHUNKS`].
+    pub num_chunks: u16,
+    /// How many of them, from the first, are the base.
+    pub num_base_chunks: u16,
+    /// Whether other frames can be predicted from it, and the frame that it is predicted from itself.
+    pub prediction: Option<Prediction>,
+}
+
+/// How a frame takes part in prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Prediction {
+    /// The frame that must be decoded before.
+    pub reference: Option<FrameId>,
+}
+
+/// Why a chunk cannot be used.
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum ChunkError {
+    /// The numbers in its header contradict each other.
+    #[error("frame {}: chunk {} of {}, {} of them base, expected at most {MAX_CHUNKS}", .0.frame, .0.index, .0.num_chunks, .0.num_base_chunks)]
+    Place(ChunkPlace),
+    /// Its header contradicts that of a chunk before.
+    #[error("frame {0}: chunks disagree about the frame")]
+    Disagree(FrameId),
+    /// The chunk is there already.
+    #[error("frame {0}: chunk {1} arrived twice")]
+    Twice(FrameId, ChunkIndex),
+    /// The frame is longer than any can be.
+    #[error("frame {0}: more than {MAX_FRAME_BYTES} bytes")]
+    TooLong(FrameId),
+}
+
+/// Chunks that shall be decoded now.
+#[derive(Debug)]
+pub struct DecodeJob {
+    /// The connection they came on; see [`ChunksClient::handle_connected`].
+    pub connection: u32,
+    /// The frame.
+    pub frame: FrameId,
+    /// Whether this job begins the frame; otherwise its chunks are added to those of the job before.
+    pub is_first: bool,
+    /// Whether no chunk is missing after this job.
+    pub is_last: bool,
+    /// The chunks, in any order.
+    pub chunks: Vec<Vec<u8>>,
+}
+
+/// State of one viewer; it outlives connections.
+///
+/// Call `handle_connected` for each new connection, `handle_pose` when a pose is set, `handle_chunk` for each whole
+/// chunk; then `poll_decode` until it is `None`, and `handle_decoded` or `handle_broken` after each job. `now` must
+/// not run backwards.
+#[derive(Debug, Default)]
+pub struct ChunksClient {
+    poses: VecDeque<(PoseId, u64)>,
+    assembling: BTreeMap<FrameId, Assembling>,
+    newest_base: Option<FrameId>,
+    /// The last frames of this connection that others can be predicted from.
+    references: VecDeque<FrameId>,
+    /// One that is being decoded, and will be another.
+    coming: Option<FrameId>,
+    /// Whether the newest base is of such a frame.
+    is_predicting: bool,
+    /// One whose refinements are not waited for any more.
+    given_up: Option<FrameId>,
+    newest_decoded: Option<Life>,
+    ledger: Ledger,
+    decoded_at: VecDeque<u64>,
+    /// Time to decode a list, ns, of late.
+    decode_nanos_per_list: f64,
+    /// Whether frames have been completing before the base of the next was there.
+    refinements_keep_up: bool,
+}
+
+#[derive(Debug)]
+struct Assembling {
+    place: ChunkPlace,
+    /// Chunks that no decode job has taken yet.
+    waiting: Vec<Vec<u8>>,
+    arrived: u32,
+    num_bytes: usize,
+    is_decoding: bool,
+}
+
+impl Assembling {
+    /// Whether all is there to decode it now.
+    fn is_ready(&self, references: &VecDeque<FrameId>) -> bool {
+        let named = self.place.prediction.and_then(|p| p.reference);
+        self.has_base() && named.is_none_or(|r| references.contains(&r))
+    }
+
+    fn has_base(&self) -> bool {
+        let base = (1u32 << self.place.num_base_chunks) - 1;
+        self.arrived & base == base
+    }
+
+    fn has_all(&self) -> bool {
+        self.arrived.count_ones() == u32::from(self.place.num_chunks)
+    }
+}
+
+impl ChunksClient {
+    /// A new connection is up. Frame numbers start again; what was not decoded is gone.
+    pub fn handle_connected(&mut self) {
+        self.ledger.handle_connected();
+        self.assembling.clear();
+        self.references.clear();
+        self.coming = None;
+        self.given_up = None;
+        self.newest_base = None;
+        self.is_predicting = false;
+    }
+
+    /// Number of the connection, from 1.
+    pub fn connection(&self) -> u32 {
+        self.ledger.connection()
+    }
+
+    /// A pose was set. The same once more is ignored.
+    pub fn handle_pose(&mut self, now_micros: u64, pose: PoseId) {
+        if self.poses.back().is_some_and(|(newest, _)| *newest == pose) {
+            return;
+        }
+        if self.poses.len() == MAX_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((pose, now_micros));
+    }
+
+    /// Whether a chunk of this frame can still be of use; `is_predicting` if others can be predicted from the frame.
+    pub fn wants(&self, frame: FrameId, is_predicting: bool) -> bool {
+        let is_new = self.newest_base.is_none_or(|newest| frame >= newest);
+        // Those that follow may name it, though the newest has overtaken it.
+        let is_late = is_predicting
+            && !self.is_predicting
+            && self.references.iter().chain(&self.coming).all(|decoded| frame > *decoded);
+        (is_new || is_late)
+            && (self.assembling.len() < MAX_ASSEMBLING
+                || self.assembling.keys().next().is_some_and(|o| frame >= *o))
+    }
+
+    /// A whole chunk has arrived; its first byte did at `first_byte_micros`. Late chunks are dropped in silence.
+    ///
+    /// # Errors
+    /// If the chunk contradicts itself or others. The connection can go on.
+    pub fn handle_chunk(
+        &mut self,
+        now_micros: u64,
+        first_byte_micros: u64,
+        place: ChunkPlace,
+        bytes: Vec<u8>,
+    ) -> Result<(), ChunkError> {
+        let ChunkPlace { frame, index, num_chunks, num_base_chunks, .. } = place;
+        let is_sound = usize::from(num_chunks) <= MAX_CHUNKS
+            && index.0 < num_chunks
+            && (1..=num_chunks).contains(&num_base_chunks);
+        if !is_sound {
+            return Err(ChunkError::Place(place));
+        }
+        if !self.wants(frame, place.prediction.is_some()) || self.given_up == Some(frame) {
+            return Ok(());
+        }
+        if !self.assembling.contains_key(&frame) {
+            match self.ledger.get(frame).map(|life| life.at(Stage::Whole).is_some()) {
+                Some(true) => return Err(ChunkError::Twice(frame, index)),
+                // What had come of it was dropped for a newer frame, and does not come again: it can never be whole.
+                Some(false) => return Ok(()),
+                None => {}
+            }
+            if self.assembling.len() == MAX_ASSEMBLING {
+                self.drop_oldest();
+            }
+            self.assembling.insert(
+                frame,
+                Assembling { place, waiting: vec![], arrived: 0, num_bytes: 0, is_decoding: false },
+            );
+            self.open_ledger(first_byte_micros, place);
+        }
+        let Some(a) = self.assembling.get_mut(&frame) else { return Ok(()) };
+        let same = ChunkPlace { index, ..a.place };
+        if same != place {
+            return Err(ChunkError::Disagree(frame));
+        }
+        if a.arrived & 1 << index.0 != 0 {
+            return Err(ChunkError::Twice(frame, index));
+        }
+        if a.num_bytes + bytes.len() > MAX_FRAME_BYTES {
+            return Err(ChunkError::TooLong(frame));
+        }
+        a.arrived |= 1 << index.0;
+        a.num_bytes += bytes.len();
+        let length = bytes.len() as u64;
+        a.waiting.push(bytes);
+        let (has_base, has_all) = (a.has_base(), a.has_all());
+        self.ledger.add_bytes(frame, length);
+        if has_all {
+            self.ledger.stamp(now_micros, frame, Stage::Whole);
+        }
+        if has_base {
+            self.ledger.stamp(now_micros, frame, Stage::Received);
+            self.choose();
+        }
+        while self.assembling.values().map(|a| a.num_bytes).sum::<usize>() > MAX_ASSEMBLING_BYTES {
+            self.drop_oldest();
+        }
+        Ok(())
+    }
+
+    /// Whether a frame that others can be predicted from, older than `frame`, can still be decoded when all of it is there.
+    fn is_reference_coming(&self, frame: FrameId) -> bool {
+        if self.coming.is_some_and(|coming| coming < frame) {
+            return true;
+        }
+        let mut coming = Vec::with_capacity(MAX_ASSEMBLING);
+        for (&id, a) in self.assembling.range(..frame) {
+            let Some(Prediction { reference }) = a.place.prediction else { continue };
+            if reference.is_none_or(|r| self.references.contains(&r) || coming.contains(&r)) {
+                coming.push(id);
+            }
+        }
+        !coming.is_empty()
+    }
+
+    /// Ends the frames before the newest one that can be decoded. One that is not predicted from waits for those that are:
+    /// the frames after it may name them.
+    fn choose(&mut self) {
+        let can_be_next = |(frame, a): &(&FrameId, &Assembling)| {
+            a.is_ready(&self.references)
+                && (a.place.prediction.is_some() || !self.is_reference_coming(**frame))
+        };
+        let ready = self.assembling.iter().rev().find(can_be_next);
+        let Some((&frame, assembling)) = ready else { return };
+        if self.newest_base.is_some_and(|newest| frame <= newest) {
+            return;
+        }
+        self.is_predicting = assembling.place.prediction.is_some();
+        if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
+            self.refinements_keep_up = false;
+        }
+        let newer = self.assembling.split_off(&frame);
+        for (old, _) in std::mem::replace(&mut self.assembling, newer) {
+            self.ledger.give_up(old);
+        }
+        self.newest_base = Some(frame);
+    }
+
+    fn drop_oldest(&mut self) {
+        if let Some((oldest, _)) = self.assembling.pop_first() {
+            self.ledger.give_up(oldest);
+        }
+    }
+
+    /// What to decode next: the newest frame when all of it is there, or its base before.
+    ///
+    /// A base without its refinements lacks matter that a turned camera sees. So as long as refinements keep up, the
+    /// picture before, which is complete, is better for the moment that they still need: a base is held back until
+    /// it is followed by a newer one or a quarter of a second has passed.
+    pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
+        self.poll_newest(now_micros).or_else(|| self.poll_late(now_micros))
+    }
+
+    fn poll_newest(&mut self, now_micros: u64) -> Option<DecodeJob> {
+        let frame = self.newest_base?;
+        let is_held = self.hold_until().is_some_and(|until| now_micros < until);
+        let a = self.assembling.get_mut(&frame).filter(|a| a.is_decoding || a.has_base())?;
+        let is_last = a.has_all();
+        if (a.is_decoding || is_held) && !is_last {
+            return None;
+        }
+        let is_first = !std::mem::replace(&mut a.is_decoding, true);
+        let chunks = std::mem::take(&mut a.waiting);
+        self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
+        if is_last {
+            if let Some(whole) = self.assembling.remove(&frame) {
+                self.coming = whole.place.prediction.map(|_| frame);
+            }
+            self.refinements_keep_up = true;
+        }
+        Some(DecodeJob { connection: self.connection(), frame, is_first, is_last, chunks })
+    }
+
+    /// A frame that others may be predicted from, and that the newest one has overtaken.
+    fn poll_late(&mut self, now_micros: u64) -> Option<DecodeJob> {
+        let newest = self.newest_base?;
+        if self.is_predicting || self.coming.is_some() {
+            return None;
+        }
+        // A picture whose refinements are still to come is finished first, unless a newer one has come.
+        let is_finished = self.assembling.get(&newest).is_none_or(|a| {
+            a.is_decoding && self.assembling.last_key_value().is_some_and(|(last, _)| *last > newest)
+        });
+        if !is_finished {
+            return None;
+        }
+        let is_ready = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
+        let frame = self.assembling.range(..newest).find(|(_, a)| is_ready(a)).map(|(frame, _)| *frame)?;
+        let late = self.assembling.remove(&frame)?;
+        // Its refinements would come after another frame's chunks.
+        if self.assembling.remove(&newest).is_some() {
+            self.given_up = Some(newest);
+        }
+        self.coming = Some(frame);
+        self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
+        Some(DecodeJob {
+            connection: self.connection(),
+            frame,
+            is_first: true,
+            is_last: true,
+            chunks: late.waiting,
+        })
+    }
+
+    /// When [`ChunksClient::poll_decode`] must be asked again though nothing has arrived.
+    pub fn hold_until(&self) -> Option<u64> {
+        let frame = self.newest_base?;
+        let is_waiting = self.assembling.get(&frame).is_some_and(|a| !a.is_decoding && !a.has_all());
+        let holds = is_waiting && self.refinements_keep_up && self.newest_decoded.is_some();
+        let received = self.ledger.get(frame)?.at(Stage::Received)?;
+        holds.then_some(received + HOLD_MICROS)
+    }
+
+    /// A job is decoded. Its life so far, if the picture may be shown: it is of this connection and not older than the one
+    /// before.
+    pub fn handle_decoded(
+        &mut self,
+        now_micros: u64,
+        connection: u32,
+        frame: FrameId,
+        is_complete: bool,
+    ) -> Option<Life> {
+        if connection != self.connection() {
+            return None;
+        }
+        if is_complete && self.coming.take_if(|coming| *coming == frame).is_some() {
+            if self.references.len() == MAX_REFERENCES {
+                self.references.pop_front();
+            }
+            self.references.push_back(frame);
+            self.choose();
+        }
+        if self.newest_decoded.is_some_and(|t| t.connection == connection && t.frame > frame) {
+            return None;
+        }
+        let is_new = self.ledger.get(frame)?.at(Stage::Decoded).is_none();
+        self.ledger.stamp(now_micros, frame, Stage::Decoded);
+        if is_complete {
+            self.ledger.stamp(now_micros, frame, Stage::WholeDecoded);
+        }
+        if is_new {
+            if self.decoded_at.len() == MAX_RATE_SAMPLES {
+                self.decoded_at.pop_front();
+            }
+            self.decoded_at.push_back(now_micros);
+        }
+        self.newest_decoded = self.ledger.get(frame).copied();
+        self.newest_decoded
+    }
+
+    /// A job could not be decoded: the frame is given up, and counts for nothing.
+    pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
+        if connection == self.connection() {
+            self.ledger.give_up(frame);
+            self.assembling.remove(&frame);
+            self.coming.take_if(|coming| *coming == frame);
+            if self.newest_base == Some(frame) {
+                self.newest_base =
+                    self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
+            }
+            // Others may have waited for it.
+            self.choose();
+        }
+    }
+
+    /// Decoding a job of `num_lists` lists took so long.
+    pub fn handle_decode_time(&mut self, micros: u64, num_lists: usize) {
+        let nanos = micros as f64 * 1e3 / num_lists.max(1) as f64;
+        let before = self.decode_nanos_per_list;
+        self.decode_nanos_per_list =
+            if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
+    }
+
+    /// What decoding takes of late, ns a list, for the next pose datagram; 0: it is not known.
+    pub fn decode_nanos_per_list(&self) -> u16 {
+        self.decode_nanos_per_list as u16
+    }
+
+    /// A frame was on the screen.
+    pub fn handle_shown(&mut self, now_micros: u64, frame: FrameId) {
+        self.ledger.stamp(now_micros, frame, Stage::Shown);
+    }
+
+    /// The newest frame whose base is complete, for the next pose datagram; where frames are predicted from each other,
+    /// the newest that is decoded.
+    pub fn newest_complete(&self) -> Option<FrameId> {
+        if self.is_predicting { self.references.back().copied() } else { self.newest_base }
+    }
+
+    /// Frames decoded in the last second.
+    pub fn frames_per_second(&self, now_micros: u64) -> u32 {
+        self.decoded_at.iter().filter(|&&t| t + 1_000_000 > now_micros).count() as u32
+    }
+
+    /// The last frames' lives.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
+    }
+
+    fn open_ledger(&mut self, first_byte: u64, place: ChunkPlace) {
+        let life = Life::new(place.frame, place.pose).with(Stage::FirstByteReceived, first_byte);
+        let asked = self.poses.iter().rev().find(|(p, _)| *p == place.pose).map(|(_, t)| *t);
+        self.ledger.open(match asked {
+            Some(asked) => life.with(Stage::Asked, asked),
+            None => life,
+        });
+    }
+}
+
+/// The server's half: which chunks are still worth their bytes.
+///
+/// Call `handle_base_handed` before the base of a frame is written, `handle_base_delivered` when all of it is acknowledged
+/// and `handle_report` for each pose datagram. Ask `is_superseded` after any of these.
+#[derive(Clone, Debug, Default)]
+pub struct ChunksServer {
+    handed: FrameId,
+    complete: FrameId,
+    reported: FrameId,
+}
+
+impl ChunksServer {
+    /// The base of a frame is about to be written.
+    pub fn handle_base_handed(&mut self, frame: FrameId) {
+        self.handed = self.handed.max(frame);
+    }
+
+    /// The client has all of a frame's base. A client that claims frames it was never sent gains nothing.
+    pub fn handle_base_delivered(&mut self, frame: FrameId) {
+        self.complete = self.complete.max(frame.min(self.handed));
+    }
+
+    /// A pose datagram names the newest complete frame; `is_newest` unless it was overtaken on its way.
+    pub fn handle_report(&mut self, newest_complete: FrameId, is_newest: bool) {
+        self.handle_base_delivered(newest_complete);
+        if is_newest {
+            self.reported = newest_complete.min(self.handed);
+        }
+    }
+
+    /// Whether a chunk is not worth its bytes any more.
+    pub fn is_superseded(&self, frame: FrameId, is_base: bool) -> bool {
+        if is_base { self.complete > frame } else { self.handed > frame }
+    }
+
+    /// The frame that the client's newest pose named as its newest; 0 for none. Where frames are predicted from each
+    /// other, the client has decoded it.
+    pub fn reported(&self) -> FrameId {
+        self.reported
+    }
+
+    /// The newest frame whose base the client has; 0 for none.
+    pub fn newest_complete(&self) -> FrameId {
+        self.complete
+    }
+}
+
+/// What a chunk is to the frames beside its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rank {
+    /// Later frames may be predicted from it: those wait at the client until it is there.
+    Predicting,
+    /// It is a picture by itself, or the base of one.
+    Base,
+    /// It makes a picture finer.
+    Refinement,
+}
+
+/// Priority of a chunk's stream: what others may be predicted from before any base, that before any refinement. Of the first older
+/// frames come first, of the others newer ones; within a frame it goes by index. The control stream has [`CONTROL_PRIORITY`].
+///
+/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the bands never meet.
+pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
+    let newer_first = (frame.0 & FRAMES) as i32;
+    let (band, frame) = match rank {
+        Rank::Predicting => (2, FRAMES as i32 - newer_first),
+        Rank::Base => (1, newer_first),
+        Rank::Refinement => (0, newer_first),
+    };
+    // The last of them is the control stream's.
+    band * BAND + (frame << 4) + 14 - i32::from(index.0.min(14))
+}
+
+/// Frames in reassembly at the same time: as many as a server may send of which each is predicted from the one before,
+/// while a lost packet of the first is sent again: at 60 a second those of half a second.
+pub const MAX_ASSEMBLING: usize = 32;
+/// Bytes of their chunks.
+pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
+/// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
+pub const MAX_FRAME_BYTES: usize = 192 << 20;
+/// Longest time that a base is held back for its refinements: about what the congestion window needs to pace out the
+/// second half of a frame at a round trip of 300 ms. Other lengths were not tried; none is held at all once
+/// refinements fall behind.
+const HOLD_MICROS: u64 = 250_000;
+/// Weight of the newest time to decode.
+const DECODE_GAIN: f64 = 0.25;
+/// Poses whose time is remembered: four seconds' worth, longer than any round trip.
+const MAX_POSES: usize = 512;
+/// Times that the frame rate is counted from; also the highest rate that is shown.
+const MAX_RATE_SAMPLES: usize = 512;
+/// Below every chunk: a picture to keep waits for what is looked at.
+pub const SHOT_PRIORITY: i32 = -1;
+/// Above every chunk.
+pub const CONTROL_PRIORITY: i32 = i32::MAX;
+/// Frame numbers that priorities tell apart.
+const FRAMES: u32 = 0x01ff_ffff;
+/// Priorities of a rank.
+const BAND: i32 = 1 << 29;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,382 @@
+//! Which frames the server makes for one viewer: which pose is answered next, how each frame is coded, what is given up
+//! when the camera moves on, and what a resting camera gets on top.
+//!
+//! A frame names its pose and the version of its look (see [`crate::layer::FrameHeader`]). No pose is answered twice with
+//! one look. At rest the same frame goes out again, finer.
+
+use super::look::LookServer;
+use super::rate::{CodingControl, LinkState, Mode, Plan};
+use crate::camera::{Camera, Intrinsics};
+use crate::codec::{Coding, Settings};
+use crate::ids::{FrameId, LookVersion, PoseId};
+use crate::layer::{FrameHeader, max_lists};
+use crate::space::Aabb;
+use crate::wire::PoseRequest;
+
+/// What a frame is made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Asked {
+    /// The pose.
+    pub request: PoseRequest,
+    /// The header of the frame.
+    pub header: FrameHeader,
+    /// When the pose was taken up, µs.
+    pub at_micros: u64,
+    /// Whether the same pose was answered before, with another look or shade.
+    pub is_again: bool,
+}
+
+/// How a frame is sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sending {
+    /// What it was made for.
+    pub asked: Asked,
+    /// How it is coded.
+    pub coding: Coding,
+    /// Whether the same frame was sent before, less fine.
+    pub is_finer: bool,
+    /// Whether the viewer has the exact picture of it already, with another margin.
+    pub is_margin: bool,
+}
+
+impl Sending {
+    /// Whether it is one of a moving camera's, whose next ones are like it.
+    pub fn is_usual(&self) -> bool {
+        !self.is_finer && !self.is_margin
+    }
+}
+
+/// Decides about the frames of one viewer.
+///
+/// Call `begin` for a pose that is not `is_answered`. When the frame is there, `handle_generated` and `choose_coding`; when
+/// it is coded, `handle_encoded`; when the network has it, `handle_sent`. Then `poll_finer` says whether it goes out again.
+/// Tell `handle_pose` of each new pose. Times are µs.
+#[derive(Debug)]
+pub struct FramesServer {
+    coding: CodingControl,
+    mode: Mode,
+    newest: FrameId,
+    /// When the newest frame was begun.
+    begun_at: Option<u64>,
+    /// Whether no newer pose has come since.
+    rests: bool,
+    /// What the newest frame was made for.
+    answered: Option<(PoseId, LookVersion)>,
+    /// The newest frame that the network has, unless it is being sent again.
+    sent: Option<Sending>,
+    /// Whether the frame before was given up, so that this one is not.
+    has_given_up: bool,
+    /// Whether the renderer was lost on the frame before.
+    has_failed: bool,
+}
+
+impl FramesServer {
+    /// No frame has been made.
+    pub fn new(plan: Plan) -> Self {
+        Self {
+            coding: CodingControl::new(plan),
+            mode: plan.mode,
+            newest: FrameId(0),
+            begun_at: None,
+            rests: false,
+            answered: None,
+            sent: None,
+            has_given_up: false,
+            has_failed: false,
+        }
+    }
+
+    /// The newest frame.
+    pub fn newest(&self) -> FrameId {
+        self.newest
+    }
+
+    /// Whether a frame was begun for this pose and look.
+    pub fn is_answered(&self, pose: PoseId, version: LookVersion) -> bool {
+        self.answered == Some((pose, version))
+    }
+
+    /// Begins the frame for a pose, of a volume with this box.
+    pub fn begin(
+        &mut self,
+        now_micros: u64,
+        request: &PoseRequest,
+        look: &LookServer,
+        bounds: &Aabb,
+    ) -> Asked {
+        self.newest = self.newest.next();
+        // What was said of the camera's movement then has been taken.
+        let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
+        self.answered = Some((request.id, look.version()));
+        self.rests = true;
+        // While the camera moves, frames follow each other so.
+        let since = self.begun_at.replace(now_micros).map(|at| now_micros.saturating_sub(at));
+        if let Some(interval) = since.filter(|interval| *interval < LONG_REST_MICROS) {
+            self.coding.handle_interval(interval);
+        }
+        let k = look.look().k;
+        let header = FrameHeader {
+            frame: self.newest,
+            pose: request.id,
+            look: look.version(),
+            camera: Camera::new(request.pose, bounded(request.intrinsics, k), bounds),
+            k,
+            mode: Default::default(),
+        };
+        Asked { request: *request, header, at_micros: now_micros, is_again }
+    }
+
+    /// A newer pose has come. Returns whether the frame that is being `generated` is given up for it.
+    ///
+    /// A frame for a camera that has rested is larger than those of a moving one, and none of them can be made before it is
+    /// done. Never two in a row: a viewer that is slow to ask would get no frame at all.
+    pub fn handle_pose(&mut self, now_micros: u64, newest: &PoseRequest, generated: Option<&Asked>) -> bool {
+        let has_rested = std::mem::take(&mut self.rests) && !self.has_given_up;
+        generated.filter(|_| has_rested).is_some_and(|asked| {
+            // Smaller frames are asked for while something changes, if only the look.
+            let is_smaller = newest.intrinsics.num_pixels() < asked.request.intrinsics.num_pixels();
+            let is_outdated = newest.pose != asked.request.pose || is_smaller;
+            is_outdated && now_micros >= asked.at_micros + LONG_REST_MICROS
+        })
+    }
+
+    /// A frame was generated in so many µs.
+    pub fn handle_generated(&mut self, micros: u64) {
+        (self.has_given_up, self.has_failed) = (false, false);
+        self.coding.handle_generated(micros);
+    }
+
+    /// A frame was given up while it was generated: the newest pose is to be answered.
+    pub fn handle_given_up(&mut self) {
+        (self.has_given_up, self.answered) = (true, None);
+    }
+
+    /// A frame could not be generated; `is_lost` if another renderer has taken the place of a lost one. Then the pose is
+    /// answered once more.
+    pub fn handle_failed(&mut self, is_lost: bool) {
+        if is_lost && !std::mem::replace(&mut self.has_failed, true) {
+            self.answered = None;
+        }
+    }
+
+    /// The newest pose is to be answered again.
+    pub fn handle_unanswered(&mut self) {
+        self.answered = None;
+    }
+
+    /// Another volume is shown: nothing that was sent can be of use.
+    pub fn handle_volume(&mut self) {
+        (self.answered, self.sent) = (None, None);
+    }
+
+    /// How a frame of this mode is sent over the link as it is now; `has_reference` if there is one to predict it from.
+    pub fn choose_coding(
+        &mut self,
+        now_micros: u64,
+        link: LinkState,
+        asked: Asked,
+        mode: crate::mode::Mode,
+        has_reference: bool,
+    ) -> Sending {
+        self.coding.handle_link(now_micros, link);
+        self.coding.handle_turned(asked.request.shown_turn_deg.filter(|_| !asked.is_again));
+        let is_margin = self.shows_exactly(&asked.header);
+        let coding = match is_margin {
+            true => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
+            false => self.coding.next(asked.header.camera.intrinsics.num_pixels(), has_reference),
+        };
+        Sending { asked, coding: coding.for_mode(mode), is_finer: false, is_margin }
+    }
+
+    /// A frame was coded.
+    pub fn handle_encoded(&mut self, sending: &Sending, is_predicted: bool, bytes: usize, micros: u64) {
+        // What a frame takes that is predicted from itself says nothing of others.
+        if !sending.is_finer || matches!(sending.coding, Coding::Exact(_)) {
+            let num_lists = sending.asked.header.camera.intrinsics.num_pixels();
+            self.coding.handle_encoded(&sending.coding, is_predicted, num_lists, bytes, micros);
+        }
+    }
+
+    /// The network has a frame.
+    pub fn handle_sent(&mut self, sending: Sending) {
+        self.sent = Some(sending);
+    }
+
+    /// When `poll_finer` is to be asked, if no frame is in the works, µs.
+    pub fn finer_due(&self, look: &LookServer) -> Option<u64> {
+        let sent = self.sent.as_ref()?;
+        self.finer(sent, look).map(|_| sent.asked.at_micros + REST_MICROS)
+    }
+
+    /// The frame of a resting camera that is sent again now, with a new number and a finer coding.
+    pub fn poll_finer(&mut self, now_micros: u64, look: &LookServer) -> Option<Sending> {
+        self.finer_due(look).filter(|due| *due <= now_micros)?;
+        let sent = self.sent.take()?;
+        let coding = self.finer(&sent, look)?;
+        self.newest = self.newest.next();
+        let header = FrameHeader { frame: self.newest, ..sent.asked.header };
+        Some(Sending { asked: Asked { header, ..sent.asked }, coding, is_finer: true, ..sent })
+    }
+
+    /// Whether what only makes a rest finer is no longer worth its time, now that there is this pose and look.
+    pub fn is_outdated(sending: &Sending, newest: &PoseRequest, version: LookVersion) -> bool {
+        let Asked { request, header, .. } = &sending.asked;
+        let is_same = request.pose == newest.pose && is_same_picture(&request.intrinsics, &newest.intrinsics);
+        !sending.is_usual() && !(is_same && header.look == version)
+    }
+
+    /// How a frame that was sent is sent again if the camera rests where it is.
+    fn finer(&self, sent: &Sending, look: &LookServer) -> Option<Coding> {
+        let header = &sent.asked.header;
+        // A draft is about to be made anew.
+        let is_newest = !look.is_draft()
+            && self.is_answered(header.pose, look.version())
+            && header.look == look.version();
+        let num_lists = header.camera.intrinsics.num_pixels();
+        is_newest.then(|| self.coding.finer(num_lists, &sent.coding)).flatten()
+    }
+
+    /// Whether the viewer has, or will have, the exact picture of this frame: the frame has another margin only.
+    fn shows_exactly(&self, header: &FrameHeader) -> bool {
+        let is_exact = self.sent.as_ref().is_some_and(|sent| {
+            let of_sent = &sent.asked.header;
+            matches!(sent.coding, Coding::Exact(_))
+                && of_sent.camera.pose == header.camera.pose
+                && is_same_picture(&of_sent.camera.intrinsics, &header.camera.intrinsics)
+                && of_sent.look == header.look
+        });
+        self.mode == Mode::Auto && is_exact
+    }
+}
+
+/// The size of the frame for a request: the same shape, at most [`max_lists`] pixels.
+pub fn bounded(request: Intrinsics, k: u8) -> Intrinsics {
+    let excess = request.num_pixels() as f32 / max_lists(k) as f32;
+    if excess <= 1.0 {
+        return request;
+    }
+    let shrink = |side: u32| ((side as f32 / excess.sqrt()) as u32).max(1);
+    Intrinsics { width: shrink(request.width), height: shrink(request.height), ..request }
+}
+
+/// Whether frames of two sizes hold the same lists, but for a margin around them.
+fn is_same_picture(a: &Intrinsics, b: &Intrinsics) -> bool {
+    a.margin_around(b).is_some() || b.margin_around(a).is_some()
+}
+
+/// A camera that no newer pose has come of for so long rests: three refreshes at 30 Hz.
+const REST_MICROS: u64 = 100_000;
+/// And one that none has come of for so long rests even where the viewer refreshes four times a second only: what it waits
+/// for is given up when it moves.
+const LONG_REST_MICROS: u64 = 250_000;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::camera::Pose;
+    use crate::session::pair::look;
+
+    const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+    const LINK: LinkState = LinkState { window_bytes: 1 << 30, rtt_micros: 1000, least_rtt_micros: 1000 };
+
+    fn request(id: u32, azimuth: f32) -> PoseRequest {
+        let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.0, 3.0);
+        PoseRequest { id: PoseId(id), ..PoseRequest::of_view(pose, Intrinsics::perspective(64, 64, 0.5)) }
+    }
+
+    fn of_server() -> (FramesServer, LookServer) {
+        (FramesServer::new(Plan::default()), LookServer::new(LookVersion(1), look("first")))
+    }
+
+    /// Makes and sends the frame for a pose.
+    fn send(frames: &mut FramesServer, looks: &LookServer, now: u64, request: &PoseRequest) -> Sending {
+        let asked = frames.begin(now, request, looks, &BOUNDS);
+        frames.handle_generated(1000);
+        let sending = frames.choose_coding(now, LINK, asked, Default::default(), false);
+        frames.handle_encoded(&sending, false, 1000, 1000);
+        frames.handle_sent(sending.clone());
+        sending
+    }
+
+    #[test]
+    fn sizes_are_bounded_and_keep_their_shape() {
+        for k in [1, 8, 15, 32] {
+            let size = |width, height| bounded(Intrinsics::perspective(width, height, 1.0), k);
+            assert_eq!(size(1920, 1200), Intrinsics::perspective(1920, 1200, 1.0));
+            let (big, most) = (size(8192, 4096), max_lists(k));
+            assert!(big.num_pixels() <= most && big.num_pixels() > most * 9 / 10);
+            assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);
+            assert!(size(8192, 1).num_pixels() >= 1);
+        }
+    }
+
+    #[test]
+    fn a_pose_is_answered_once_with_each_look() {
+        let (mut frames, mut looks) = of_server();
+        assert!(!frames.is_answered(PoseId(1), looks.version()));
+        assert!(!frames.begin(0, &request(1, 0.0), &looks, &BOUNDS).is_again);
+        assert!(frames.is_answered(PoseId(1), looks.version()));
+        looks.begin(0, look("second"), true);
+        assert!(!frames.is_answered(PoseId(1), looks.version()));
+        let again = frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
+        assert_eq!(
+            (again.is_again, again.header.frame, again.header.look),
+            (true, FrameId(2), LookVersion(2))
+        );
+        // A lost renderer is forgiven once.
+        for is_answered in [false, true] {
+            frames.handle_failed(true);
+            assert_eq!(frames.is_answered(PoseId(1), looks.version()), is_answered);
+            frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
+        }
+    }
+
+    #[test]
+    fn the_frame_of_a_rest_is_given_up_when_the_camera_moves_but_never_two_in_a_row() {
+        let (mut frames, looks) = of_server();
+        let asked = frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
+        assert!(!frames.handle_pose(249_999, &request(2, 0.1), Some(&asked)), "it has not rested");
+        let asked = frames.begin(300_000, &request(2, 0.1), &looks, &BOUNDS);
+        assert!(!frames.handle_pose(600_000, &request(3, 0.1), Some(&asked)), "the same pose");
+        let asked = frames.begin(700_000, &request(3, 0.1), &looks, &BOUNDS);
+        assert!(frames.handle_pose(950_000, &request(4, 0.2), Some(&asked)));
+        frames.handle_given_up();
+        assert!(!frames.is_answered(PoseId(3), looks.version()));
+        let asked = frames.begin(1_000_000, &request(4, 0.2), &looks, &BOUNDS);
+        assert!(!frames.handle_pose(2_000_000, &request(5, 0.3), Some(&asked)), "the one before was");
+        frames.handle_generated(1000);
+        let asked = frames.begin(2_000_000, &request(5, 0.3), &looks, &BOUNDS);
+        assert!(frames.handle_pose(2_250_000, &request(6, 0.4), Some(&asked)));
+    }
+
+    #[test]
+    fn at_rest_the_frame_goes_out_again_exactly_and_once() {
+        let (mut frames, looks) = of_server();
+        let first = send(&mut frames, &looks, 0, &request(1, 0.0));
+        assert!(matches!(first.coding, Coding::Blocks(_)), "nothing is known of the link yet");
+        assert_eq!(frames.finer_due(&looks), Some(REST_MICROS));
+        assert_eq!(frames.poll_finer(REST_MICROS - 1, &looks), None);
+        let finer = frames.poll_finer(REST_MICROS, &looks).unwrap();
+        assert!(finer.is_finer && matches!(finer.coding, Coding::Exact(_)));
+        assert_eq!((finer.asked.header.frame, frames.newest()), (FrameId(2), FrameId(2)));
+        assert_eq!(frames.finer_due(&looks), None, "it is on its way");
+        frames.handle_sent(finer.clone());
+        assert_eq!(frames.finer_due(&looks), None, "it cannot be better");
+        // A margin around the exact picture is exact, too, and goes when the camera moves.
+        let wide = PoseRequest { intrinsics: request(2, 0.0).intrinsics.with_margin(16), ..request(2, 0.0) };
+        let margin = send(&mut frames, &looks, 200_000, &wide);
+        assert!(margin.is_margin && matches!(margin.coding, Coding::Exact(_)));
+        assert!(!FramesServer::is_outdated(&margin, &request(3, 0.0), looks.version()));
+        assert!(FramesServer::is_outdated(&margin, &request(3, 0.1), looks.version()));
+        assert!(FramesServer::is_outdated(&margin, &request(3, 0.0), LookVersion(2)));
+        assert!(!FramesServer::is_outdated(&first, &request(3, 0.1), looks.version()), "a usual one is sent");
+        // Neither a draft nor an older look is made finer.
+        let (mut frames, mut looks) = of_server();
+        send(&mut frames, &looks, 300_000, &request(4, 0.5));
+        assert!(frames.finer_due(&looks).is_some());
+        looks.begin(300_000, look("other"), false);
+        assert_eq!(frames.finer_due(&looks), None);
+    }
+}

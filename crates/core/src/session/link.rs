@@ -1,0 +1,191 @@
+//! The connection itself: who is welcomed, what is said to the person, and how both sides fare.
+//!
+//! | message | says |
+//! |---|---|
+//! | [`ClientMessage::Hello`], [`ServerMessage::Welcome`], [`ServerMessage::Refused`] | who wants in, and the answer; see [`super::admission`] |
+//! | [`ClientMessage::Stats`] | how the client fares, once a second at most |
+//! | [`ServerMessage::Stats`] | what the newest frame cost |
+//! | [`ServerMessage::Notice`] | one line for the person |
+//! | [`ClientMessage::Bye`] | the client leaves |
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::bucket::Bucket;
+use super::pace::Pace;
+use crate::ids::LookVersion;
+use crate::look::Look;
+use crate::wire::control::one_line;
+use crate::wire::{ClientMessage, ClientStats, ServerMessage, ServerStats, VolumeDescription, Welcome};
+
+/// The client's half.
+#[derive(Debug)]
+pub struct LinkClient {
+    connection: u32,
+    description: Option<Arc<Welcome>>,
+    server_stats: ServerStats,
+    notice: Option<String>,
+    report: Pace<ClientStats>,
+}
+
+impl Default for LinkClient {
+    fn default() -> Self {
+        Self {
+            connection: 0,
+            description: None,
+            server_stats: ServerStats::default(),
+            notice: None,
+            report: Pace::new(REPORT_MICROS),
+        }
+    }
+}
+
+impl LinkClient {
+    /// Number of the newest connection, from 1; 0 before the first.
+    pub fn connection(&self) -> u32 {
+        self.connection
+    }
+
+    /// What the server said when it let this client in last, with the volume that is shown now.
+    pub fn description(&self) -> Option<Arc<Welcome>> {
+        self.description.clone()
+    }
+
+    /// What the newest frame cost the server, as last heard.
+    pub fn server_stats(&self) -> ServerStats {
+        self.server_stats
+    }
+
+    /// The last line that the server wanted shown, once.
+    pub fn take_notice(&mut self) -> Option<String> {
+        self.notice.take()
+    }
+
+    /// How this client fares, for the server.
+    pub fn report(&mut self, stats: ClientStats) {
+        self.report.offer(Some(stats));
+    }
+
+    /// A connection is up. Returns whether the server has another file than the one before.
+    pub fn handle_welcome(&mut self, welcome: Welcome) -> bool {
+        self.connection = self.connection.wrapping_add(1);
+        let before = self.description.replace(Arc::new(welcome));
+        let names = before.zip(self.description.as_ref());
+        names.is_some_and(|(before, now)| before.volume.name != now.volume.name)
+    }
+
+    /// Another volume is shown.
+    pub fn handle_volume_changed(
+        &mut self,
+        volume: VolumeDescription,
+        look_version: LookVersion,
+        look: Look,
+    ) {
+        if let Some(welcome) = &mut self.description {
+            *welcome = Arc::new(Welcome { volume, look_version, look, ..(**welcome).clone() });
+        }
+    }
+
+    /// The server says what its newest frame cost.
+    pub fn handle_stats(&mut self, stats: ServerStats) {
+        self.server_stats = stats;
+    }
+
+    /// The server has a line for the person. It replaces the one before.
+    pub fn handle_notice(&mut self, text: String) {
+        self.notice = Some(text);
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self, now_micros: u64) -> Option<ClientMessage> {
+        self.report.poll(now_micros).map(ClientMessage::Stats)
+    }
+
+    /// When to poll again, µs.
+    pub fn due(&self) -> Option<u64> {
+        self.report.due()
+    }
+}
+
+/// The server's half.
+#[derive(Debug)]
+pub struct LinkServer {
+    messages: Bucket,
+    notices: VecDeque<String>,
+    stats: Option<ServerStats>,
+}
+
+impl LinkServer {
+    /// For a viewer that was let in now.
+    pub fn new(now_micros: u64) -> Self {
+        let messages = Bucket::new(MAX_MESSAGES_PER_SECOND, now_micros);
+        Self { messages, notices: VecDeque::new(), stats: None }
+    }
+
+    /// Whether one more message may be handled now. If not, it has to wait, and those behind it in the stream. Many come at
+    /// once where the network has stood still, which is not their sender's fault.
+    pub fn takes_message(&mut self, now_micros: u64) -> bool {
+        self.messages.take(now_micros)
+    }
+
+    /// One line for the person at the viewer.
+    pub fn notice(&mut self, text: &str) {
+        if self.notices.len() == MAX_NOTICES {
+            self.notices.pop_front();
+        }
+        self.notices.push_back(one_line(text));
+    }
+
+    /// What the newest frame cost.
+    pub fn report(&mut self, stats: ServerStats) {
+        self.stats = Some(stats);
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self) -> Option<ServerMessage> {
+        let notice = self.notices.pop_front().map(ServerMessage::Notice);
+        notice.or_else(|| self.stats.take().map(ServerMessage::Stats))
+    }
+}
+
+/// Control messages handled per second.
+pub const MAX_MESSAGES_PER_SECOND: u32 = 100;
+/// After so long one more may be handled, µs.
+pub const MESSAGE_WAIT_MICROS: u64 = 1_000_000 / MAX_MESSAGES_PER_SECOND as u64;
+/// Reports go out at most once a second.
+const REPORT_MICROS: u64 = 1_000_000;
+/// Lines that wait for the network; the oldest goes first.
+const MAX_NOTICES: usize = 32;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::pair::{Pair, welcome};
+
+    #[test]
+    fn a_server_with_another_file_is_told_from_one_with_the_same() {
+        let mut client = LinkClient::default();
+        let is_other = ["a", "a", "b", "b"].map(|name| client.handle_welcome(welcome(name)));
+        assert_eq!((is_other, client.connection()), ([false, false, true, false], 4));
+    }
+
+    #[test]
+    fn the_newest_of_many_lines_and_figures_arrives() {
+        let mut pair = Pair::new(50_000, 0.2, 5);
+        pair.run(1_000_000);
+        for n in 0..1000 {
+            pair.server().link.notice(&format!("{n}\n"));
+            pair.server().link.report(ServerStats { bytes: n, ..ServerStats::default() });
+        }
+        pair.run(1_000_000);
+        assert_eq!(pair.client.link.take_notice().as_deref(), Some("999 "));
+        assert_eq!((pair.client.link.take_notice(), pair.client.link.server_stats().bytes), (None, 999));
+    }
+
+    #[test]
+    fn a_flood_of_messages_waits() {
+        let mut server = LinkServer::new(0);
+        assert_eq!((0..1000).filter(|_| server.takes_message(0)).count(), 100);
+        assert!(server.takes_message(MESSAGE_WAIT_MICROS) && !server.takes_message(MESSAGE_WAIT_MICROS));
+    }
+}

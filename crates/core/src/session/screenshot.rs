@@ -1,0 +1,240 @@
+//! A picture that the server renders in full for the viewer to keep.
+//!
+//! | message | says |
+//! |---|---|
+//! | [`ClientMessage::Shoot`], [`ClientMessage::CancelShot`] | the view, or that no picture is wanted any more; at most 30 a second |
+//! | [`ServerMessage::ShotFailed`] | why a picture does not come |
+//! | stream `IGLS` | the picture as PNG; see [`crate::wire::shot`] |
+//!
+//! One picture is wanted at a time: a later request replaces the one before.
+
+use std::sync::Arc;
+
+use super::pace::Pace;
+use crate::camera::{Intrinsics, Pose};
+use crate::ids::ShotId;
+use crate::wire::control::one_line;
+use crate::wire::{ClientMessage, PoseRequest, ServerMessage, ShotRequest};
+
+/// The outcome of a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReceivedShot {
+    /// The request.
+    pub id: ShotId,
+    /// A PNG file of the size that was asked for, or one line of why there is none.
+    pub png: Result<Vec<u8>, String>,
+}
+
+/// The client's half: the picture that is wanted, and its outcome.
+#[derive(Debug)]
+pub struct ScreenshotClient {
+    newest: ShotId,
+    wanted: Option<ShotRequest>,
+    /// The request that the server works on, as far as it was told over this connection.
+    asked: Option<ShotId>,
+    /// What to tell it; none: that no picture is wanted.
+    outbox: Pace<Option<ShotRequest>>,
+    outcome: Option<Arc<ReceivedShot>>,
+}
+
+impl Default for ScreenshotClient {
+    fn default() -> Self {
+        let outbox = Pace::new(PERIOD_MICROS);
+        Self { newest: ShotId(0), wanted: None, asked: None, outbox, outcome: None }
+    }
+}
+
+impl ScreenshotClient {
+    /// Asks for a picture, under the look that the viewer wants. A view that cannot be rendered fails at once.
+    pub fn request(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+        self.newest = self.newest.next();
+        let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
+        let request = ShotRequest { id: self.newest, view, background };
+        let problem = request.view().err();
+        self.wanted = Some(request.clone());
+        self.outbox.offer(Some(problem.is_none().then_some(request)));
+        if let Some(problem) = problem {
+            self.handle_failed(self.newest, problem.to_string());
+        }
+        self.newest
+    }
+
+    /// The picture is no longer wanted.
+    pub fn cancel(&mut self) {
+        self.wanted = None;
+        self.outbox.offer(Some(None));
+    }
+
+    /// Whether the picture of this request is still wanted: its stream is worth reading.
+    pub fn wants(&self, id: ShotId) -> bool {
+        self.wanted.as_ref().is_some_and(|wanted| wanted.id == id)
+    }
+
+    /// The outcome of the newest request, once.
+    pub fn take_outcome(&mut self) -> Option<Arc<ReceivedShot>> {
+        self.outcome.take()
+    }
+
+    /// A connection is up: a picture that is still wanted is asked for again.
+    pub fn handle_welcome(&mut self) {
+        self.asked = None;
+        self.outbox.offer(self.wanted.clone().map(Some));
+    }
+
+    /// The stream of a picture has ended.
+    pub fn handle_png(&mut self, id: ShotId, png: Vec<u8>) {
+        let Some(Ok(view)) = self.wanted.as_ref().filter(|w| w.id == id).map(ShotRequest::view) else {
+            return;
+        };
+        let expected = [view.intrinsics.width, view.intrinsics.height];
+        let png = match png_size(&png) {
+            Some(found) if found == expected => Ok(png),
+            found => Err(format!("the server sent a picture of {found:?} pixels, expected {expected:?}")),
+        };
+        self.settle(id, png);
+    }
+
+    /// The picture does not come.
+    pub fn handle_failed(&mut self, id: ShotId, why: String) {
+        self.settle(id, Err(why));
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self, now_micros: u64) -> Option<ClientMessage> {
+        let wanted = self.outbox.poll(now_micros)?;
+        let before = std::mem::replace(&mut self.asked, wanted.as_ref().map(|w| w.id));
+        match wanted {
+            Some(shot) => Some(ClientMessage::Shoot(shot)),
+            None => before.map(|_| ClientMessage::CancelShot),
+        }
+    }
+
+    /// When to poll again, µs.
+    pub fn due(&self) -> Option<u64> {
+        self.outbox.due()
+    }
+
+    fn settle(&mut self, id: ShotId, png: Result<Vec<u8>, String>) {
+        if self.wanted.take_if(|wanted| wanted.id == id).is_some() {
+            self.outcome = Some(Arc::new(ReceivedShot { id, png }));
+            // The server knows that nothing is left to do.
+            self.asked.take_if(|asked| *asked == id);
+        }
+    }
+}
+
+/// The server's half: what is wanted, and what has failed.
+#[derive(Debug, Default)]
+pub struct ScreenshotServer {
+    changed: Option<Option<ShotRequest>>,
+    failed: Option<(ShotId, String)>,
+}
+
+impl ScreenshotServer {
+    /// The viewer wants a picture, or none any more.
+    pub fn handle_request(&mut self, wanted: Option<ShotRequest>) {
+        self.changed = Some(wanted);
+    }
+
+    /// What to make now in place of what is in the making; its inside is none for nothing.
+    pub fn poll_request(&mut self) -> Option<Option<ShotRequest>> {
+        self.changed.take()
+    }
+
+    /// A picture cannot be made.
+    pub fn handle_failed(&mut self, id: ShotId, why: &str) {
+        self.failed = Some((id, one_line(why)));
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self) -> Option<ServerMessage> {
+        self.failed.take().map(|(id, why)| ServerMessage::ShotFailed { id, why })
+    }
+}
+
+/// Columns and rows, by the first part of a PNG file (signature, then IHDR).
+fn png_size(png: &[u8]) -> Option<[u32; 2]> {
+    let rest = png.strip_prefix(b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR")?;
+    let side = |at: usize| Some(u32::from_be_bytes(rest.get(at..at + 4)?.try_into().ok()?));
+    Some([side(0)?, side(4)?])
+}
+
+/// Requests go out at most 30 times a second.
+const PERIOD_MICROS: u64 = 33_334;
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::session::pair::{Pair, look};
+
+    const VIEW: Intrinsics = Intrinsics::perspective(640, 480, 0.5);
+
+    fn pose() -> Pose {
+        Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0)
+    }
+
+    fn png() -> Vec<u8> {
+        b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x02\x80\0\0\x01\xe0\x08".to_vec()
+    }
+
+    #[test]
+    fn the_size_is_that_of_the_first_part() {
+        assert_eq!(png_size(&png()), Some([640, 480]));
+        assert_eq!(png_size(&png()[1..]), None);
+        assert_eq!(png_size(&png()[..20]), None);
+    }
+
+    #[test]
+    fn the_newest_request_is_made_under_the_newest_look_and_settled_once() {
+        for (loss, seed) in [(0.0, 1), (0.3, 2)] {
+            let mut pair = Pair::new(80_000, loss, seed);
+            pair.run(1_000_000);
+            for name in ["a", "b"] {
+                let now = pair.now();
+                pair.client.look.set(now, look(name)).unwrap();
+            }
+            pair.client.screenshot.request(pose(), VIEW, [0; 3]);
+            let id = pair.client.screenshot.request(pose(), VIEW, [0; 3]);
+            pair.run(2_000_000);
+            assert_eq!(pair.shots, [(id, "b".to_owned())]);
+            pair.client.screenshot.handle_png(ShotId(1), png());
+            assert_eq!(pair.client.screenshot.take_outcome(), None, "it was replaced");
+            pair.client.screenshot.handle_png(id, png());
+            pair.client.screenshot.handle_failed(id, "late".into());
+            let outcome = pair.client.screenshot.take_outcome();
+            assert!(outcome.is_some_and(|o| o.id == id && o.png.is_ok()));
+            assert_eq!(pair.client.screenshot.take_outcome(), None);
+        }
+    }
+
+    #[test]
+    fn a_wrong_size_and_a_view_that_is_too_large_fail() {
+        let mut client = ScreenshotClient::default();
+        let id = client.request(pose(), Intrinsics { width: 641, ..VIEW }, [0; 3]);
+        client.handle_png(id, png());
+        assert!(client.take_outcome().unwrap().png.is_err());
+        client.request(pose(), Intrinsics { width: 1 << 13, height: 1 << 13, ..VIEW }, [0; 3]);
+        assert!(client.take_outcome().unwrap().png.is_err());
+        assert!(client.poll_message(0).is_none(), "nothing was asked for");
+    }
+
+    #[test]
+    fn what_is_wanted_is_asked_for_again_and_what_is_cancelled_is_not() {
+        let mut client = ScreenshotClient::default();
+        let id = client.request(pose(), VIEW, [0; 3]);
+        assert!(matches!(client.poll_message(0), Some(ClientMessage::Shoot(s)) if s.id == id));
+        client.handle_welcome();
+        assert!(matches!(client.poll_message(100_000), Some(ClientMessage::Shoot(s)) if s.id == id));
+        client.cancel();
+        assert!(!client.wants(id));
+        assert!(matches!(client.poll_message(200_000), Some(ClientMessage::CancelShot)));
+        client.handle_welcome();
+        assert!(client.poll_message(300_000).is_none());
+        // Cancelled before the server heard of it.
+        client.request(pose(), VIEW, [0; 3]);
+        client.cancel();
+        assert!(client.poll_message(400_000).is_none());
+    }
+}

@@ -1,0 +1,212 @@
+//! Which part of the file all viewers of a server see.
+//!
+//! | message | says |
+//! |---|---|
+//! | [`ClientMessage::OpenPart`], [`ClientMessage::CancelPart`] | the part to show instead, or that none is wanted any more |
+//! | [`ServerMessage::Parts`] | what the file holds, and which part is shown |
+//! | [`ServerMessage::Load`] | how the reading of another part stands; at most ten a second while it goes on |
+
+use std::sync::Arc;
+
+use super::admission::ViewerId;
+use crate::ids::LoadId;
+use crate::wire::{ClientMessage, LoadState, LoadStatus, Part, Parts, ServerMessage};
+
+/// The client's half.
+#[derive(Debug, Default)]
+pub struct SelectionClient {
+    unsent: Option<Option<Part>>,
+    choices: Option<Arc<Parts>>,
+    load: Option<LoadStatus>,
+}
+
+impl SelectionClient {
+    /// Asks for another part, for all viewers; none: the one that is being read is no longer wanted. The newest wins.
+    pub fn open(&mut self, part: Option<Part>) {
+        self.unsent = Some(part);
+    }
+
+    /// What the file holds beside what is shown, once the server has said so.
+    pub fn choices(&self) -> Option<Arc<Parts>> {
+        self.choices.clone()
+    }
+
+    /// How the reading of another part stands, as last heard.
+    pub fn load(&self) -> Option<LoadStatus> {
+        self.load.clone()
+    }
+
+    /// A connection is up. A request that was made while there was none is forgotten after the first connection: it may
+    /// be minutes old, and would change what all others see.
+    pub fn handle_welcome(&mut self, is_first: bool) {
+        if !is_first {
+            self.unsent = None;
+        }
+        // The server says both again.
+        (self.choices, self.load) = (None, None);
+    }
+
+    /// The server has said what the file holds.
+    pub fn handle_choices(&mut self, choices: Parts) {
+        self.choices = Some(Arc::new(choices));
+    }
+
+    /// The server has said how a reading stands.
+    pub fn handle_load(&mut self, load: LoadStatus) {
+        self.load = Some(load);
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self) -> Option<ClientMessage> {
+        let part = self.unsent.take()?;
+        Some(part.map_or(ClientMessage::CancelPart, ClientMessage::OpenPart))
+    }
+}
+
+/// How the reading of another part stands, for all viewers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Load {
+    /// Counts the loads of a server, from 1.
+    pub id: LoadId,
+    /// Who asked for it.
+    pub viewer: ViewerId,
+    /// What is asked for.
+    pub part: Part,
+    /// Bytes of memory that it takes; 0: not known yet.
+    pub bytes_needed: u64,
+    /// How far it is.
+    pub state: LoadState,
+}
+
+impl Load {
+    /// Whether it goes on.
+    pub fn is_reading(&self) -> bool {
+        matches!(self.state, LoadState::Reading { .. })
+    }
+}
+
+/// The server's half, for one viewer.
+#[derive(Debug)]
+pub struct SelectionServer {
+    viewer: ViewerId,
+    ordered: Option<Option<Part>>,
+    choices: Option<Parts>,
+    load: Option<Load>,
+    /// When a load that goes on may be told of again, µs.
+    tell_at: u64,
+}
+
+impl SelectionServer {
+    /// Nothing is known of the file yet.
+    pub fn new(viewer: ViewerId) -> Self {
+        Self { viewer, ordered: None, choices: None, load: None, tell_at: 0 }
+    }
+
+    /// The viewer asks for a part, or for none any more.
+    pub fn handle_order(&mut self, part: Option<Part>) {
+        self.ordered = Some(part);
+    }
+
+    /// What was asked for last, once.
+    pub fn poll_order(&mut self) -> Option<Option<Part>> {
+        self.ordered.take()
+    }
+
+    /// The file holds this, and this part of it is shown.
+    pub fn handle_choices(&mut self, choices: Parts) {
+        self.choices = Some(choices);
+    }
+
+    /// A reading stands so.
+    pub fn handle_load(&mut self, load: Load) {
+        self.load = Some(load);
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self, now_micros: u64) -> Option<ServerMessage> {
+        if let Some(choices) = self.choices.take() {
+            return Some(ServerMessage::Parts(Box::new(choices)));
+        }
+        if self.due()? > now_micros {
+            return None;
+        }
+        self.tell_at = now_micros + TELL_PERIOD_MICROS;
+        let Load { id, viewer, part, bytes_needed, state } = self.load.take()?;
+        let is_own = viewer == self.viewer;
+        Some(ServerMessage::Load(LoadStatus { load: id, is_own, part, bytes_needed, state }))
+    }
+
+    /// When to poll again, µs. The end of a reading is told at once.
+    pub fn due(&self) -> Option<u64> {
+        self.load.as_ref().map(|load| if load.is_reading() { self.tell_at } else { 0 })
+    }
+}
+
+/// Viewers hear of a load's progress at most so often.
+const TELL_PERIOD_MICROS: u64 = 100_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::pair::Pair;
+
+    fn time(time: u32) -> Part {
+        Part { time: Some(time), ..Part::default() }
+    }
+
+    fn load(id: u32, state: LoadState) -> Load {
+        Load { id: LoadId(id), viewer: ViewerId(0), part: time(id), bytes_needed: 0, state }
+    }
+
+    #[test]
+    fn an_order_arrives_once_and_its_outcome_too() {
+        for (loss, seed) in [(0.0, 1), (0.3, 2)] {
+            let mut pair = Pair::new(60_000, loss, seed);
+            pair.run(1_000_000);
+            pair.client.selection.open(Some(time(1)));
+            pair.client.selection.open(Some(time(2)));
+            pair.run(1_000_000);
+            assert_eq!(pair.orders, [Some(time(2))], "the newest, once");
+            let server = pair.server();
+            for permille in 0..=1000 {
+                server.selection.handle_load(load(1, LoadState::Reading { permille }));
+            }
+            server.selection.handle_load(load(1, LoadState::Done));
+            pair.run(1_000_000);
+            assert_eq!(
+                pair.client.selection.load().map(|l| (l.state, l.is_own)),
+                Some((LoadState::Done, true))
+            );
+            assert_eq!(pair.num_loads_heard, 1);
+            pair.client.selection.open(None);
+            pair.run(1_000_000);
+            assert_eq!(pair.orders, [Some(time(2)), None]);
+        }
+    }
+
+    #[test]
+    fn an_order_that_could_not_be_sent_is_forgotten_over_another_connection_alone() {
+        let mut client = SelectionClient::default();
+        client.open(Some(time(1)));
+        client.handle_welcome(true);
+        assert!(client.poll_message().is_some());
+        client.open(Some(time(1)));
+        client.handle_welcome(false);
+        assert!(client.poll_message().is_none());
+    }
+
+    #[test]
+    fn progress_is_told_ten_times_a_second_and_the_end_at_once() {
+        let mut server = SelectionServer::new(ViewerId(3));
+        let mut num_told = 0;
+        for ms in 0..1000u64 {
+            server.handle_load(load(1, LoadState::Reading { permille: ms as u16 }));
+            num_told += u32::from(server.poll_message(ms * 1000).is_some());
+        }
+        assert_eq!(num_told, 10);
+        server.handle_load(load(1, LoadState::Failed("no".into())));
+        let told = server.poll_message(1_000_000);
+        assert!(matches!(told, Some(ServerMessage::Load(LoadStatus { is_own: false, .. }))), "another's");
+        assert_eq!((server.poll_message(u64::MAX).is_none(), server.due()), (true, None));
+    }
+}
