@@ -6,12 +6,11 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::look::Look;
 
-use super::{ViewerApp, is_free};
-use crate::bindings::{Action, Focus, Step};
-use crate::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
-use crate::frame_source::FrameSource;
-use crate::panels;
-use crate::state_files::StateWish;
+use super::{ViewerApp, is_free, picture_id};
+use crate::input::bindings::{Action, Focus, Step};
+use crate::input::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
+use crate::panels::state_files::StateWish;
+use crate::view::frame_source::FrameSource;
 
 impl<S: FrameSource> ViewerApp<S> {
     /// Does what the keys say; what they are to the camera.
@@ -20,7 +19,7 @@ impl<S: FrameSource> ViewerApp<S> {
             _ if ctx.text_edit_focused() => Focus::Text,
             // Letters find files in its list.
             Some(_) if self.open_dialog.is_open() => Focus::Text,
-            Some(id) if id != panels::picture_id() => Focus::Widget,
+            Some(id) if id != picture_id() => Focus::Widget,
             _ => Focus::Picture,
         };
         let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
@@ -44,7 +43,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
                 Action::Probe => self.probe.toggle(),
                 Action::Picture => self.wants_picture = true,
-                Action::PictureDialog => self.shots.toggle_dialog(),
+                Action::PictureDialog => self.screenshots.toggle_dialog(),
                 Action::Mode => self.next_modes += 1,
                 Action::Undo | Action::Redo => {
                     let Some(scale) = self.value_scale() else { continue };
@@ -68,7 +67,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     self.shows_help = false;
                     // A list that is open closes first.
                     if !egui::Popup::is_any_open(ctx) {
-                        self.shots.close_dialog();
+                        self.screenshots.close_dialog();
                     }
                 }
                 Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),

@@ -1,8 +1,13 @@
 //! The window's application: at each refresh input to camera, camera to wish, newest frame to picture.
 
 mod actions;
+mod open_dialog;
+pub(crate) mod options;
+pub(crate) mod script;
 mod sections;
+pub(crate) mod side_panel;
 mod state;
+mod state_part;
 
 use std::path::Path;
 use std::sync::{Arc, PoisonError};
@@ -16,33 +21,35 @@ use isinglass_core::wire::ClientStats;
 use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
 use isinglass_net::{Clock, Link, ReceivedFrame, State};
 
+use self::open_dialog::OpenDialog;
+use self::options::{USUAL_HZ, WindowOptions};
+use self::script::{Probe, ScriptStep, Shot};
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
-use crate::bindings::{Action, Bindings, Focus};
-use crate::camera_controls::{CameraControls, ControlInput};
-use crate::clip_editor::{self, ClipEditor};
-use crate::frame_source::FrameSource;
-use crate::meters::RefreshMeter;
-use crate::novel_view::{NovelViews, Shown};
-use crate::open_dialog::OpenDialog;
-use crate::orientation::Orientation;
-use crate::overlay::{OverlayModel, ViewTime};
-use crate::panels;
-use crate::parts_bar::PartsBar;
-use crate::pick::visible_point;
-use crate::picture::{PicturePaint, PictureStatus};
-use crate::pointer::Pointer;
-use crate::probe::ValueProbe;
-use crate::quality_control::QualityControl;
-use crate::shots::Shots;
-use crate::start::LocalServers;
-use crate::state_files::StateFiles;
-use crate::stereo::Stereo;
-use crate::transfer_editor::{TransferEditor, ValueScale};
-use crate::view_aids::{self, ViewAids, pixel_at};
-use crate::viewing::{Refresh, Standing, Viewing};
-use crate::waits::Waits;
-use crate::window::{Probe, ScriptStep, Shot, USUAL_HZ, WindowOptions};
+use crate::input::bindings::{Action, Bindings, Focus};
+use crate::input::camera_controls::{CameraControls, ControlInput};
+use crate::input::orientation::Orientation;
+use crate::input::pointer::Pointer;
+use crate::paint::clip_editor::{self, ClipEditor};
+use crate::paint::novel_view::{NovelViews, Shown};
+use crate::paint::picture::{PicturePaint, PictureStatus};
+use crate::paint::stereo::Stereo;
+use crate::paint::view_aids::{self, ViewAids, pixel_at};
+use crate::panels::parts_bar::PartsBar;
+use crate::panels::probe::ValueProbe;
+use crate::panels::screenshots::Screenshots;
+use crate::panels::state_files::StateFiles;
+use crate::panels::status::{OverlayModel, ViewTime};
+use crate::panels::transfer::TransferEditor;
+use crate::panels::value_scale::ValueScale;
+use crate::panels::{banner, first_page, help, status, style};
+use crate::view::frame_source::FrameSource;
+use crate::view::local_servers::LocalServers;
+use crate::view::pick::visible_point;
+use crate::view::quality_control::QualityControl;
+use crate::view::refresh_meter::RefreshMeter;
+use crate::view::viewing::{Refresh, Standing, Viewing};
+use crate::view::waits::Waits;
 
 /// Where the frames of a source come from.
 #[derive(Default)]
@@ -103,7 +110,7 @@ pub(crate) struct ViewerApp<S> {
     is_look_open: bool,
     pointer: Pointer,
     probe: ValueProbe,
-    shots: Shots,
+    screenshots: Screenshots,
     wants_picture: bool,
     title: String,
     notice: Option<(String, Duration)>,
@@ -163,7 +170,7 @@ impl<S: FrameSource> ViewerApp<S> {
             is_look_open: false,
             pointer: Pointer::default(),
             probe: ValueProbe::default(),
-            shots: Shots::default(),
+            screenshots: Screenshots::default(),
             wants_picture: false,
             title: String::new(),
             notice: None,
@@ -188,7 +195,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         (self.coming, self.wanted_state) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
-        (self.notice, self.method_problem) = (self.shots.forget().map(|told| (told, now)), None);
+        (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);
         self.title.clear();
         std::mem::replace(&mut self.viewing, viewing).into_source()
     }
@@ -301,7 +308,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let view = clip_editor::View { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
         if self.aids.shows_axes {
-            panels::image(ui, ViewAids::axes_rect(&scene), "axes", &ViewAids::axes_in_words(&scene));
+            style::image(ui, ViewAids::axes_rect(&scene), "axes", &ViewAids::axes_in_words(&scene));
         }
     }
 
@@ -443,33 +450,33 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((r, frame)) => {
                 self.choose_center(&ctx, now, rect, r);
                 self.paint(ui, rect, r, frame.clone());
-                panels::picture(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
+                picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, now, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
                     let (is_of_volume, taken) =
                         (self.viewing.source().is_of_volume(&frame), self.taken_at_top(&ctx));
-                    panels::older_look(&ctx, is_of_volume, &state, taken);
+                    banner::older_look(&ctx, is_of_volume, &state, taken);
                 }
                 let model = self.overlay_model(r, is_active);
                 if self.shows_overlay {
-                    panels::overlay(&ctx, &self.title, &model, self.right_width_at_top());
+                    status::show(&ctx, &self.title, &model, self.right_width_at_top());
                 }
                 self.report(now, &model);
                 if let Some(text) = self.banner(now, &model) {
-                    panels::banner(&ctx, &text, self.taken_at_bottom(&ctx));
+                    banner::show(&ctx, &text, self.taken_at_bottom(&ctx));
                 }
             }
             None => {
                 let help = self.options.bindings.hint(Action::Help);
-                panels::first_page(ui, &self.options.server_name, &state, seconds, &help);
+                first_page::show(ui, &self.options.server_name, &state, seconds, &help);
             }
         }
         self.show_look_panel(&ctx, now);
         self.show_parts(&ctx, now);
-        self.show_shots(&ctx, now, refresh.as_ref());
+        self.show_screenshots(&ctx, now, refresh.as_ref());
         self.show_open_dialog(&ctx);
-        panels::help(&ctx, &self.options.bindings, &mut self.shows_help);
+        help::show(&ctx, &self.options.bindings, &mut self.shows_help);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());
 
@@ -598,14 +605,39 @@ impl<S: FrameSource> ViewerApp<S> {
     fn set_title(&mut self, ctx: &egui::Context) {
         let Some(description) = self.viewing.source().description() else { return };
         let volume = &description.volume;
-        let title = panels::title_of(volume);
+        let title = title_of(volume);
         let window = format!("{} – isinglass", volume.name);
-        panels::name_window(ctx, &window);
+        style::name_window(ctx, &window);
         if title != self.title {
             self.title = title;
             ctx.send_viewport_cmd(egui::ViewportCommand::Title(window));
         }
     }
+}
+
+/// The picture, to which the keyboard goes by Tab: a name for it, and a frame as long as it is there.
+fn picture_widget(ui: &egui::Ui, rect: egui::Rect, name: &str) {
+    let response = ui.interact(rect, picture_id(), egui::Sense::focusable_noninteractive());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
+    if response.has_focus() {
+        // Arrows are the camera's, and do not go on to another control.
+        let filter =
+            egui::EventFilter { horizontal_arrows: true, vertical_arrows: true, ..Default::default() };
+        ui.memory_mut(|m| m.set_focus_lock_filter(response.id, filter));
+        let stroke = egui::Stroke::new(2.0, ui.visuals().selection.stroke.color);
+        ui.painter().rect_stroke(rect, 0.0, stroke, egui::StrokeKind::Inside);
+    }
+}
+
+/// Of the picture, as a control.
+fn picture_id() -> egui::Id {
+    egui::Id::unique("picture")
+}
+
+/// Name and size of a volume in one line.
+fn title_of(volume: &isinglass_core::wire::VolumeDescription) -> String {
+    let [x, y, z] = volume.dims;
+    format!("{}  {x}×{y}×{z}", volume.name)
 }
 
 /// Whether no panel lies at a point of the picture.
@@ -642,4 +674,4 @@ const SCRIPT_REFRESH: Duration = Duration::from_millis(30);
 const MAX_PICTURE_SIDE: f32 = 8192.0;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use egui::{Align2, Context, Key, Modifiers, RichText, vec2};
 
-use crate::bell::Bell;
-use crate::start::LocalServers;
-use crate::start::browser::{Browser, Chosen};
+use crate::panels::browser::{Browser, Chosen};
+use crate::view::local_servers::LocalServers;
+use crate::view::waker_of;
 
 /// See the module.
 #[derive(Default)]
@@ -39,9 +39,7 @@ impl OpenDialog {
         let browser = self.browser.get_or_insert_with(|| {
             let here = || std::env::current_dir().ok().filter(|here| here.parent().is_some());
             let folder = self.folder.clone().or_else(here).or_else(std::env::home_dir);
-            let bell = Bell::of(ctx);
-            let wake = Arc::new(move || bell.ring());
-            Browser::with_texts(folder.unwrap_or_else(|| PathBuf::from("/")), &(wake as _))
+            Browser::with_texts(folder.unwrap_or_else(|| PathBuf::from("/")), &waker_of(ctx))
         });
         browser.focus();
     }

@@ -7,40 +7,40 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
 use isinglass_net::State;
 
+use super::side_panel::{self, Settings};
 use super::{ViewerApp, is_free};
-use crate::frame_source::FrameSource;
-use crate::look_panel::{self, Settings};
-use crate::panels::{self, Taken};
-use crate::parts_bar::PartsWish;
-use crate::pick::visible_point;
-use crate::probe;
-use crate::shots::Subject;
-use crate::start::browser::Chosen;
-use crate::view_aids::{self, pixel_at};
-use crate::viewing::Refresh;
-use crate::{light_panel, mode_panel};
+use crate::paint::view_aids::{self, pixel_at};
+use crate::panels::browser::Chosen;
+use crate::panels::parts_bar::PartsWish;
+use crate::panels::screenshots::Subject;
+use crate::panels::style::Taken;
+use crate::panels::{light, mode, probe, status};
+use crate::view::frame_source::FrameSource;
+use crate::view::pick::visible_point;
+use crate::view::viewing::Refresh;
+use crate::view::waker_of;
 
 impl<S: FrameSource> ViewerApp<S> {
     /// How much of the window's right is taken by the look panel, points.
     pub(crate) fn right_width(&self) -> f32 {
-        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
+        if self.is_look_open { side_panel::OPEN_WIDTH } else { 0.0 }
     }
 
     /// The same with the buttons beside it.
     pub(crate) fn right_width_at_top(&self) -> f32 {
-        self.right_width().max(look_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
+        self.right_width().max(side_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
     }
 
     /// What is taken at the top: panes lie between the numbers and the buttons, or below these where there is too little room.
     pub(crate) fn taken_at_top(&self, ctx: &egui::Context) -> Taken {
         let right = self.right_width_at_top();
-        let left = if self.shows_overlay { panels::overlay_taken(ctx, right) } else { 0.0 };
+        let left = if self.shows_overlay { status::width_taken(ctx, right) } else { 0.0 };
         let between = Taken { left, right, edge: 0.0 };
         if between.width(ctx) >= LEAST_ROOM_AT_TOP {
             return between;
         }
         // The badge alone is no higher than the buttons.
-        let left = if panels::has_room_for_numbers(ctx, right) { left } else { 0.0 };
+        let left = if status::has_room_for_numbers(ctx, right) { left } else { 0.0 };
         Taken { left, right: self.right_width(), edge: BUTTONS_HEIGHT }
     }
 
@@ -77,14 +77,14 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     /// Goes on with pictures to keep, and shows their dialog and progress.
-    pub(super) fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
+    pub(super) fn show_screenshots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
         let is_connected = self.viewing.source().state() == State::Connected;
         if std::mem::take(&mut self.wants_picture)
             && let Some(subject) = subject.clone()
         {
             match is_connected {
-                true => self.shots.take(subject),
+                true => self.screenshots.take(subject),
                 false => {
                     self.notice = Some((NO_SERVER_FOR_PICTURE.into(), now));
                     ctx.request_repaint();
@@ -96,10 +96,10 @@ impl<S: FrameSource> ViewerApp<S> {
         let source = self.viewing.source_mut();
         let done = match source.state() {
             // None will come any more.
-            State::Refused(_) => self.shots.end(source, ctx),
-            _ => self.shots.poll(source, is_ready, ctx),
+            State::Refused(_) => self.screenshots.end(source, ctx),
+            _ => self.screenshots.poll(source, is_ready, ctx),
         };
-        if let Some(notice) = self.shots.show(ctx, subject, source, taken).or(done) {
+        if let Some(notice) = self.screenshots.show(ctx, subject, source, taken).or(done) {
             self.notice = Some((notice, now));
             ctx.request_repaint();
         }
@@ -114,7 +114,7 @@ impl<S: FrameSource> ViewerApp<S> {
         refresh: &Refresh,
     ) {
         // A dialog is not to be covered, whoever opens it while the pointer rests.
-        let has_dialog = self.shows_help || self.shots.is_dialog_open() || self.open_dialog.is_open();
+        let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
         if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
         }
@@ -144,8 +144,7 @@ impl<S: FrameSource> ViewerApp<S> {
     /// A drag over the picture moves the light.
     pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
         let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
-        let lighting =
-            light_panel::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
+        let lighting = light::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
         self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
     }
 
@@ -174,7 +173,7 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let files = &mut self.state_files;
         let wish =
-            look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
+            side_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
         let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
         let shown = (
             self.novel_views.selected,
@@ -197,8 +196,8 @@ impl<S: FrameSource> ViewerApp<S> {
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
         for _ in 0..std::mem::take(&mut self.next_modes) {
             let next = wanted.mode.next();
-            mode_panel::set_mode(&mut wanted, next, &scale);
-            self.notice = Some((mode_panel::text(next).into(), now));
+            mode::set_mode(&mut wanted, next, &scale);
+            self.notice = Some((mode::text(next).into(), now));
         }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
@@ -214,7 +213,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn show_open_dialog(&mut self, ctx: &egui::Context) {
         match self.open_dialog.show(ctx) {
             Some(Chosen::Volume(request)) => self.wanted_volume = Some(request),
-            Some(Chosen::Text(path)) => self.state_files.open_any(path, ctx),
+            Some(Chosen::Text(path)) => self.state_files.open_any(path, &waker_of(ctx)),
             None => return,
         }
         ctx.request_repaint();

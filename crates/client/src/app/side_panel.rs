@@ -7,18 +7,17 @@ use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
 
-use crate::bindings::{Action, Bindings};
-use crate::clip_editor::ClipEditor;
-use crate::clip_panel;
-use crate::light_panel;
-use crate::mode_panel;
-use crate::number;
-use crate::panels::pane;
-use crate::state_files::{StateFiles, StateWish};
-use crate::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
-use crate::transfer_editor::{TransferEditor, ValueScale};
-use crate::view_aids::ViewAids;
-use crate::viewing::FrameSize;
+use crate::input::bindings::{Action, Bindings};
+use crate::paint::clip_editor::ClipEditor;
+use crate::paint::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
+use crate::paint::view_aids::ViewAids;
+use crate::panels::controls::{self, percent, row};
+use crate::panels::state_files::{StateFiles, StateWish};
+use crate::panels::style::pane;
+use crate::panels::transfer::TransferEditor;
+use crate::panels::value_scale::ValueScale;
+use crate::panels::{clip, light, mode};
+use crate::view::viewing::FrameSize;
 
 /// What is set in the panel beside the transfer function.
 pub(crate) struct Settings<'a> {
@@ -81,15 +80,15 @@ pub(crate) fn show(
             let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
             scroll.show(ui, |ui| {
                 ui.set_width(PANEL_WIDTH);
-                mode_panel::show(ui, &mut settings.look, scale);
+                mode::show(ui, &mut settings.look, scale);
                 section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
                 section(ui, "Light", false, |ui| {
-                    light_panel::show(ui, &mut settings.look.lighting, settings.world_from_view);
+                    light::show(ui, &mut settings.look.lighting, settings.world_from_view);
                 });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
                     let Settings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
-                    clip_panel::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
+                    clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
                 section(ui, "State", false, |ui| wish = state_files.show(ui));
@@ -121,7 +120,7 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
         });
         row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
             let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
-            ui.add(slider.custom_parser(number::reader(ui)))
+            ui.add(slider.custom_parser(controls::reader(ui)))
         });
         if methods.len() > 1 {
             row(ui, "picture by", "how the server's frames become pictures here", |ui| {
@@ -135,13 +134,7 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
             });
         }
         row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
-            let mut percent = (frame_size.scale * 100.0).round();
-            let slider = number::slider(ui, &mut percent, 25.0..=100.0, |v| format!("{v:.0}"));
-            let slider = ui.add(slider.step_by(5.0).suffix(" %"));
-            if slider.changed() {
-                frame_size.scale = percent / 100.0;
-            }
-            slider
+            percent(ui, &mut frame_size.scale, 25.0..=100.0)
         });
         // Only the ray cast has two eyes.
         if *method == 0 {
@@ -164,16 +157,9 @@ fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     row(ui, "eye distance", "as an angle, seen from the centre", |ui| {
         let is_stereo = !stereo.is_mono();
         let range = 0.0..=MAX_EYE_ANGLE_DEGREES;
-        let slider = number::slider(ui, &mut stereo.eye_angle_degrees, range, |v| format!("{v:.1}"));
+        let slider = controls::slider(ui, &mut stereo.eye_angle_degrees, range, |v| format!("{v:.1}"));
         ui.add_enabled(is_stereo, slider.step_by(0.1).fixed_decimals(1).suffix("°"))
     });
-}
-
-/// A line of a grid: a name, which the control is called by too, and the control.
-pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> egui::Response) {
-    let label = ui.label(name).on_hover_text(hint);
-    control(ui).labelled_by(label.id);
-    ui.end_row();
 }
 
 fn view(ui: &mut Ui, settings: &mut Settings<'_>) {

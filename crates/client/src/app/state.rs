@@ -13,10 +13,13 @@ use isinglass_formats::{
 use isinglass_net::{Link, State, state_of_link};
 
 use super::ViewerApp;
-use crate::frame_source::FrameSource;
-use crate::state_files::{Outcome, StateWish};
-use crate::state_part::{StatePart, names_part, save_part};
-use crate::stereo::StereoMode;
+use super::state_part::{StatePart, names_part, save_part};
+use crate::paint::stereo::StereoMode;
+use crate::panels::background::Written;
+use crate::panels::file_field::FileOutcome;
+use crate::panels::state_files::{FileContent, StateWish};
+use crate::view::frame_source::FrameSource;
+use crate::view::waker_of;
 
 /// A state that is to be shown.
 pub(super) struct ComingState {
@@ -211,27 +214,32 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             self.turn_to_state(ReadState { state, note: None });
         }
-        if let Some(outcome) = self.state_files.take() {
-            match outcome {
-                Outcome::Read(read) => match self.is_of_other_volume(&read.state) {
+        let text = match self.state_files.take() {
+            Some(Ok(FileOutcome::Read(FileContent::State(read)))) => {
+                match self.is_of_other_volume(&read.state) {
                     true => self.wanted_state = Some(read),
                     false => self.turn_to_state(*read),
-                },
-                Outcome::NoState(path) => {
-                    // What the file holds, or what is wrong with it, is said there.
-                    self.is_look_open = true;
-                    self.editor.open(path, ctx);
                 }
-                Outcome::Written(path) => self.notice = Some((format!("saved as {}", path.display()), now)),
-                Outcome::Exists(path) => {
-                    let text = format!("{} is there; save again to replace it", path.display());
-                    self.notice = Some((text, now));
-                }
-                Outcome::Failed(problem) => self.notice = Some((problem, now)),
+                None
             }
+            Some(Ok(FileOutcome::Read(FileContent::Other(path)))) => {
+                // What the file holds, or what is wrong with it, is said there.
+                self.is_look_open = true;
+                self.editor.open(path, &waker_of(ctx));
+                None
+            }
+            Some(Ok(FileOutcome::Written(Written::At(path)))) => Some(format!("saved as {}", path.display())),
+            Some(Ok(FileOutcome::Written(Written::Exists(path)))) => {
+                Some(format!("{} is there; save again to replace it", path.display()))
+            }
+            Some(Err(problem)) => Some(problem),
+            None => None,
+        };
+        if let Some(text) = text {
+            self.notice = Some((text, now));
         }
         if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
-            self.state_files.open_any(file.path().to_owned(), ctx);
+            self.state_files.open_any(file.path().to_owned(), &waker_of(ctx));
         }
         if !ctx.text_edit_focused() {
             let is_link = |text: &String| text.trim_start().starts_with("isinglass://");
@@ -380,7 +388,7 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Does what was asked for by key or in the panel.
     pub(super) fn do_state(&mut self, ctx: &egui::Context, now: Duration, wish: StateWish) {
         if wish == StateWish::Open {
-            if !self.state_files.open(ctx) {
+            if !self.state_files.open(&waker_of(ctx)) {
                 self.open_dialog.open(ctx);
             }
             return;
@@ -388,7 +396,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(state) = self.window.and_then(|window| self.saved_state(ctx, window)) else { return };
         if wish == StateWish::Save {
             let name = state.volume.as_ref().map_or("", |v| &v.name);
-            return self.state_files.save(state.to_toml(), name, ctx);
+            return self.state_files.save(state.to_toml(), name, &waker_of(ctx));
         }
         let text = match self.link_to(state) {
             Some(link) => {

@@ -3,7 +3,7 @@
 use glam::{Quat, Vec3};
 use isinglass_core::space::world_from_upright;
 
-use crate::bindings::{Opposite, Side};
+use crate::input::bindings::{Opposite, Side};
 
 /// The names of the axes' ends, and where the front and the top of the volume are.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,8 +5,8 @@
 
 use egui::{Event, MouseWheelUnit, PointerButton, Pos2, Rect};
 
-use crate::bindings::{Bindings, Gesture};
-use crate::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
+use crate::input::bindings::{Bindings, Gesture};
+use crate::input::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
 
 /// The pointer from refresh to refresh.
 #[derive(Debug, Default)]
@@ -234,7 +234,7 @@ mod tests {
         assert!((input.zoom - 2.0 * ZOOM_PER_NOTCH - 2f32.ln()).abs() < 1e-6);
         assert_eq!(input.zoom_at, [100.0, -40.0]);
         let mut reversed = Bindings::default();
-        reversed.set(crate::bindings::REVERSE_WHEEL, &["true".into()]).unwrap();
+        reversed.set(crate::input::bindings::REVERSE_WHEEL, &["true".into()]).unwrap();
         let input = Pointer::default().control_input(&reversed, &events, rect(), 2.0, is_free);
         assert!((input.zoom + 2.0 * ZOOM_PER_NOTCH - 2f32.ln()).abs() < 1e-6, "but pinching stays");
         let mut never_seen = Pointer::default();

@@ -11,7 +11,7 @@ use isinglass_core::camera::Camera;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::{Aabb, Ray};
 
-use crate::view_aids::{AXIS_COLORS, Pen, edges, faces_eye, pixel_at, projected};
+use crate::paint::view_aids::{AXIS_COLORS, Pen, edges, faces_eye, pixel_at, projected};
 
 /// Whether handles are shown, and what the pointer does with them.
 #[derive(Clone, Debug, Default)]

@@ -11,7 +11,7 @@ use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
-use crate::window::Waker;
+use crate::view::Waker;
 
 /// A way of making a picture from a layered frame.
 pub trait NovelView: Send {
@@ -195,7 +195,7 @@ mod tests {
     use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
     use super::*;
-    use crate::viewing::tests::BOUNDS;
+    use crate::view::viewing::tests::BOUNDS;
 
     /// Says that it has begun, waits to be let on, and draws a picture as wide as the camera's.
     struct Gated {

@@ -11,11 +11,11 @@ use isinglass_core::space::Aabb;
 use isinglass_gpu::{Channels, Eye, GpuError, NUM_SLOTS, ViewPass};
 use isinglass_net::ReceivedFrame;
 
-use crate::gpu_timer::{GpuTime, GpuTimer};
-use crate::quality_control::Quality;
-use crate::slots::Slots;
-use crate::stereo::{Stereo, StereoMode};
-use crate::stills::{Stills, Way};
+use crate::paint::frame_slots::Slots;
+use crate::paint::gpu_timer::{GpuTime, GpuTimer};
+use crate::paint::picture_cache::{Stills, Way};
+use crate::paint::stereo::{Stereo, StereoMode};
+use crate::view::quality_control::Quality;
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {

@@ -6,7 +6,7 @@ use isinglass_core::camera::{Basis, Camera};
 use isinglass_core::picture::linear_from_srgb;
 use isinglass_core::space::Aabb;
 
-use crate::orientation::Orientation;
+use crate::input::orientation::Orientation;
 
 /// What is drawn, and on what.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,11 +5,10 @@ use glam::Vec3;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 
-use crate::bindings::{Action, Bindings};
-use crate::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
-use crate::look_panel::row;
-use crate::number::slider;
-use crate::transfer_editor::format_in;
+use super::controls::{row, slider};
+use super::text::format_in;
+use crate::input::bindings::{Action, Bindings};
+use crate::paint::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
 
 /// Shows and changes the clip of a volume in `bounds`, whose lengths are in `unit` if that is known; `forward` is the viewing
 /// direction.

@@ -1,11 +1,12 @@
-//! Fields and sliders for numbers that have more figures than are shown.
+//! Controls that panels share: fields and sliders for numbers, and rows of a grid.
 //!
-//! A text that nobody has edited stands for the number itself, and what is being written is taken when it is done: who only
-//! looks changes nothing.
+//! A number has more figures than its field shows. A text that nobody edits stands for the number itself, and an edit
+//! counts when it ends. So a person who only looks changes nothing.
 
 use std::ops::RangeInclusive;
 
-use egui::{DragValue, Id, Key, Slider, SliderClamping, Ui};
+use egui::emath::Numeric;
+use egui::{DragValue, Id, Key, Response, Role, Slider, SliderClamping, Ui, WidgetInfo};
 
 /// A field that shows its number as `format` writes it.
 pub(crate) fn field<'a>(ui: &Ui, value: &'a mut f32, format: impl Fn(f32) -> String + 'a) -> DragValue<'a> {
@@ -26,6 +27,37 @@ pub(crate) fn slider<'a>(
     let slider = Slider::new(value, range).clamping(SliderClamping::Edits).update_while_editing(false);
     let slider = slider.custom_parser(move |text| read(text).filter(|_| text != shown));
     slider.custom_formatter(move |v, _| format(v as f32))
+}
+
+/// A slider for a share of 1, in steps of 5 %.
+pub(crate) fn percent(ui: &mut Ui, share: &mut f32, range: RangeInclusive<f32>) -> Response {
+    let mut percent = (*share * 100.0).round();
+    let slider = slider(ui, &mut percent, range, |v| format!("{v:.0}"));
+    let slider = ui.add(slider.step_by(5.0).suffix(" %"));
+    if slider.changed() {
+        *share = percent / 100.0;
+    }
+    slider
+}
+
+/// A field for a whole number.
+pub(crate) fn whole<'a, N: Numeric>(ui: &Ui, value: &'a mut N, range: RangeInclusive<N>) -> DragValue<'a> {
+    DragValue::new(value).range(range).update_while_editing(false).custom_parser(reader(ui))
+}
+
+/// A line of a grid: a name, and the control that screen readers call by it.
+pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> Response) {
+    let label = ui.label(name).on_hover_text(hint);
+    control(ui).labelled_by(label.id);
+    ui.end_row();
+}
+
+/// Gives a control with a number its name and value for screen readers.
+pub(crate) fn named_number(response: &Response, role: Role, name: &str, value: f32) {
+    response.widget_info(|| WidgetInfo {
+        value: Some(f64::from(value)),
+        ..WidgetInfo::labeled(role, true, name)
+    });
 }
 
 /// Reads what is written in a field of any number, unless Escape has ended it: egui takes the text at the refresh after that.

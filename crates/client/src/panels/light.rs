@@ -6,13 +6,14 @@ use egui::{Color32, Rect, Response, Sense, Stroke, Ui, Vec2, pos2, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
 
-use crate::number;
+use super::controls::{percent, reader, row};
+use super::style::named;
 
 /// Shows the section and changes the light. `world_from_view`: how the camera of the picture is turned.
 pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     egui::Grid::new("light").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         row(ui, "ambient occlusion", "how much darker matter is that sees little of the sky", |ui| {
-            percent(ui, &mut lighting.ambient_occlusion)
+            percent(ui, &mut lighting.ambient_occlusion, 0.0..=100.0)
         });
         let hint = "how far matter takes the sky from other matter, in radii of the volume";
         row(ui, "reach", hint, |ui| {
@@ -21,7 +22,7 @@ pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) 
             slider(ui, is_on, &mut lighting.occlusion_radius, range, (2, ""))
         });
         row(ui, "shadows", "how much of the light comes from one place", |ui| {
-            percent(ui, &mut lighting.shadows)
+            percent(ui, &mut lighting.shadows, 0.0..=100.0)
         });
         row(ui, "softness", "angular radius of the light", |ui| {
             let is_on = lighting.shadows > 0.0;
@@ -54,12 +55,6 @@ pub(crate) fn turned(lighting: Lighting, [x, y]: [f32; 2], height: f32, world_fr
     lighting.towards(turn * lighting.direction())
 }
 
-fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> Response) {
-    let label = ui.label(name).on_hover_text(hint);
-    control(ui).labelled_by(label.id);
-    ui.end_row();
-}
-
 /// A slider that changes nothing until it is moved: it shows fewer figures than there are.
 fn slider(
     ui: &mut Ui,
@@ -72,8 +67,7 @@ fn slider(
     let shown = (*number * power).round() / power;
     let mut moved = shown;
     let slider = egui::Slider::new(&mut moved, range).fixed_decimals(decimals.into()).suffix(unit);
-    let response =
-        ui.add_enabled(is_on, slider.update_while_editing(false).custom_parser(number::reader(ui)));
+    let response = ui.add_enabled(is_on, slider.update_while_editing(false).custom_parser(reader(ui)));
     // Whether it counts as changed is of no use: rounding does, too.
     if (moved - shown).abs() > 0.25 / power {
         *number = moved;
@@ -81,21 +75,11 @@ fn slider(
     response
 }
 
-fn percent(ui: &mut Ui, share: &mut f32) -> Response {
-    let mut percent = (*share * 100.0).round();
-    let slider = number::slider(ui, &mut percent, 0.0..=100.0, |v| format!("{v:.0}"));
-    let slider = ui.add(slider.step_by(5.0).suffix(" %"));
-    if slider.changed() {
-        *share = percent / 100.0;
-    }
-    slider
-}
-
 /// A ball as it is lit in the picture, with the light on it.
 fn ball(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     let (rect, response) = ui.allocate_exact_size(Vec2::splat(BALL_SIDE), Sense::click_and_drag());
     let response = response.on_hover_text("where the light is, as seen from here");
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Slider, true, "light direction"));
+    named(&response, egui::Role::Slider, "light direction");
     if let Some(at) = response.interact_pointer_pos() {
         let in_view = light_at((at - rect.center()) / (0.5 * BALL_SIDE));
         *lighting = lighting.towards(world_from_view * in_view);

@@ -4,8 +4,9 @@ use egui::{SliderClamping, Ui};
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
 
-use crate::number;
-use crate::transfer_editor::{ValueScale, format_in};
+use super::controls::{self, named_number};
+use super::text::format_in;
+use super::value_scale::ValueScale;
 
 /// The rows of the panel.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
@@ -43,22 +44,16 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     for (i, iso) in isos.iter_mut().enumerate() {
         ui.horizontal(|ui| {
             ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
-            let slider = number::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
+            let slider = controls::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
             let slider = ui.add(slider.clamping(SliderClamping::Never));
             let name = format!("value of surface {}", i + 1);
-            slider.widget_info(|| egui::WidgetInfo {
-                value: Some(f64::from(iso.value)),
-                ..egui::WidgetInfo::labeled(egui::Role::Slider, true, &name)
-            });
+            named_number(&slider, egui::Role::Slider, &name, iso.value);
             slider.on_hover_text(name.clone());
             let mut percent = iso.opacity * 100.0;
-            let drag = number::field(ui, &mut percent, |v| format!("{v:.0}"));
+            let drag = controls::field(ui, &mut percent, |v| format!("{v:.0}"));
             let drag = ui.add(drag.range(0.0..=100.0).speed(0.5).max_decimals(0).suffix(" %"));
             let name = format!("opacity of surface {}", i + 1);
-            drag.widget_info(|| egui::WidgetInfo {
-                value: Some(f64::from(percent)),
-                ..egui::WidgetInfo::labeled(egui::Role::SpinButton, true, &name)
-            });
+            named_number(&drag, egui::Role::SpinButton, &name, percent);
             if drag.on_hover_text(name.clone()).changed() {
                 iso.opacity = percent / 100.0;
             }

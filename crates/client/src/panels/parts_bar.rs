@@ -3,14 +3,14 @@
 
 use std::time::Duration;
 
-use egui::{Align2, Color32, ProgressBar, RichText, Ui, vec2};
+use egui::{Align2, ProgressBar, RichText, Ui, vec2};
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
-use crate::bindings::{Action, Bindings};
-use crate::number::reader;
-use crate::overlay::format_bytes;
-use crate::panels::{named, pane, quiet};
+use super::part_pickers::{label, list, numbered, time_field};
+use super::style::{named, pane, warning};
+use super::text::format_bytes;
+use crate::input::bindings::{Action, Bindings};
 
 /// What a person does in the bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -184,9 +184,7 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
             .add_enabled(time > 0, egui::Button::new("−").small())
             .on_hover_text(bindings.with_key("the time before", Action::StepTime(-1)));
         named(&back, egui::Role::Button, "the time before");
-        let number = egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false);
-        let number = ui.add(number.custom_parser(reader(ui)));
-        named(&number, egui::Role::SpinButton, "time");
+        let number = time_field(ui, &mut time, last);
         let on = ui
             .add_enabled(time < last, egui::Button::new("+").small())
             .on_hover_text(bindings.with_key("the next time", Action::StepTime(1)));
@@ -202,7 +200,7 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
     if parts.num_channels > 1 {
         let mut channel = chosen.channel.unwrap_or(0);
         let name = |i: u32| numbered(i, parts.channels.get(i as usize));
-        if list(ui, "channel", parts.num_channels, &mut channel, name) {
+        if list(ui, "channel", parts.num_channels as usize, &mut channel, name) {
             chosen.channel = Some(channel);
         }
     }
@@ -212,7 +210,7 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
             let [x, y, z] = parts.levels.get(i as usize).copied().unwrap_or_default();
             format!("{i}: {x}×{y}×{z}")
         };
-        if list(ui, "level", parts.levels.len() as u32, &mut level, name) {
+        if list(ui, "level", parts.levels.len(), &mut level, name) {
             // A region counts the voxels of its level.
             *chosen = Part { level: Some(level), region: None, ..*chosen };
         }
@@ -220,38 +218,10 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
     if parts.num_series > 1 {
         let mut series = chosen.series.unwrap_or(0);
         let name = |i: u32| numbered(i, parts.series.get(i as usize));
-        if list(ui, "series", parts.num_series, &mut series, name) {
+        if list(ui, "series", parts.num_series as usize, &mut series, name) {
             // Another series has channels, times and levels of its own.
             *chosen = Part { series: Some(series), ..Part::default() };
         }
-    }
-}
-
-/// A list of `number` entries; whether another was chosen.
-fn list(ui: &mut Ui, what: &str, number: u32, chosen: &mut u32, name: impl Fn(u32) -> String) -> bool {
-    label(ui, what);
-    let before = *chosen;
-    let text = name(before);
-    let combo = egui::ComboBox::from_id_salt(what).width(LIST_WIDTH).truncate().selected_text(text);
-    let combo = combo.show_ui(ui, |ui| {
-        for i in 0..number.min(MAX_ENTRIES) {
-            ui.selectable_value(chosen, i, name(i));
-        }
-    });
-    named(&combo.response, egui::Role::ComboBox, what);
-    *chosen != before
-}
-
-fn label(ui: &mut Ui, text: &str) {
-    let color = quiet(ui.ctx());
-    ui.label(RichText::new(text).size(12.0).color(color));
-}
-
-/// A name after its number, unless it is one.
-fn numbered(i: u32, name: Option<&String>) -> String {
-    match name {
-        Some(name) if *name != i.to_string() => format!("{i}: {name}"),
-        _ => i.to_string(),
     }
 }
 
@@ -278,14 +248,6 @@ fn whole(part: Part, parts: &Parts) -> Part {
     }
 }
 
-/// The colour of a line that says what went wrong.
-pub(crate) fn warning(ui: &Ui) -> Color32 {
-    if ui.visuals().dark_mode { Color32::from_rgb(245, 205, 130) } else { Color32::from_rgb(150, 70, 0) }
-}
-
-const LIST_WIDTH: f32 = 130.0;
-/// Entries of a list.
-const MAX_ENTRIES: u32 = 4096;
 /// What went wrong with a load is shown for so long.
 const FAILURE_TIME: Duration = Duration::from_secs(12);
 

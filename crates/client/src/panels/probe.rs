@@ -7,8 +7,8 @@ use egui::{Align2, Context, Pos2, RichText, vec2};
 use glam::Vec3;
 use isinglass_core::wire::{Probed, VolumeDescription, Welcome};
 
-use crate::pace::Pace;
-use crate::panels::pane;
+use crate::panels::style::pane;
+use crate::view::pace::Pace;
 
 /// The probe, on or off.
 #[derive(Debug)]
@@ -173,8 +173,8 @@ mod tests {
     }
 
     fn welcome() -> Welcome {
-        let source = crate::viewing::tests::FakeSource { max_side: Some(1), ..Default::default() };
-        let described = crate::frame_source::FrameSource::description(&source);
+        let source = crate::view::viewing::tests::FakeSource { max_side: Some(1), ..Default::default() };
+        let described = crate::view::frame_source::FrameSource::description(&source);
         Arc::unwrap_or_clone(described.unwrap())
     }
 

@@ -5,7 +5,6 @@
 mod files;
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use egui::{Align2, Context, RichText, vec2};
 use glam::{Quat, Vec3};
@@ -14,11 +13,13 @@ use isinglass_core::ids::ShotId;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
 use isinglass_net::State;
+use time::OffsetDateTime;
 
-use self::files::{Stamp, Writing};
-use crate::frame_source::FrameSource;
-use crate::number;
-use crate::panels::{Taken, pane};
+use super::background::Background;
+use super::controls::whole;
+use super::style::{Taken, pane};
+use crate::view::frame_source::FrameSource;
+use crate::view::waker_of;
 
 /// What is to be seen in the pictures.
 #[derive(Clone, Debug)]
@@ -40,7 +41,7 @@ pub(crate) struct Subject {
 }
 
 /// The dialog, and what is being made.
-pub(crate) struct Shots {
+pub(crate) struct Screenshots {
     is_dialog_open: bool,
     size: Option<[u32; 2]>,
     num_pictures: u32,
@@ -56,27 +57,27 @@ struct Series {
     done: u32,
     /// The file, or for several the folder.
     path: PathBuf,
-    step: Step,
+    stage: Stage,
 }
 
-/// Where the picture after the last that is done stands.
-enum Step {
-    /// To be asked for.
+/// The stage of the picture after the last that is done.
+enum Stage {
+    /// To be requested.
     Due,
-    /// Asked for.
-    Asked(ShotId),
+    /// Requested.
+    Requested(ShotId),
     /// On its way to the disk.
-    Writing(Writing),
+    Writing(Background<PathBuf>),
 }
 
-impl Default for Shots {
+impl Default for Screenshots {
     fn default() -> Self {
         let folder = files::default_folder().display().to_string();
         Self { is_dialog_open: false, size: None, num_pictures: 1, folder, series: None }
     }
 }
 
-impl Shots {
+impl Screenshots {
     /// What a person would type.
     #[cfg(test)]
     pub(crate) fn set_for_test(&mut self, name: &str, value: u32) {
@@ -112,8 +113,8 @@ impl Shots {
 
     fn begin(&mut self, subject: Subject, total: u32) {
         let folder = files::folder_from_text(&self.folder);
-        let path = folder.join(Stamp::now().file_name(&subject.name, total > 1));
-        self.series = Some(Series { subject, total, done: 0, path, step: Step::Due });
+        let path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
+        self.series = Some(Series { subject, total, done: 0, path, stage: Stage::Due });
     }
 
     /// Goes on with what is being made, if `is_ready` for another request; what there is to tell the person. Never waits.
@@ -124,18 +125,22 @@ impl Shots {
         ctx: &Context,
     ) -> Option<String> {
         let series = self.series.as_mut()?;
-        match &mut series.step {
-            Step::Due if !is_ready => None,
-            Step::Due => {
+        match &mut series.stage {
+            Stage::Due if !is_ready => None,
+            Stage::Due => {
                 let Subject { intrinsics, background, .. } = series.subject;
-                series.step = Step::Asked(source.shoot(series.pose(), intrinsics, background));
+                series.stage = Stage::Requested(source.shoot(series.pose(), intrinsics, background));
                 None
             }
-            Step::Asked(id) => {
+            Stage::Requested(id) => {
                 let shot = source.take_shot().filter(|shot| shot.id == *id)?;
                 match &shot.png {
                     Ok(_) => {
-                        series.step = Step::Writing(Writing::start(series.file(), Arc::clone(&shot), ctx));
+                        let path = series.file();
+                        series.stage = Stage::Writing(Background::run(&waker_of(ctx), move || {
+                            let png = shot.png.as_deref().unwrap_or_default();
+                            files::write(&path, png).map_err(|e| format!("{}: {e}", path.display()))
+                        }));
                         None
                     }
                     Err(why) => {
@@ -145,10 +150,10 @@ impl Shots {
                     }
                 }
             }
-            Step::Writing(writing) => match writing.take()? {
+            Stage::Writing(writing) => match writing.take()? {
                 Ok(file) => {
                     series.done += 1;
-                    series.step = Step::Due;
+                    series.stage = Stage::Due;
                     ctx.request_repaint();
                     let is_all = series.done == series.total;
                     let told = match series.total {
@@ -183,9 +188,9 @@ impl Shots {
     /// The server will answer no more: what has come is still written. What there is to tell the person.
     pub(crate) fn end(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
         let told = self.poll(source, false, ctx);
-        match self.series.as_ref().map(|series| &series.step) {
-            Some(Step::Due | Step::Asked(_)) => self.cancel(source),
-            Some(Step::Writing(_)) | None => told,
+        match self.series.as_ref().map(|series| &series.stage) {
+            Some(Stage::Due | Stage::Requested(_)) => self.cancel(source),
+            Some(Stage::Writing(_)) | None => told,
         }
     }
 
@@ -228,8 +233,7 @@ impl Shots {
                 let label = ui.label("size");
                 ui.horizontal(|ui| {
                     for (side, name) in size.iter_mut().zip(["width", "height"]) {
-                        let value = egui::DragValue::new(side).range(1..=MAX_SIDE).suffix(" px");
-                        let value = value.update_while_editing(false).custom_parser(number::reader(ui));
+                        let value = whole(ui, side, 1..=MAX_SIDE).suffix(" px");
                         ui.add(value).labelled_by(label.id).on_hover_text(name);
                     }
                     if ui.button("as the window").clicked() {
@@ -238,8 +242,7 @@ impl Shots {
                 });
                 ui.end_row();
                 let label = ui.label("pictures");
-                let number = egui::DragValue::new(&mut self.num_pictures).range(1..=MAX_PICTURES);
-                let number = number.update_while_editing(false).custom_parser(number::reader(ui));
+                let number = whole(ui, &mut self.num_pictures, 1..=MAX_PICTURES);
                 let hint =
                     "more than one: a turntable, once around the vertical through the centre of rotation";
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);
@@ -275,7 +278,7 @@ impl Series {
     /// What there is to tell if no more are made.
     fn stopped(&self) -> String {
         // One that is being written will be there.
-        let done = self.done + u32::from(matches!(self.step, Step::Writing(_)));
+        let done = self.done + u32::from(matches!(self.stage, Stage::Writing(_)));
         match (done, self.total) {
             (0, _) => "No picture was made".to_owned(),
             (_, 1) => format!("Saved {}", self.path.display()),

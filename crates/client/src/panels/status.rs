@@ -1,10 +1,13 @@
-//! What the overlay says: numbers to words, without a window.
+//! The numbers at the top left: connection, age of the frame, times and rates.
 
 use std::time::Duration;
 
+use egui::{Align2, Color32, RichText, Ui, vec2};
 use isinglass_net::State;
 
-use crate::viewing::Standing;
+use super::style::{bright, pane, quiet};
+use super::text::{format_duration, format_rate, sentence};
+use crate::view::viewing::Standing;
 
 /// All that the overlay shows; what is not known is absent and shown as a dash.
 #[derive(Clone, Debug, PartialEq)]
@@ -121,54 +124,83 @@ fn state_word(state: &State) -> &'static str {
     }
 }
 
-/// An error message as a sentence of its own.
-pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
-    let mut text = problem.to_string();
-    if let Some(first) = text.get_mut(..1) {
-        first.make_ascii_uppercase();
-    }
-    if !text.ends_with(['.', '?', '!']) {
-        text.push('.');
-    }
-    text
+/// How much of the window's left the numbers take, with a gap beside them, where `right` points are taken on the right.
+pub(crate) fn width_taken(ctx: &egui::Context, right: f32) -> f32 {
+    let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
+    width + OVERLAY_GAPS
 }
 
-/// A duration with two or three figures: `0.8 ms`, `42 ms`, `1.3 s`.
-pub fn format_duration(d: Duration) -> String {
-    let ms = d.as_secs_f64() * 1e3;
-    match ms {
-        ms if ms < 9.95 => format!("{ms:.1} ms"),
-        ms if ms < 999.5 => format!("{ms:.0} ms"),
-        ms if ms < 99_950.0 => format!("{:.1} s", ms / 1e3),
-        ms => format!("{:.0} min", ms / 6e4),
-    }
+/// Whether there is room for more than the badge.
+pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
+    OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
 }
 
-/// Bytes per second with two or three figures, in decimal units.
-pub fn format_rate(bytes_per_second: f64) -> String {
-    match bytes_per_second {
-        b if b < 1e3 => format!("{b:.0} B/s"),
-        b if b < 999.5e3 => format!("{:.0} kB/s", b / 1e3),
-        b if b < 9.95e6 => format!("{:.1} MB/s", b / 1e6),
-        b => format!("{:.0} MB/s", b / 1e6),
-    }
+/// The numbers, at the top left; in a narrow window the badge alone. `title` is the volume's name, `right` what is taken on the
+/// right.
+pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
+    let has_numbers = has_room_for_numbers(ctx, right);
+    egui::Area::new(egui::Id::unique("overlay"))
+        .anchor(Align2::LEFT_TOP, vec2(10.0, 10.0))
+        .interactable(true)
+        .show(ctx, |ui| {
+            pane(ctx).show(ui, |ui| {
+                // A fixed width: changing digits must not make the pane tremble.
+                ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
+                ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
+                ui.spacing_mut().interact_size.y = 0.0;
+                if has_numbers && !title.is_empty() {
+                    ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
+                }
+                badge(ui, model.standing);
+                if !has_numbers {
+                    return;
+                }
+                ui.add_space(3.0);
+                for (name, value) in model.rows() {
+                    row(ui, name, &value);
+                }
+            });
+        });
 }
 
-/// Bytes with two or three figures, in decimal units.
-pub fn format_bytes(bytes: u64) -> String {
-    match bytes as f64 {
-        b if b < 999.5 => format!("{bytes} bytes"),
-        b if b < 999.5e3 => format!("{:.0} kB", b / 1e3),
-        b if b < 9.95e6 => format!("{:.1} MB", b / 1e6),
-        b if b < 999.5e6 => format!("{:.0} MB", b / 1e6),
-        b if b < 99.5e9 => format!("{:.1} GB", b / 1e9),
-        b => format!("{:.0} GB", b / 1e9),
-    }
+fn badge(ui: &mut Ui, standing: Standing) {
+    let is_dark = ui.visuals().dark_mode;
+    let color = match standing {
+        Standing::Exact | Standing::Settled if is_dark => Color32::from_rgb(110, 205, 130),
+        Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
+        Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
+        Standing::Moving => Color32::from_rgb(20, 85, 175),
+        Standing::Refining | Standing::Offline if is_dark => Color32::from_rgb(235, 190, 95),
+        Standing::Refining | Standing::Offline => Color32::from_rgb(150, 90, 0),
+        Standing::Waiting => quiet(ui.ctx()),
+    };
+    let line = ui.horizontal(|ui| {
+        let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
+        ui.painter().circle_filled(dot.center(), 4.0, color);
+        ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
+    });
+    line.response.on_hover_text(standing.explanation());
+}
+
+fn row(ui: &mut Ui, name: &str, value: &str) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(name).color(quiet(ui.ctx())).size(11.5));
+        ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            ui.label(RichText::new(value).color(bright(ui.ctx())).size(11.5));
+        });
+    });
 }
 
 fn dash() -> String {
     "–".to_owned()
 }
+
+/// Of the numbers, points.
+const OVERLAY_WIDTH: f32 = 190.0;
+/// Of the badge's longest word, points.
+const BADGE_WIDTH: f32 = 66.0;
+/// Around the numbers and in their pane, points.
+const OVERLAY_GAPS: f32 = 42.0;
 
 #[cfg(test)]
 mod tests {
@@ -254,27 +286,5 @@ mod tests {
             assert!(banner.contains("No answer from render-01") && !banner.contains('\n'), "{banner}");
             assert!(banner.ends_with('?'), "{banner}");
         }
-    }
-
-    #[test]
-    fn a_sentence_begins_and_ends_as_one() {
-        assert_eq!(sentence(&"connection lost: closed"), "Connection lost: closed.");
-        assert_eq!(sentence(&"ärger?"), "ärger?");
-        assert_eq!(sentence(&""), ".");
-    }
-
-    #[test]
-    fn durations_and_rates_keep_two_or_three_figures() {
-        let ms = |x: f64| format_duration(Duration::from_secs_f64(x / 1e3));
-        assert_eq!([ms(0.04), ms(9.94), ms(9.96), ms(999.0)], ["0.0 ms", "9.9 ms", "10 ms", "999 ms"]);
-        assert_eq!([ms(999.6), ms(61_000.0), ms(600_000.0)], ["1.0 s", "61.0 s", "10 min"]);
-        assert_eq!(
-            [0.0, 999.0, 4_300.0, 1.04e6, 12.3e6].map(format_rate),
-            ["0 B/s", "999 B/s", "4 kB/s", "1.0 MB/s", "12 MB/s"]
-        );
-        assert_eq!(
-            [999, 4_300, 1_040_000, 12_300_000_000, 250_000_000_000].map(format_bytes),
-            ["999 bytes", "4 kB", "1.0 MB", "12.3 GB", "250 GB"]
-        );
     }
 }

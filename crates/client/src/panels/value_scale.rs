@@ -106,55 +106,6 @@ fn apart((lo, hi): (f32, f32)) -> (f32, f32) {
     if hi > lo { (lo, hi) } else { (lo, lo + (lo.abs() * 1e-3).max(1.0)) }
 }
 
-/// Where an opacity stands on its axis, 0 to 1. Useful opacities of matter one voxel thick go from a few thousandths to
-/// one half: the cube root gives each of them room.
-pub(crate) fn height_of(opacity: f32) -> f32 {
-    opacity.clamp(0.0, 1.0).cbrt()
-}
-
-/// The inverse of [`height_of`].
-pub(crate) fn opacity_at(height: f32) -> f32 {
-    height.clamp(0.0, 1.0).powi(3)
-}
-
-/// A value with about four figures, and no more than its size calls for.
-pub(crate) fn format_value(value: f32) -> String {
-    format_in(value, 0.0)
-}
-
-/// The same with as many figures more as tell it from others of a range that is `span` wide.
-pub(crate) fn format_in(value: f32, span: f32) -> String {
-    let size = value.abs();
-    if size == 0.0 {
-        return "0".into();
-    }
-    let power = size.log10().floor() as i32;
-    let wanted = if span > 0.0 { 3 - span.log10().floor() as i32 } else { -power };
-    // Single precision has no more.
-    let wanted = wanted.clamp(-power, 7 - power);
-    let decimals = match size {
-        // A large number that is told to the unit is written out.
-        a if (1e6..1e9).contains(&a) && span > 0.0 && wanted >= 0 => 0,
-        a if !(1e-3..1e6).contains(&a) => {
-            let figures = (wanted + power).max(2) as usize;
-            return format!("{value:.figures$e}");
-        }
-        a if a >= 1000.0 => 0,
-        a if a >= 100.0 => 1,
-        a if a >= 1.0 => 2,
-        _ => 4,
-    };
-    let decimals = wanted.max(decimals) as usize;
-    let text = format!("{value:.decimals$}");
-    match text.split_once('.') {
-        Some((whole, part)) => {
-            let part = part.trim_end_matches('0');
-            if part.is_empty() { whole.to_owned() } else { format!("{whole}.{part}") }
-        }
-        None => text,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -196,44 +147,5 @@ mod tests {
         assert_eq!(s.columns((100.0, 200.0), 3, false), [1.0; 3]);
         assert_eq!(s.columns((-900.0, 700.0), 4, false), [0.0, 0.0, 1.0, 0.0], "of several bins the largest");
         assert_eq!([s.share(-50.0), s.share(150.0), s.share(300.0), s.share(301.0)], [0.7, 0.2, 0.1, 0.0]);
-    }
-
-    #[test]
-    fn the_axis_of_opacity_goes_there_and_back() {
-        for opacity in [0.0, 0.004, 0.1, 0.5, 1.0] {
-            assert!((opacity_at(height_of(opacity)) - opacity).abs() < 1e-6);
-        }
-        assert!(height_of(0.004) > 0.15, "thin matter is far enough from nothing to be taken hold of");
-    }
-
-    #[test]
-    fn values_are_short() {
-        let text = [0.0, 113.25, -1000.0, 1234567.0, 0.25, 0.00001, 12.0, 2.3456].map(format_value);
-        assert_eq!(text, ["0", "113.2", "-1000", "1.23e6", "0.25", "1.00e-5", "12", "2.35"]);
-    }
-
-    #[test]
-    fn values_of_a_narrow_range_are_told_apart() {
-        for (lo, hi) in [(1.2e6, 1.2006e6), (3e-4, 3.001e-4), (50_000.0, 50_000.5), (-2e9, -1.999e9)] {
-            let texts: Vec<_> =
-                (0..=8).map(|i| format_in(lo + (hi - lo) * i as f32 / 8.0, hi - lo)).collect();
-            let mut unlike = texts.clone();
-            unlike.dedup();
-            assert_eq!(texts, unlike);
-        }
-        assert_eq!(format_in(1_200_300.0, 600.0), "1200300");
-        assert_eq!(format_in(2.345_67e-4, 1e-5), "2.3457e-4");
-        for value in [0.0, 113.25, -1000.0, 0.25, 12.0, 2.3456] {
-            assert_eq!(format_in(value, 4000.0), format_value(value), "no more than is needed");
-        }
-        for (value, span) in [
-            (1.0, f32::NAN),
-            (f32::INFINITY, 1.0),
-            (1.0, f32::INFINITY),
-            (1e-6, f32::INFINITY),
-            (1e-40, 1e-42),
-        ] {
-            assert!(!format_in(value, span).is_empty());
-        }
     }
 }

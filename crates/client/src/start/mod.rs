@@ -2,12 +2,9 @@
 //! was opened lately, or from files that are dropped. What is shown stays until the next is there, and no refresh waits for any
 //! of it.
 
-pub(crate) mod browser;
-mod folder;
 mod opening;
 mod page;
 mod recent_list;
-mod selection;
 mod services;
 #[cfg(test)]
 mod tests;
@@ -26,21 +23,19 @@ use isinglass_net::{Clock, LinkStats, ReceivedFrame, State};
 use self::opening::{Opened, Opening, later};
 use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
 use self::recent_list::RecentList;
-pub use self::services::{First, LocalServer, LocalServers, Services};
-use crate::BoxedSource;
+pub use self::services::{First, Services};
+use crate::app::side_panel::FOLDED_WIDTH;
 use crate::app::{Origin, ViewerApp};
-use crate::background::Background;
-use crate::bindings::Action;
-use crate::frame_source::FrameSource;
-use crate::look_panel::FOLDED_WIDTH;
-use crate::panels::{name_window, named, pane};
-use crate::parts_bar::warning;
-use crate::window::Waker;
+use crate::input::bindings::Action;
+use crate::panels::background::Background;
+use crate::panels::style::{name_window, named, pane, warning};
+use crate::view::frame_source::FrameSource;
+use crate::view::{BoxedSource, Waker};
 
 /// What dropped files are to the window.
 enum Dropped {
     Volume(PathBuf),
-    State(Result<Box<ReadState>, String>),
+    State(Box<ReadState>),
     /// For the viewer to look at.
     Others(Vec<egui::DroppedFileHandle>),
 }
@@ -59,7 +54,7 @@ pub(crate) struct StartWindow {
     problem: Option<String>,
     dropped: Background<Dropped>,
     /// A state that was chosen in the list of files.
-    chosen: Background<Result<Box<ReadState>, String>>,
+    chosen: Background<Box<ReadState>>,
     /// Whether the list has led to a folder, or a person has gone to one.
     has_folder: bool,
     clock: Clock,
@@ -171,7 +166,7 @@ impl StartWindow {
                 Err(problem) => self.problem = Some(problem),
             },
             PageWish::Open(request) => self.open(request),
-            PageWish::OpenState(path) => self.chosen.start(ctx, move || state_in(&path)),
+            PageWish::OpenState(path) => self.chosen = Background::run(&self.wake, move || state_in(&path)),
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
             PageWish::Close => self.close(),
@@ -225,9 +220,8 @@ impl StartWindow {
 
     /// Takes the state that was chosen in the list of files.
     fn take_chosen(&mut self) {
-        let lost = |_| Err("the file could not be used".into());
         if let Some(read) = self.chosen.take() {
-            self.open_state(read.unwrap_or_else(lost));
+            self.open_state(read);
         }
     }
 
@@ -283,16 +277,16 @@ impl StartWindow {
         let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
         if !files.is_empty() {
             let takes_states = self.is_page_shown;
-            self.dropped.start(ctx, move || {
+            self.dropped = Background::run(&self.wake, move || {
                 let content = |path: &Path| content_of(path).ok();
                 let paths: Vec<_> = files.iter().map(|file| file.path().to_owned()).collect();
                 if let Some(volume) = paths.iter().find(|path| content(path).is_some_and(is_volume)) {
-                    return Dropped::Volume(volume.clone());
+                    return Ok(Dropped::Volume(volume.clone()));
                 }
                 let is_state = |path: &&PathBuf| takes_states && content(path) == Some(Content::State);
                 match paths.iter().find(is_state) {
-                    Some(path) => Dropped::State(state_in(path)),
-                    None => Dropped::Others(files),
+                    Some(path) => state_in(path).map(Dropped::State),
+                    None => Ok(Dropped::Others(files)),
                 }
             });
         }
@@ -302,13 +296,14 @@ impl StartWindow {
                 let max_bytes = self.services.servers.max_bytes();
                 self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
-            Some(Ok(Dropped::State(read))) => self.open_state(read),
+            Some(Ok(Dropped::State(read))) => self.open_state(Ok(read)),
             Some(Ok(Dropped::Others(files))) if self.is_page_shown => {
                 let name = files.first().map(|f| f.path().display().to_string()).unwrap_or_default();
                 self.problem = Some(format!("{name}: found no volume or state that opens here."));
             }
             Some(Ok(Dropped::Others(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
-            Some(Err(_)) | None => {}
+            Some(Err(problem)) => self.problem = Some(problem),
+            None => {}
         }
     }
 

@@ -1,22 +1,19 @@
 //! From a wish to a source of frames, step by step and without waiting: a link is connected to; a volume is looked at, read,
 //! served in this process, and then connected to.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
-    FormatError, LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, outline,
-    state_from_link,
+    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, state_from_link,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State};
 
-use super::services::{LocalServer, LocalServers};
-use crate::BoxedSource;
 use crate::app::Origin;
-use crate::overlay::sentence;
-use crate::window::Waker;
+use crate::panels::background::Background;
+use crate::panels::text::sentence;
+use crate::view::local_servers::{LocalServer, LocalServers, survey};
+use crate::view::{BoxedSource, Waker};
 
 /// Something that is being opened. Dropping it cancels.
 pub(crate) struct Opening {
@@ -26,18 +23,18 @@ pub(crate) struct Opening {
     origin: Origin,
     clock: Clock,
     wake: Waker,
-    step: Step,
+    step: OpeningStep,
     outline: Option<Outline>,
     server: Option<Box<dyn Send>>,
 }
 
-enum Step {
+enum OpeningStep {
     /// The header is read.
-    Surveying(Local, Receiver<Result<Outline, String>>),
+    Surveying(Local, Background<Outline>),
     /// The voxels are read.
     Reading(Local, Loading),
     /// The server is started.
-    Starting(Receiver<Result<LocalServer, String>>),
+    Starting(Background<LocalServer>),
     Connecting(Box<Client>),
     /// It was told how it ended.
     Over,
@@ -87,7 +84,7 @@ impl Opening {
             origin,
             clock: clock.clone(),
             wake: wake.clone(),
-            step: Step::Connecting(client),
+            step: OpeningStep::Connecting(client),
             outline: None,
             server: None,
         })
@@ -115,15 +112,14 @@ impl Opening {
         let origin =
             Origin { server_name: "this computer".into(), volume_source: Some(volume), ..Origin::default() };
         let (of_thread, servers_of_thread) = (request.clone(), servers.clone());
-        let look = move || survey(&of_thread, held, &*servers_of_thread);
-        let receiver = on_a_thread(wake, look);
+        let surveying = Background::run(wake, move || survey(&of_thread, held, &*servers_of_thread));
         Self {
             name,
             place,
             origin,
             clock: clock.clone(),
             wake: wake.clone(),
-            step: Step::Surveying(Local { servers, request }, receiver),
+            step: OpeningStep::Surveying(Local { servers, request }, surveying),
             outline: None,
             server: None,
         }
@@ -138,12 +134,12 @@ impl Opening {
     /// How far it is.
     pub(crate) fn stage(&self) -> Stage {
         match &self.step {
-            Step::Surveying(..) => Stage::Looking,
-            Step::Reading(_, loading) => Stage::Reading(loading.progress()),
-            Step::Starting(_) => Stage::Preparing,
+            OpeningStep::Surveying(..) => Stage::Looking,
+            OpeningStep::Reading(_, loading) => Stage::Reading(loading.progress()),
+            OpeningStep::Starting(_) => Stage::Preparing,
             // The server in this process answers at once.
-            Step::Connecting(_) | Step::Over if self.server.is_some() => Stage::Preparing,
-            Step::Connecting(_) | Step::Over => Stage::Connecting,
+            OpeningStep::Connecting(_) | OpeningStep::Over if self.server.is_some() => Stage::Preparing,
+            OpeningStep::Connecting(_) | OpeningStep::Over => Stage::Connecting,
         }
     }
 
@@ -155,32 +151,34 @@ impl Opening {
     /// Goes on as far as it can; the end, once.
     pub(crate) fn poll(&mut self) -> Option<Result<Opened, String>> {
         loop {
-            let next = match std::mem::replace(&mut self.step, Step::Over) {
-                Step::Surveying(local, receiver) => match taken(&receiver) {
-                    None => return self.stay(Step::Surveying(local, receiver)),
+            let next = match std::mem::replace(&mut self.step, OpeningStep::Over) {
+                OpeningStep::Surveying(local, mut running) => match running.take() {
+                    None => return self.stay(OpeningStep::Surveying(local, running)),
                     Some(Err(problem)) => return Some(Err(problem)),
                     Some(Ok(outline)) => self.read(local, outline),
                 },
-                Step::Reading(local, loading) => match loading.poll() {
-                    None => return self.stay(Step::Reading(local, loading)),
+                OpeningStep::Reading(local, loading) => match loading.poll() {
+                    None => return self.stay(OpeningStep::Reading(local, loading)),
                     Some(Err(e)) => return Some(Err(e.to_string())),
                     Some(Ok(volume)) => self.start(local, volume),
                 },
-                Step::Starting(receiver) => match taken(&receiver) {
-                    None => return self.stay(Step::Starting(receiver)),
+                OpeningStep::Starting(mut running) => match running.take() {
+                    None => return self.stay(OpeningStep::Starting(running)),
                     Some(Err(problem)) => return Some(Err(problem)),
                     Some(Ok(LocalServer { link, server })) => {
                         self.server = Some(server);
                         self.origin.link = Some(link.clone());
                         match client(&link, &self.clock, &self.wake) {
-                            Ok(client) => Step::Connecting(client),
+                            Ok(client) => OpeningStep::Connecting(client),
                             Err(problem) => return Some(Err(problem)),
                         }
                     }
                 },
-                Step::Connecting(client) => match client.state() {
+                OpeningStep::Connecting(client) => match client.state() {
                     State::Connected => return Some(Ok(self.opened(client))),
-                    State::Connecting { problem: None, .. } => return self.stay(Step::Connecting(client)),
+                    State::Connecting { problem: None, .. } => {
+                        return self.stay(OpeningStep::Connecting(client));
+                    }
                     State::Connecting { problem: Some(problem), .. }
                     | State::Reconnecting { problem, .. }
                     | State::Refused(problem) => {
@@ -188,29 +186,29 @@ impl Opening {
                         return Some(Err(sentence(&problem)));
                     }
                 },
-                Step::Over => return None,
+                OpeningStep::Over => return None,
             };
             self.step = next;
         }
     }
 
-    fn stay(&mut self, step: Step) -> Option<Result<Opened, String>> {
+    fn stay(&mut self, step: OpeningStep) -> Option<Result<Opened, String>> {
         self.step = step;
         None
     }
 
-    fn read(&mut self, local: Local, outline: Outline) -> Step {
+    fn read(&mut self, local: Local, outline: Outline) -> OpeningStep {
         self.name.clone_from(&outline.name);
         let wake = self.wake.clone();
         let loading = Loading::start(local.request.clone(), move || wake());
         self.outline = Some(outline);
-        Step::Reading(local, loading)
+        OpeningStep::Reading(local, loading)
     }
 
-    fn start(&mut self, local: Local, volume: Volume) -> Step {
+    fn start(&mut self, local: Local, volume: Volume) -> OpeningStep {
         let Local { servers, request } = local;
         let outline = self.outline.clone();
-        Step::Starting(on_a_thread(&self.wake, move || {
+        OpeningStep::Starting(Background::run(&self.wake, move || {
             let outline = outline.ok_or("the header was not read")?;
             servers.start(volume, &outline, &request)
         }))
@@ -233,38 +231,12 @@ impl Drop for Opening {
     fn drop(&mut self) {
         // A server that is being started hands itself to nobody, and ends; one that is there already, or a volume that was read
         // and not taken, would take its time here.
-        let step = std::mem::replace(&mut self.step, Step::Over);
+        let step = std::mem::replace(&mut self.step, OpeningStep::Over);
         let server = self.server.take();
-        if server.is_some() || !matches!(step, Step::Over) {
+        if server.is_some() || !matches!(step, OpeningStep::Over) {
             later((step, server));
         }
     }
-}
-
-/// The header of what is asked for, if there is room for it.
-pub(super) fn survey(
-    request: &LoadRequest,
-    held: u64,
-    servers: &dyn LocalServers,
-) -> Result<Outline, String> {
-    let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
-    let options = isinglass_formats::OpenOptions {
-        raw,
-        selection,
-        spacing,
-        max_bytes,
-        ..isinglass_formats::OpenOptions::default()
-    };
-    let found = match outline(&source, &options) {
-        // Let the check say it, with all that it needs.
-        Err(FormatError::TooLarge { .. }) => {
-            outline(&source, &isinglass_formats::OpenOptions { max_bytes: u64::MAX, ..options })
-        }
-        found => found,
-    };
-    let found = found.map_err(|e| e.to_string())?;
-    servers.check(&found, held)?;
-    Ok(found)
 }
 
 fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, String> {
@@ -276,50 +248,4 @@ fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, Strin
 pub(super) fn later<T: Send + 'static>(ended: T) {
     // Without a thread it is dropped here.
     let _ = std::thread::Builder::new().name("goodbye".into()).spawn(move || drop(ended));
-}
-
-/// What `work` gives, on a thread of its own, which then wakes the window.
-pub(super) fn on_a_thread<T: Send + 'static>(
-    wake: &Waker,
-    work: impl FnOnce() -> Result<T, String> + Send + 'static,
-) -> Receiver<Result<T, String>> {
-    let (sender, receiver) = sync_channel(1);
-    let wake = wake.clone();
-    let run = move || {
-        // A defect of ours must not leave anyone waiting.
-        let outcome = catch_unwind(AssertUnwindSafe(work));
-        // Nobody listens any more if it was cancelled.
-        let _ = sender.send(outcome.unwrap_or_else(|_| Err(DEFECT.into())));
-        wake();
-    };
-    // Without a thread the sender is gone, and the outcome a failure.
-    let _ = std::thread::Builder::new().name("opening".into()).spawn(run);
-    receiver
-}
-
-fn taken<T>(receiver: &Receiver<Result<T, String>>) -> Option<Result<T, String>> {
-    match receiver.try_recv() {
-        Ok(outcome) => Some(outcome),
-        Err(TryRecvError::Empty) => None,
-        Err(TryRecvError::Disconnected) => Some(Err(DEFECT.into())),
-    }
-}
-
-const DEFECT: &str = "Opening ended early, by a defect of the program.";
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn work_that_panics_wakes_and_has_failed() {
-        let (wake, woken) = sync_channel(1);
-        let wake: Waker = Arc::new(move || wake.send(()).unwrap());
-        let receiver = on_a_thread::<()>(&wake, || panic!("for the test"));
-        woken.recv().unwrap();
-        assert_eq!(taken(&receiver), Some(Err(DEFECT.into())));
-        let receiver = on_a_thread(&wake, || Ok(7));
-        woken.recv().unwrap();
-        assert_eq!(taken(&receiver), Some(Ok(7)));
-    }
 }

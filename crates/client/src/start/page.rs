@@ -6,14 +6,13 @@ use egui::{Color32, Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec
 use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace, VolumeSource};
 use isinglass_net::{Link, place_of};
 
-use super::browser::{Browser, Chosen};
 use super::opening::{Opening, Stage};
 use super::recent_list::{RecentList, ago};
 use super::services::Services;
-use crate::overlay::{format_bytes, sentence};
-use crate::panels::{bright, named, quiet};
-use crate::parts_bar::warning;
-use crate::window::Waker;
+use crate::panels::browser::{Browser, Chosen};
+use crate::panels::style::{bright, named, quiet, warning};
+use crate::panels::text::{format_bytes, sentence};
+use crate::view::Waker;
 
 /// What is wanted on the page.
 pub(crate) enum PageWish {

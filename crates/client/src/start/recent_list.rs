@@ -4,15 +4,16 @@ use std::path::{Path, PathBuf};
 
 use isinglass_formats::{Recent, RecentEntry};
 
-use crate::background::{Background, Lost, write_text};
+use crate::panels::background::{Background, write_text};
+use crate::view::waker_of;
 
 /// Reads and writes on a thread of its own: the page is there before its list.
 pub(crate) struct RecentList {
     file: Option<PathBuf>,
     /// Until the file was read, what was noted meanwhile.
     list: Recent,
-    reading: Background<Result<Recent, String>>,
-    writing: Background<Result<(), String>>,
+    reading: Background<Recent>,
+    writing: Background<()>,
     /// What is to be written when the disk is free again.
     waiting: Option<String>,
     problem: Option<String>,
@@ -23,7 +24,7 @@ impl RecentList {
     pub(crate) fn new(file: Option<PathBuf>, ctx: &egui::Context) -> Self {
         let mut reading = Background::default();
         if let Some(file) = file.clone() {
-            reading.start(ctx, move || Recent::read(&file).map_err(|e| e.to_string()));
+            reading = Background::run(&waker_of(ctx), move || Recent::read(&file).map_err(|e| e.to_string()));
         }
         let (list, writing) = (Recent::default(), Background::default());
         Self { file, list, reading, writing, waiting: None, problem: None }
@@ -31,13 +32,13 @@ impl RecentList {
 
     /// Takes what the disk has said. Whether the list was read just now.
     pub(crate) fn poll(&mut self, ctx: &egui::Context) -> bool {
-        if let Some(Ok(Err(problem))) = self.writing.take() {
+        if let Some(Err(problem)) = self.writing.take() {
             self.problem = Some(problem);
         }
         let read = self.reading.take();
         let is_read = read.is_some();
         match read {
-            Some(Ok(Ok(list))) => {
+            Some(Ok(list)) => {
                 let early = std::mem::replace(&mut self.list, list);
                 // What waits was made of what was there before the list, which may be nothing again.
                 if self.waiting.take().is_some() {
@@ -45,8 +46,8 @@ impl RecentList {
                 }
             }
             // It starts anew with what was and is opened.
-            Some(Ok(Err(problem))) => self.problem = Some(problem),
-            Some(Err(Lost)) | None => {}
+            Some(Err(problem)) => self.problem = Some(problem),
+            None => {}
         }
         self.write_on(ctx);
         is_read
@@ -95,17 +96,15 @@ impl RecentList {
             return;
         }
         if let (Some(file), Some(text)) = (self.file.clone(), self.waiting.take()) {
-            self.writing
-                .start(ctx, move || write(&file, &text).map_err(|e| format!("{}: {e}", file.display())));
+            self.writing = Background::run(&waker_of(ctx), move || write(file, &text));
         }
     }
 }
 
-fn write(file: &Path, text: &str) -> std::io::Result<()> {
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    write_text(file, text, true)
+fn write(file: PathBuf, text: &str) -> Result<(), String> {
+    let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
+    folder.map_err(|e| format!("{}: {e}", file.display()))?;
+    write_text(file, text, true).map(drop)
 }
 
 /// How long ago something was used, in words.

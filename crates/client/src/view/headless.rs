@@ -9,9 +9,9 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::space::Aabb;
 use isinglass_net::{LinkStats, ReceivedFrame, State};
 
-use crate::foresight::Foresight;
-use crate::frame_source::FrameSource;
-use crate::viewing::{FrameSize, Standing, Viewing};
+use crate::view::foresight::Foresight;
+use crate::view::frame_source::FrameSource;
+use crate::view::viewing::{FrameSize, Standing, Viewing};
 
 /// One picture that a window would have shown.
 #[derive(Clone, Debug)]
@@ -103,7 +103,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::viewing::tests::{BOUNDS, FakeSource};
+    use crate::view::viewing::tests::{BOUNDS, FakeSource};
 
     #[test]
     fn every_tick_is_recorded_with_the_camera_of_its_own_pose() {

@@ -9,8 +9,8 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 use isinglass_net::ReceivedFrame;
 
-use crate::camera_controls::angle_between_degrees;
-use crate::foresight::eye_of;
+use crate::input::camera_controls::angle_between_degrees;
+use crate::view::foresight::eye_of;
 
 /// A few frames of one volume and look, from cameras as different as there were; the newest last.
 #[derive(Debug, Default)]

@@ -1,10 +1,7 @@
-//! What the start window needs of whoever opens it: servers in this process, a place for its list, a calendar.
-
-use std::path::PathBuf;
-use std::sync::Arc;
+//! Servers in this process, for volumes that are opened in the window.
 
 use isinglass_core::volume::Volume;
-use isinglass_formats::{LoadRequest, Outline};
+use isinglass_formats::{FormatError, LoadRequest, OpenOptions, Outline, outline};
 use isinglass_net::Link;
 
 /// Starts servers in this process, for volumes that are opened in the window. The viewer renders none itself.
@@ -35,28 +32,22 @@ pub struct LocalServer {
     pub server: Box<dyn Send>,
 }
 
-/// What is injected.
-#[derive(Clone)]
-pub struct Services {
-    /// Starts servers.
-    pub servers: Arc<dyn LocalServers>,
-    /// Where the list of what was opened lately is kept; none: nowhere.
-    pub recent_file: Option<PathBuf>,
-    /// Seconds since 1970.
-    pub calendar: fn() -> u64,
-}
-
-/// What the window begins with.
-pub enum First {
-    /// The page on which a server or a volume is chosen.
-    StartPage,
-    /// A server that has let this viewer in.
-    Connected {
-        /// Its frames.
-        source: crate::BoxedSource,
-        /// Where it is.
-        link: Link,
-    },
-    /// A volume of this machine.
-    Volume(LoadRequest),
+/// The header of what is asked for, if there is room for it.
+pub(crate) fn survey(
+    request: &LoadRequest,
+    held: u64,
+    servers: &dyn LocalServers,
+) -> Result<Outline, String> {
+    let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
+    let options = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
+    let found = match outline(&source, &options) {
+        // Let the check say it, with all that it needs.
+        Err(FormatError::TooLarge { .. }) => {
+            outline(&source, &OpenOptions { max_bytes: u64::MAX, ..options })
+        }
+        found => found,
+    };
+    let found = found.map_err(|e| e.to_string())?;
+    servers.check(&found, held)?;
+    Ok(found)
 }

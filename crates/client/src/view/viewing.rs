@@ -16,11 +16,11 @@ use isinglass_core::space::Aabb;
 use isinglass_core::wire::Welcome;
 use isinglass_net::{ReceivedFrame, State};
 
-use crate::camera_controls::angle_between_degrees;
-use crate::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
-use crate::frame_source::FrameSource;
-use crate::kept::KeptFrames;
-use crate::pace::Pace;
+use crate::input::camera_controls::angle_between_degrees;
+use crate::view::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, widest};
+use crate::view::frame_source::FrameSource;
+use crate::view::kept::KeptFrames;
+use crate::view::pace::Pace;
 
 /// How the picture on screen stands to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,7 +9,7 @@ use std::cell::Cell;
 use std::fs::File;
 use std::io::Read;
 
-use crate::bell::Bell;
+use crate::view::bell::Bell;
 
 /// Refreshes that were watched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

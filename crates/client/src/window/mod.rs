@@ -1,139 +1,25 @@
 //! Opens the window and closes it.
 
+pub(crate) mod display;
+mod display_loss;
+pub(crate) mod run;
+
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
-use isinglass_formats::{SavedState, VolumeSource};
 use isinglass_gpu::with_large_buffers;
-use isinglass_net::{Clock, Link};
+use isinglass_net::Clock;
 
+use self::display::display_available;
+use self::display_loss::{DisplayLost, told_apart};
+use crate::app::options::WindowOptions;
 use crate::app::{ViewerApp, theme_preference};
-use crate::bell::Bell;
-use crate::bindings::Bindings;
-use crate::camera_controls::InitialOrbit;
-use crate::camera_path::CameraPath;
-use crate::display::display_available;
-use crate::display_loss::{DisplayLost, told_apart};
-use crate::foresight::Foresight;
-use crate::frame_source::FrameSource;
-use crate::gpu_timer::timer_features;
-use crate::novel_view::{LAYERS, NovelView, NovelViews};
-use crate::picture::{self, PictureStatus};
+use crate::paint::gpu_timer::timer_features;
+use crate::paint::novel_view::{LAYERS, NovelViews};
+use crate::paint::picture::{self, PictureStatus};
 use crate::start::{First, Nothing, Services, StartWindow};
-use crate::stereo::Stereo;
-use crate::viewing::{FrameSize, Refresh};
-use crate::waits::Waits;
-
-/// What a window needs to know beside where its frames come from.
-pub struct WindowOptions {
-    /// Who renders, as the person at the viewer knows it.
-    pub server_name: String,
-    /// Width and height of the picture, points.
-    pub size: [u32; 2],
-    /// The first view.
-    pub initial_orbit: InitialOrbit,
-    /// Vertical field of view, radians.
-    pub fov_y: f32,
-    /// Whether rays are parallel at first.
-    pub is_orthographic: bool,
-    /// Size of the frames that are asked for.
-    pub frame_size: FrameSize,
-    /// Whether the picture is for two eyes at first.
-    pub stereo: Stereo,
-    /// What is asked for beyond the picture of the moment.
-    pub foresight: Foresight,
-    /// While the camera moves, the picture is cast as finely as so many refreshes a second allow; none: as many as the display
-    /// makes.
-    pub refresh_hz: Option<f32>,
-    /// Whether numbers, axes and scale bar are shown at first.
-    pub shows_overlay: bool,
-    /// Turns the camera by itself, for pictures of a moving view; 0: not.
-    pub auto_orbit_degrees_per_second: f32,
-    /// Other methods than the ray cast to choose from.
-    pub novel_views: Vec<Box<dyn NovelView>>,
-    /// The name of the one that is shown at first, or [`LAYERS`].
-    pub novel_view: &'static str,
-    /// What is shown at first in place of the first view.
-    pub state: Option<SavedState>,
-    /// Whether `size` is that of the state's picture, in pixels.
-    pub state_sets_size: bool,
-    /// What the server was given to open, where that is known, for states that are saved.
-    pub volume_source: Option<VolumeSource>,
-    /// The server's link, for links to what is seen.
-    pub link: Option<Link>,
-    /// What keys and mouse do.
-    pub bindings: Bindings,
-    /// Is given the way of the camera.
-    pub recorder: Option<Arc<Mutex<CameraPath>>>,
-    /// Watches every refresh, for tests and pictures of the window.
-    pub script: Option<Script>,
-}
-
-impl Default for WindowOptions {
-    fn default() -> Self {
-        Self {
-            server_name: String::new(),
-            size: [1100, 760],
-            initial_orbit: InitialOrbit::default(),
-            fov_y: DEFAULT_FOV_Y_DEGREES.to_radians(),
-            is_orthographic: false,
-            frame_size: FrameSize { moving_budget: Some(MOVING_BUDGET), ..FrameSize::default() },
-            stereo: Stereo::default(),
-            foresight: Foresight::default(),
-            refresh_hz: None,
-            shows_overlay: true,
-            auto_orbit_degrees_per_second: 0.0,
-            novel_views: Vec::new(),
-            novel_view: LAYERS,
-            state: None,
-            state_sets_size: false,
-            volume_source: None,
-            link: None,
-            bindings: Bindings::default(),
-            recorder: None,
-            script: None,
-        }
-    }
-}
-
-/// Is called after every refresh and says what to do next.
-pub type Script = Box<dyn FnMut(&Probe) -> ScriptStep>;
-
-/// What a script sees.
-#[derive(Clone)]
-pub struct Probe {
-    /// Time since the window opened.
-    pub now: Duration,
-    /// What is drawn; none before the volume is known.
-    pub refresh: Option<Refresh>,
-    /// How many refreshes before this one had to wait for anything.
-    pub waits: Waits,
-}
-
-/// What a script wants.
-pub enum ScriptStep {
-    /// Nothing.
-    Continue,
-    /// A picture of the window as it is drawn at this refresh.
-    Capture(Box<dyn FnOnce(Shot) + Send>),
-    /// The end.
-    Close,
-}
-
-/// A picture of the window, 8-bit sRGB, three bytes a pixel, row by row from the top.
-#[derive(Clone, Debug)]
-pub struct Shot {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// The pixels.
-    pub rgb: Vec<u8>,
-}
-
-/// Wakes the window from any thread: something to show has arrived.
-pub type Waker = Arc<dyn Fn() + Send + Sync>;
+use crate::view::frame_source::FrameSource;
+use crate::view::{Waker, waker_of};
 
 /// Why there is no window.
 #[derive(Debug, thiserror::Error)]
@@ -259,10 +145,7 @@ fn open_window(
         let state = cc.wgpu_render_state.as_ref().ok_or("the window has no wgpu device")?;
         let ctx = cc.egui_ctx.clone();
         let status = picture::install(state, &ctx, heard).map_err(ViewerError::Device)?;
-        let wake: Waker = {
-            let bell = Bell::of(&ctx);
-            Arc::new(move || bell.ring())
-        };
+        let wake = waker_of(&ctx);
         let views =
             NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());
         Ok(make_app(options, Opened { ctx, wake, views, status })?)
@@ -331,14 +214,6 @@ fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
     egui_wgpu::WgpuConfiguration { wgpu_setup: setup.into(), ..Default::default() }
         .with_surface_config(egui_wgpu::SurfaceConfig::LOW_LATENCY)
 }
-
-/// Longest time the server should need for a frame while the camera moves: that of a long round trip. With half of it,
-/// a server without a GPU sends frames so coarse that the eye minds them more than their age.
-const MOVING_BUDGET: Duration = Duration::from_millis(300);
-/// Refreshes a second of a display that does not tell.
-pub(crate) const USUAL_HZ: f32 = 60.0;
-/// Vertical field of view if none is named, degrees.
-pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;
 
 #[cfg(test)]
 mod tests {

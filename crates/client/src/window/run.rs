@@ -2,7 +2,8 @@
 
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkModel};
 
-use crate::window::{ViewerError, WindowOptions, run_window};
+use super::{ViewerError, run_window};
+use crate::app::options::WindowOptions;
 
 /// What the viewer needs to know.
 pub struct ViewerOptions {

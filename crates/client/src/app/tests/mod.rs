@@ -19,11 +19,12 @@ use isinglass_core::wire::{LoadStatus, Parts, ProbeRequest, Probed, Token, Volum
 use isinglass_net::{LinkStats, ReceivedShot};
 
 use super::*;
-use crate::camera_controls::InitialOrbit;
-use crate::novel_view::LAYERS;
-use crate::viewing::FrameSize;
+use crate::input::camera_controls::InitialOrbit;
+use crate::paint::novel_view::LAYERS;
+use crate::view::viewing::FrameSize;
 
 mod keeping;
+pub(crate) mod window_walk;
 
 /// A server in a moment: frames of 48 pixels, made when they are asked for. While it `sleeps`, looks wait.
 struct HereSource {
@@ -347,7 +348,7 @@ fn a_body_is_seen_upright_at_first() {
         pose(&window_on(source, orbit, [640.0, 480.0], 1.0))
     };
     for letters in [None, Some("RAS"), Some("LPS")] {
-        let (from, up) = Orientation::of(letters).standard_view(crate::bindings::Side::Front, false);
+        let (from, up) = Orientation::of(letters).standard_view(crate::input::bindings::Side::Front, false);
         let pose = first(letters);
         assert!((pose.forward() + from).length() < 1e-5, "{letters:?}");
         assert!((pose.world_from_view * glam::Vec3::Y - up).length() < 1e-5, "{letters:?}");
@@ -363,9 +364,9 @@ fn standard_views_look_from_where_the_key_says() {
         w.state_mut().viewing.source_mut().orientation.clone_from(&letters);
         let orientation = Orientation::of(letters.as_deref());
         for (key, side) in [
-            (Key::Num1, crate::bindings::Side::Front),
-            (Key::Num3, crate::bindings::Side::Right),
-            (Key::Num7, crate::bindings::Side::Top),
+            (Key::Num1, crate::input::bindings::Side::Front),
+            (Key::Num3, crate::input::bindings::Side::Right),
+            (Key::Num7, crate::input::bindings::Side::Top),
         ] {
             for (modifiers, opposite) in [(Modifiers::NONE, false), (Modifiers::SHIFT, true)] {
                 press(&mut w, modifiers, key);

@@ -8,7 +8,7 @@ use isinglass_core::wire::{LoadState, Part};
 use isinglass_formats::{SavedState, VolumeSource, read_state};
 
 use super::*;
-use crate::state_files::StateWish;
+use crate::panels::state_files::StateWish;
 
 /// A file of this test alone.
 fn path(name: &str) -> PathBuf {

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use isinglass_formats::{Content, content_of};
 
-use crate::window::Waker;
+use crate::view::Waker;
 
 /// A line of the list.
 #[derive(Clone, Debug, PartialEq)]

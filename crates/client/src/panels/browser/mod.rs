@@ -1,22 +1,22 @@
 //! The list of files that volumes are opened from, and texts where somebody reads them. It works by keyboard as by mouse, and
 //! never waits for a disk.
 
+mod folder;
+mod selection;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
 
 use egui::{Align, EventFilter, FontId, Key, Layout, Modifiers, Rect, RichText, ScrollArea, Sense, Ui, vec2};
 use isinglass_formats::{Content, LoadRequest, Outline, Selection};
 
-use super::folder::{Entry, Folder};
-use super::opening::{on_a_thread, survey};
-use super::selection::SelectionForm;
-use super::services::LocalServers;
-use crate::background::path_from_text;
-use crate::overlay::format_bytes;
-use crate::panels::{bright, named, quiet};
-use crate::parts_bar::warning;
-use crate::window::Waker;
+use self::folder::{Entry, Folder};
+use self::selection::SelectionForm;
+use super::background::{Background, path_from_text};
+use super::style::{bright, named, quiet, warning};
+use super::text::format_bytes;
+use crate::view::Waker;
+use crate::view::local_servers::{LocalServers, survey};
 
 /// See the module.
 pub(crate) struct Browser {
@@ -59,7 +59,7 @@ struct LookedAt {
     form: SelectionForm,
     /// The selection that `found` answers.
     asked: Selection,
-    waiting: Option<Receiver<Result<Outline, String>>>,
+    waiting: Background<Outline>,
     found: Option<Result<Outline, String>>,
 }
 
@@ -367,23 +367,22 @@ impl Browser {
         if self.looked_at.as_ref().is_none_or(|l| l.source != source) {
             let form = SelectionForm::default();
             let asked = Selection::default();
-            self.looked_at = Some(LookedAt { source, form, asked, waiting: None, found: None });
+            self.looked_at =
+                Some(LookedAt { source, form, asked, waiting: Background::default(), found: None });
         }
         let Some(looked) = &mut self.looked_at else { return };
-        if let Some(waiting) = &looked.waiting
-            && let Ok(found) = waiting.try_recv()
-        {
+        if let Some(found) = looked.waiting.take() {
             if let Ok(outline) = &found {
                 looked.form.learn(outline);
             }
-            (looked.found, looked.waiting) = (Some(found), None);
+            looked.found = Some(found);
         }
         let wanted = looked.form.selection();
-        if looked.waiting.is_none() && (looked.found.is_none() || looked.asked != wanted) {
+        if !looked.waiting.is_busy() && (looked.found.is_none() || looked.asked != wanted) {
             looked.asked = wanted;
             let request = request(&looked.source, wanted, &**servers);
             let servers = servers.clone();
-            looked.waiting = Some(on_a_thread(&self.wake, move || survey(&request, held, &*servers)));
+            looked.waiting = Background::run(&self.wake, move || survey(&request, held, &*servers));
         }
     }
 
@@ -432,7 +431,7 @@ impl Browser {
                 ui.add(egui::Label::new(RichText::new(facts(outline)).color(color)).truncate());
                 looked.form.show(ui);
                 ui.horizontal(|ui| {
-                    let can_open = looked.waiting.is_none();
+                    let can_open = !looked.waiting.is_busy();
                     let text = if is_folder { "Open this folder" } else { "Open" };
                     is_asked |= ui.add_enabled(can_open, egui::Button::new(text)).clicked();
                     let needs = format!("needs {} of memory", format_bytes(outline.bytes_needed()));
@@ -447,10 +446,10 @@ impl Browser {
                 });
             }
         }
-        let is_good = matches!(looked.found, Some(Ok(_))) && looked.waiting.is_none();
+        let is_good = matches!(looked.found, Some(Ok(_))) && !looked.waiting.is_busy();
         // Whoever presses enter before the header was read is not made to press it again.
         is_asked |= is_good && looked.form.opens_when_read;
-        looked.form.opens_when_read = is_asked && !is_good && looked.waiting.is_some();
+        looked.form.opens_when_read = is_asked && !is_good && looked.waiting.is_busy();
         (is_asked && is_good).then(|| request(&looked.source, looked.asked, &**servers))
     }
 }

@@ -1,10 +1,11 @@
 //! What to take of a file before it is read: channel, time, level, series and region.
 
-use egui::{RichText, Ui};
+use egui::Ui;
 use isinglass_formats::{Outline, Region, Selection};
 
-use crate::number::reader;
-use crate::panels::{named, quiet};
+use crate::panels::controls::whole;
+use crate::panels::part_pickers::{MAX_ENTRIES, label, list, numbered, time_field};
+use crate::panels::style::named;
 
 /// The choices of a person, and what the file leaves to choose.
 #[derive(Default)]
@@ -43,8 +44,8 @@ impl SelectionForm {
         }
         let channels = match outline.num_channels {
             0 | 1 => Vec::new(),
-            n => (0..n.min(MAX_ENTRIES))
-                .map(|i| numbered(i as usize, outline.channels.get(i as usize)))
+            n => (0..n.min(MAX_ENTRIES as u64) as u32)
+                .map(|i| numbered(i, outline.channels.get(i as usize)))
                 .collect(),
         };
         let level = |(i, l): (usize, &isinglass_formats::Level)| {
@@ -56,7 +57,7 @@ impl SelectionForm {
             channels,
             num_times: u32::try_from(outline.num_times).unwrap_or(u32::MAX),
             levels: outline.levels.iter().enumerate().map(level).collect(),
-            series: outline.series.iter().enumerate().map(|(i, s)| numbered(i, Some(s))).collect(),
+            series: (0..).zip(&outline.series).map(|(i, s)| numbered(i, Some(s))).collect(),
         });
     }
 
@@ -65,44 +66,20 @@ impl SelectionForm {
         let Some(choices) = &self.choices else { return };
         let chosen = &mut self.chosen;
         ui.horizontal_wrapped(|ui| {
-            let list =
-                |ui: &mut Ui, what: &str, names: &[String], of: &mut Option<u32>, shown: Option<u32>| {
-                    if names.len() < 2 {
-                        return false;
-                    }
-                    label(ui, what);
-                    let mut index = of.or(shown).unwrap_or(0) as usize;
-                    let before = index;
-                    let text = names.get(index).map_or("", String::as_str);
-                    let combo = egui::ComboBox::from_id_salt(("selection", what)).width(120.0).truncate();
-                    let combo = combo.selected_text(text).show_ui(ui, |ui| {
-                        for (i, name) in names.iter().enumerate() {
-                            ui.selectable_value(&mut index, i, name);
-                        }
-                    });
-                    named(&combo.response, egui::Role::ComboBox, what);
-                    if index != before {
-                        *of = Some(index as u32);
-                    }
-                    index != before
-                };
-            if list(ui, "series", &choices.series, &mut chosen.series, choices.shown.series) {
+            if choose(ui, "series", &choices.series, &mut chosen.series, choices.shown.series) {
                 // Another series has channels, times and levels of its own.
                 *chosen = Selection { series: chosen.series, ..Selection::default() };
                 self.takes_region = false;
             }
-            if list(ui, "level", &choices.levels, &mut chosen.level, choices.shown.level) {
+            if choose(ui, "level", &choices.levels, &mut chosen.level, choices.shown.level) {
                 self.takes_region = false;
             }
-            list(ui, "channel", &choices.channels, &mut chosen.channel, choices.shown.channel);
+            choose(ui, "channel", &choices.channels, &mut chosen.channel, choices.shown.channel);
             if choices.num_times > 1 {
                 label(ui, "time");
                 let mut time = chosen.time.or(choices.shown.time).unwrap_or(0);
                 let last = choices.num_times - 1;
-                let number = egui::DragValue::new(&mut time).range(0..=last).update_while_editing(false);
-                let number = ui.add(number.custom_parser(reader(ui)));
-                named(&number, egui::Role::SpinButton, "time");
-                if number.changed() {
+                if time_field(ui, &mut time, last).changed() {
                     chosen.time = Some(time);
                 }
                 label(ui, &format!("of 0 to {last}"));
@@ -117,29 +94,25 @@ impl SelectionForm {
                 let most = choices.whole_dims[axis];
                 let [from, to] = &mut self.region[axis];
                 label(ui, name);
-                let first = egui::DragValue::new(from).range(0..=to.saturating_sub(1));
-                let first = ui.add(first.update_while_editing(false).custom_parser(reader(ui)));
+                let first = whole(ui, from, 0..=to.saturating_sub(1));
+                let first = ui.add(first);
                 named(&first, egui::Role::SpinButton, &format!("first {name}"));
                 label(ui, "to");
-                let last = egui::DragValue::new(to).range(*from + 1..=most).update_while_editing(false);
-                let last = ui.add(last.custom_parser(reader(ui)));
+                let last = whole(ui, to, *from + 1..=most);
+                let last = ui.add(last);
                 named(&last, egui::Role::SpinButton, &format!("end of {name}"));
             }
         });
     }
 }
 
-fn numbered(i: usize, name: Option<&String>) -> String {
-    match name {
-        Some(name) if *name != i.to_string() => format!("{i}: {name}"),
-        _ => i.to_string(),
+/// A list of `names`, if there is a choice; whether the person chooses another one than `shown` or `chosen`.
+fn choose(ui: &mut Ui, what: &str, names: &[String], chosen: &mut Option<u32>, shown: Option<u32>) -> bool {
+    let mut index = chosen.or(shown).unwrap_or(0);
+    let name = |i: u32| names.get(i as usize).cloned().unwrap_or_default();
+    let is_other = names.len() > 1 && list(ui, what, names.len(), &mut index, name);
+    if is_other {
+        *chosen = Some(index);
     }
+    is_other
 }
-
-fn label(ui: &mut Ui, text: &str) {
-    let color = quiet(ui.ctx());
-    ui.label(RichText::new(text).size(12.0).color(color));
-}
-
-/// Entries of a list.
-const MAX_ENTRIES: u64 = 4096;

@@ -130,6 +130,17 @@ impl Curve {
     }
 }
 
+/// Where an opacity stands on its axis, 0 to 1. Useful opacities of matter one voxel thick go from a few thousandths to
+/// one half: the cube root gives each of them room.
+pub(crate) fn height_of(opacity: f32) -> f32 {
+    opacity.clamp(0.0, 1.0).cbrt()
+}
+
+/// The inverse of [`height_of`].
+pub(crate) fn opacity_at(height: f32) -> f32 {
+    height.clamp(0.0, 1.0).powi(3)
+}
+
 /// No voxel has a larger value, and differences of such are finite.
 const MAX_VALUE: f32 = Volume::MAX_MAGNITUDE;
 
@@ -216,5 +227,13 @@ mod tests {
         for (lo, hi) in [(1.0, 1.0), (f32::NAN, 1.0), (0.0, f32::INFINITY), (-3e38, 3e38)] {
             assert_eq!(c.with_domain(lo, hi), c, "{lo} {hi}");
         }
+    }
+
+    #[test]
+    fn the_axis_of_opacity_goes_there_and_back() {
+        for opacity in [0.0, 0.004, 0.1, 0.5, 1.0] {
+            assert!((opacity_at(height_of(opacity)) - opacity).abs() < 1e-6);
+        }
+        assert!(height_of(0.004) > 0.15, "thin matter is far enough from nothing to be taken hold of");
     }
 }

@@ -1,10 +1,8 @@
 //! The editor of the transfer function: the curve over the histogram, and what is done to all of it.
 
 mod curve;
-mod files;
 mod history;
 mod plot;
-mod scale;
 #[cfg(test)]
 mod tests;
 
@@ -12,18 +10,17 @@ use std::path::PathBuf;
 
 use egui::{RichText, Ui, vec2};
 use isinglass_core::transfer::{Domain, TransferFunction};
-use isinglass_formats::{ColorMap, ImportedTransfer};
+use isinglass_formats::{ColorMap, ImportedTransfer, import_transfers, transfer_to_toml};
 
-use crate::background::path_from_text;
-use curve::Curve;
-use files::{Files, Outcome};
-use history::History;
-use plot::{Grip, LEAST_WINDOW};
-pub(crate) use scale::ValueScale;
-pub(crate) use scale::format_in;
-
-use crate::number;
-use crate::panels::named;
+use self::curve::Curve;
+use self::history::History;
+use self::plot::{Grip, LEAST_WINDOW};
+use super::controls::{self, named_number};
+use super::file_field::{FileField, FileOutcome};
+use super::style::named;
+use super::text::format_in;
+use super::value_scale::ValueScale;
+use crate::view::{Waker, waker_of};
 
 /// The state of the editor. It shows what it is given, and tells what was made of it.
 pub(crate) struct TransferEditor {
@@ -41,12 +38,8 @@ pub(crate) struct TransferEditor {
     grip: Option<Grip>,
     view: Option<(f32, f32)>,
     is_log: bool,
-    files: Files,
-    path: String,
-    /// A file that is there, and is replaced if it is asked for once more.
-    replaces: Option<PathBuf>,
+    files: FileField<Vec<ImportedTransfer>>,
     found: Vec<ImportedTransfer>,
-    message: Option<String>,
     /// What a preset says of shading, until it is taken.
     shaded: Option<bool>,
 }
@@ -87,11 +80,8 @@ impl Default for TransferEditor {
             grip: None,
             view: None,
             is_log: true,
-            files: Files::default(),
-            path: String::new(),
-            replaces: None,
+            files: FileField::default(),
             found: Vec::new(),
-            message: None,
             shaded: None,
         }
     }
@@ -161,10 +151,13 @@ impl TransferEditor {
     }
 
     /// Reads a file of presets, and takes the first of them.
-    pub(crate) fn open(&mut self, path: PathBuf, ctx: &egui::Context) {
-        self.path = path.display().to_string();
-        self.message = None;
-        self.files.read(path, ctx);
+    pub(crate) fn open(&mut self, path: PathBuf, wake: &Waker) {
+        self.files.set_path(&path);
+        self.read(path, wake);
+    }
+
+    fn read(&mut self, path: PathBuf, wake: &Waker) {
+        self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
     }
 
     /// The editor's rows.
@@ -347,8 +340,8 @@ impl TransferEditor {
         ui.horizontal(|ui| {
             ui.label("shift");
             ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
-            let slider = ui.add(number::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
-            named_number(&slider, egui::Role::Slider, "shift of the whole curve", f64::from(shift));
+            let slider = ui.add(controls::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
+            named_number(&slider, egui::Role::Slider, "shift of the whole curve", shift);
             slider.on_hover_text("moves the whole curve along the values");
         });
         if shift != level - start {
@@ -414,36 +407,25 @@ impl TransferEditor {
     }
 
     fn file_rows(&mut self, ui: &mut Ui, scale: &ValueScale) {
-        let mut opened = None;
-        let mut saved = None;
+        let (mut is_opened, mut is_saved) = (false, false);
         ui.horizontal(|ui| {
             let width = (ui.available_width() - 96.0).max(60.0);
-            let field =
-                egui::TextEdit::singleline(&mut self.path).desired_width(width).hint_text("file of presets");
-            let field = ui.add(field);
-            if field.changed() {
-                self.replaces = None;
-                self.message = None;
-            }
-            named(&field, egui::Role::TextInput, "file of presets");
+            let field = self.files.show(ui, width, "file of presets", "file of presets");
             field.on_hover_text("TOML; ParaView's colour maps (.json); Slicer's presets.xml and .vp.json");
-            let path = path_from_text(&self.path).filter(|_| !self.files.is_busy());
+            let path = self.files.path().filter(|_| !self.files.is_busy());
             let open = ui.add_enabled(path.is_some(), egui::Button::new("open"));
-            if open.on_hover_text("or drop a file on the window").clicked() {
-                opened.clone_from(&path);
-            }
-            let save = if self.replaces.is_some() { "replace" } else { "save" };
-            if ui.add_enabled(path.is_some(), egui::Button::new(save)).on_hover_text("as TOML").clicked() {
-                saved = path;
-            }
+            is_opened = open.on_hover_text("or drop a file on the window").clicked();
+            let save = if self.files.is_replacing() { "replace" } else { "save" };
+            let save = ui.add_enabled(path.is_some(), egui::Button::new(save)).on_hover_text("as TOML");
+            is_saved = save.clicked();
         });
-        if let Some(path) = opened {
-            self.message = None;
-            self.files.read(path, ui.ctx());
+        let wake = waker_of(ui.ctx());
+        if let Some(path) = self.files.path().filter(|_| is_opened) {
+            self.read(path, &wake);
         }
-        if let Some(path) = saved {
-            let replaces = self.replaces.take().is_some_and(|p| p == path);
-            self.files.write(path, &self.curve.transfer, replaces, ui.ctx());
+        if is_saved {
+            let no_path = |_: &str| Err("name a file".into());
+            self.files.write(&wake, transfer_to_toml(&self.curve.transfer), no_path);
         }
         if self.found.len() > 1 {
             let mut chosen = None;
@@ -461,25 +443,15 @@ impl TransferEditor {
                 self.take_imported(i, scale);
             }
         }
-        if let Some(message) = &self.message {
+        if let Some(message) = &self.files.message {
             ui.add(egui::Label::new(RichText::new(message).size(11.0)).wrap());
         }
     }
 
     fn take_outcome(&mut self, scale: &ValueScale) {
-        match self.files.take() {
-            None => {}
-            Some(Outcome::Read(found)) => {
-                self.found = found;
-                self.message = None;
-                self.take_imported(0, scale);
-            }
-            Some(Outcome::Written(path)) => self.message = Some(format!("saved as {}", path.display())),
-            Some(Outcome::Exists(path)) => {
-                self.message = Some("there is such a file; press again to replace it".into());
-                self.replaces = Some(path);
-            }
-            Some(Outcome::Failed(problem)) => self.message = Some(problem),
+        if let Some(Ok(FileOutcome::Read(found))) = self.files.take() {
+            self.found = found;
+            self.take_imported(0, scale);
         }
     }
 
@@ -491,7 +463,7 @@ impl TransferEditor {
                 self.shaded = item.shaded();
                 self.take(transfer, scale);
             }
-            Err(e) => self.message = Some(format!("{}: {e}", item.name())),
+            Err(e) => self.files.message = Some(format!("{}: {e}", item.name())),
         }
     }
 }
@@ -507,20 +479,13 @@ fn number(
 ) -> egui::Response {
     ui.label(name);
     let before = *value;
-    let field = number::field(ui, value, |v| format_in(v, span));
+    let field = controls::field(ui, value, |v| format_in(v, span));
     let response = ui.add(field.speed(speed).range(range));
     if !value.is_finite() {
         *value = before;
     }
-    named_number(&response, egui::Role::SpinButton, name, f64::from(*value));
+    named_number(&response, egui::Role::SpinButton, name, *value);
     response
-}
-
-fn named_number(response: &egui::Response, role: egui::Role, name: &str, value: f64) {
-    response.widget_info(|| egui::WidgetInfo {
-        value: Some(value),
-        ..egui::WidgetInfo::labeled(role, true, name)
-    });
 }
 
 /// Lists of presets and colour maps are seen whole.

@@ -6,9 +6,10 @@ use egui::{
 };
 
 use super::TransferEditor;
-use super::curve::Curve;
-use super::scale::{ValueScale, format_in, format_value, height_of, opacity_at};
-use crate::pointer::notches_of;
+use super::curve::{Curve, height_of, opacity_at};
+use crate::input::pointer::notches_of;
+use crate::panels::text::{format_in, format_value};
+use crate::panels::value_scale::ValueScale;
 
 /// What the pointer holds, and the curve when it took hold.
 #[derive(Clone, Debug)]
@@ -134,7 +135,7 @@ impl TransferEditor {
             (PointerButton::Primary, None) => {
                 let Some((curve, index)) = self.curve.with_point(plot.value(pos.x), plot.opacity(pos.y))
                 else {
-                    self.message = Some("no more points: there are 256".into());
+                    self.files.message = Some("no more points: there are 256".into());
                     return;
                 };
                 self.change(curve);
@@ -279,7 +280,7 @@ impl TransferEditor {
                 self.change(curve);
                 self.selected = Some(index);
             }
-            None => self.message = Some("no more points: there are 256".into()),
+            None => self.files.message = Some("no more points: there are 256".into()),
         }
     }
 

@@ -284,7 +284,7 @@ fn files_are_saved_asked_about_before_they_are_replaced_and_opened_again() {
     let at = point(&h, 3);
     drag(&mut h, at, vec2(3.0, -20.0));
     let mine = h.state().given.clone();
-    h.state_mut().editor.path = file.display().to_string();
+    h.state_mut().editor.files.set_path(&file);
     h.run();
     click(&mut h, "save");
     wait(&mut h);
@@ -296,7 +296,7 @@ fn files_are_saved_asked_about_before_they_are_replaced_and_opened_again() {
     wait(&mut h);
     assert_eq!(h.state().given, mine, "what was there is there still");
     choose(&mut h, "preset", "mri");
-    h.state_mut().editor.replaces = None;
+    h.state_mut().editor.files.forget_that_it_exists();
     h.run();
     click(&mut h, "save");
     wait(&mut h);

@@ -21,9 +21,9 @@ mod recents;
 mod states;
 
 use super::*;
-use crate::novel_view::{LAYERS, NovelViews};
-use crate::window::WindowOptions;
-use crate::window_walk::{assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside};
+use crate::app::options::WindowOptions;
+use crate::app::tests::window_walk::{assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside};
+use crate::paint::novel_view::{LAYERS, NovelViews};
 
 /// A server that lets in and says what it has, and renders nothing; it ends with the runtime.
 fn porter(volume: &Volume) -> (tokio::runtime::Runtime, Vec<Link>) {
