@@ -6,7 +6,7 @@
 //! renders no volume and knows nothing of the wire: frames come from `isinglass-net`, the ray caster from
 //! `isinglass-gpu`.
 //!
-//! A folder uses only those above it; `tests/tests/architecture.rs` checks that.
+//! A folder uses only those above it; `tests/tests/module_order.rs` checks that.
 //!
 //! | folder | responsibility |
 //! |---|---|

@@ -1,9 +1,8 @@
 //! What is left of the picture when a frame rate has to be held (Gupta 2022, table 2): SSIM of the coarser cast against
 //! the full cast of the same frame.
 //!
-//! Two ways of casting more coarsely stand side by side. `samples` thins the samples along each ray, as the paper
-//! does, by the largest number that is fast enough; `control` is what the viewer does, by the viewer's own controller
-//! on the times that its choices really take.
+//! The cast becomes as coarse as the viewer makes it: by the viewer's own controller, on the times that its choices
+//! really take.
 
 use std::time::Duration;
 
@@ -38,12 +37,8 @@ pub struct TargetRow {
     pub angle_deg: f32,
     /// Frames a second that were asked for.
     pub target_fps: f32,
-    /// `samples` or `control`.
-    pub by: &'static str,
     /// Side of the picture that is cast, in units of the one that is shown.
     pub scale: f32,
-    /// Samples a ray; 0: all that there is.
-    pub num_samples: u32,
     /// Time of such a cast, on the device where it has a clock.
     pub novel_view_ms: f64,
     /// Frames a second that it makes.
@@ -68,31 +63,26 @@ pub(super) fn measure(
         let truth = tasks.truth(angle)?;
         let readings = |frame| options.reconstructions.iter().map(move |&reading| (frame, reading));
         for (frame, reconstruction) in (0..tasks.frames.len()).flat_map(readings) {
-            let mut scale = Scale { tasks, frame, reconstruction, camera, by_samples: Vec::new() };
+            let mut scale = Scale { tasks, frame, reconstruction, camera };
             let Some((full, _)) = scale.cast(Quality::FULL)? else { continue };
             for &target_fps in &options.target_fps {
-                for (by, quality) in
-                    [("samples", scale.by_samples(target_fps)?), ("control", scale.by_control(target_fps)?)]
-                {
-                    let Some((shown, ms)) = scale.cast_thrice(quality)? else { continue };
-                    rows.push(TargetRow {
-                        scene: source.name.clone(),
-                        backend: backend.description(),
-                        method: scale.tasks.frames[frame].rule.name(),
-                        reconstruction: reconstruction_name(reconstruction),
-                        k: scale.tasks.frames[frame].k(),
-                        frame_size: scale.tasks.frames[frame].size(),
-                        angle_deg: options.subject.angles_degrees[angle],
-                        target_fps,
-                        by,
-                        scale: quality.scale,
-                        num_samples: quality.num_samples,
-                        novel_view_ms: ms,
-                        fps: 1e3 / ms,
-                        ssim: error_between(&shown, &full)?.ssim,
-                        ssim_truth: error_between(&shown, &truth)?.ssim,
-                    });
-                }
+                let quality = scale.by_control(target_fps)?;
+                let Some((shown, ms)) = scale.cast_thrice(quality)? else { continue };
+                rows.push(TargetRow {
+                    scene: source.name.clone(),
+                    backend: backend.description(),
+                    method: scale.tasks.frames[frame].rule.name(),
+                    reconstruction: reconstruction_name(reconstruction),
+                    k: scale.tasks.frames[frame].k(),
+                    frame_size: scale.tasks.frames[frame].size(),
+                    angle_deg: options.subject.angles_degrees[angle],
+                    target_fps,
+                    scale: quality.scale,
+                    novel_view_ms: ms,
+                    fps: 1e3 / ms,
+                    ssim: error_between(&shown, &full)?.ssim,
+                    ssim_truth: error_between(&shown, &truth)?.ssim,
+                });
             }
         }
     }
@@ -102,7 +92,7 @@ pub(super) fn measure(
 /// A table for people.
 pub(super) fn table(rows: &[TargetRow]) -> String {
     let mut text = format!(
-        "{:<18} {:<21} {:<7} {:>2} {:>9} {:>5} {:>6}  {:<8} {:>5} {:>7} {:>8} {:>7} {:>6} {:>6}  {}\n",
+        "{:<18} {:<21} {:<7} {:>2} {:>9} {:>5} {:>6} {:>5} {:>8} {:>7} {:>6} {:>6}  {}\n",
         "scene",
         "method",
         "lists",
@@ -110,9 +100,7 @@ pub(super) fn table(rows: &[TargetRow]) -> String {
         "frame",
         "turn",
         "target",
-        "by",
         "scale",
-        "samples",
         "view ms",
         "fps",
         "ssim",
@@ -120,9 +108,8 @@ pub(super) fn table(rows: &[TargetRow]) -> String {
         "on"
     );
     for r in rows {
-        let samples = if r.num_samples == 0 { "all".to_owned() } else { r.num_samples.to_string() };
         text += &format!(
-            "{:<18} {:<21} {:<7} {:>2} {:>9} {:>4.0}° {:>6.0}  {:<8} {:>5.2} {:>7} {:>8.2} {:>7.1} {:>6.4} {:>6.4}  {}\n",
+            "{:<18} {:<21} {:<7} {:>2} {:>9} {:>4.0}° {:>6.0} {:>5.2} {:>8.2} {:>7.1} {:>6.4} {:>6.4}  {}\n",
             r.scene,
             r.method,
             r.reconstruction,
@@ -130,9 +117,7 @@ pub(super) fn table(rows: &[TargetRow]) -> String {
             format!("{}x{}", r.frame_size[0], r.frame_size[1]),
             r.angle_deg,
             r.target_fps,
-            r.by,
             r.scale,
-            samples,
             r.novel_view_ms,
             r.fps,
             r.ssim,
@@ -149,8 +134,6 @@ struct Scale<'a, 'b> {
     frame: usize,
     reconstruction: Reconstruction,
     camera: Camera,
-    /// Milliseconds of the first of [`SAMPLES`].
-    by_samples: Vec<f64>,
 }
 
 impl Scale<'_, '_> {
@@ -159,8 +142,7 @@ impl Scale<'_, '_> {
     fn cast(&mut self, quality: Quality) -> Result<Option<(Picture, f64)>, BenchError> {
         let smaller = quality.size_of(self.camera.intrinsics);
         let camera = Camera { intrinsics: smaller, ..self.camera };
-        let (num_samples, reconstruction) = (quality.num_samples, self.reconstruction);
-        let cast = CastOptions { num_samples, reconstruction, ..CastOptions::default() };
+        let cast = CastOptions { reconstruction: self.reconstruction, ..CastOptions::default() };
         let made = self.tasks.cast(self.frame, &camera, &cast)?;
         Ok(made.map(|(picture, time)| (stretch(&picture, &smaller, &self.camera), time.best())))
     }
@@ -172,22 +154,6 @@ impl Scale<'_, '_> {
             ms = self.cast(quality)?.map_or(ms, |(_, again)| ms.min(again));
         }
         Ok(Some((picture, ms)))
-    }
-
-    /// Everything, or else the greatest number of samples that is fast enough, or else the least.
-    fn by_samples(&mut self, target_fps: f32) -> Result<Quality, BenchError> {
-        let target_ms = 1e3 / f64::from(target_fps);
-        for (i, num_samples) in SAMPLES.into_iter().enumerate() {
-            let quality = Quality { scale: 1.0, num_samples, keeps: false };
-            if i == self.by_samples.len() {
-                let ms = self.cast_thrice(quality)?.map_or(0.0, |(_, ms)| ms);
-                self.by_samples.push(ms);
-            }
-            if self.by_samples[i] <= target_ms {
-                return Ok(quality);
-            }
-        }
-        Ok(Quality { scale: 1.0, num_samples: SAMPLES[SAMPLES.len() - 1], keeps: false })
     }
 
     /// Where the viewer's controller comes to rest while the camera moves.
@@ -213,8 +179,6 @@ impl Scale<'_, '_> {
     }
 }
 
-/// Samples a ray from all to few, by halves.
-const SAMPLES: [u32; 9] = [0, 256, 128, 64, 32, 16, 8, 4, 2];
 /// What the controller's clock goes on for a cast, at least: it waits 0.4 s before it tries a finer step, and casts that
 /// only pass the time would tell nothing.
 const REFRESH: Duration = Duration::from_millis(100);

@@ -1,4 +1,4 @@
-//! The dialog over the picture that opens a file of this machine: another volume, a state, or colours and opacities.
+//! The dialog over the picture that opens a file: another volume, a state, or colours and opacities.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,31 +9,30 @@ use crate::panels::browser::{Browser, Chosen};
 use crate::view::local_servers::LocalServers;
 use crate::view::waker_of;
 
-/// See the module.
 #[derive(Default)]
 pub(crate) struct OpenDialog {
     is_open: bool,
-    /// From the first time on.
+    /// Made when the dialog opens for the first time.
     browser: Option<Browser>,
-    /// Who opens volumes in this window, and the bytes of the one before; none: nobody does.
+    /// What opens volumes in this window, and the size of the volume shown, bytes; none: volumes do not open here.
     volumes: Option<(Arc<dyn LocalServers>, u64)>,
-    /// Where the list begins.
+    /// Where the list starts.
     folder: Option<PathBuf>,
 }
 
 impl OpenDialog {
-    /// Volumes are opened by `servers` beside the bytes `held`; the list begins with `folder`.
+    /// See `ViewerApp::offer_volumes`.
     pub(crate) fn offer_volumes(&mut self, servers: Arc<dyn LocalServers>, held: u64, folder: &Path) {
         self.volumes = Some((servers, held));
         self.folder.get_or_insert_with(|| folder.to_owned());
     }
 
-    /// Whether the keyboard is the dialog's.
+    /// Whether the dialog has the keyboard.
     pub(crate) fn is_open(&self) -> bool {
         self.is_open
     }
 
-    /// Opens it, with the keyboard in its list.
+    /// Opens the dialog and gives its list the keyboard.
     pub(crate) fn open(&mut self, ctx: &Context) {
         self.is_open = true;
         let browser = self.browser.get_or_insert_with(|| {
@@ -44,7 +43,7 @@ impl OpenDialog {
         browser.focus();
     }
 
-    /// Shows it if it is open; what shall be opened.
+    /// Shows the dialog if it is open; returns the file to open.
     pub(crate) fn show(&mut self, ctx: &Context) -> Option<Chosen> {
         let browser = self.browser.as_mut().filter(|_| self.is_open)?;
         let room = ctx.content_rect().size() - vec2(60.0, 110.0);

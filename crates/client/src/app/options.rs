@@ -1,4 +1,4 @@
-//! What whoever opens a window sets.
+//! What whoever opens a window can set.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -15,9 +15,9 @@ use crate::paint::stereo::Stereo;
 use crate::view::foresight::Foresight;
 use crate::view::viewing::FrameSize;
 
-/// What a window needs to know beside where its frames come from.
+/// The settings of a window.
 pub struct WindowOptions {
-    /// Who renders, as the person at the viewer knows it.
+    /// The name of the server for the person at the viewer.
     pub server_name: String,
     /// Width and height of the picture, points.
     pub size: [u32; 2],
@@ -27,34 +27,33 @@ pub struct WindowOptions {
     pub fov_y: f32,
     /// Whether rays are parallel at first.
     pub is_orthographic: bool,
-    /// Size of the frames that are asked for.
+    /// Size of the requested frames.
     pub frame_size: FrameSize,
     /// Whether the picture is for two eyes at first.
     pub stereo: Stereo,
-    /// What is asked for beyond the picture of the moment.
+    /// What is requested beyond the present picture.
     pub foresight: Foresight,
-    /// While the camera moves, the picture is cast as finely as so many refreshes a second allow; none: as many as the display
-    /// makes.
+    /// Refreshes a second to hold while the camera moves, by a coarser picture if needed; none: the display's rate.
     pub refresh_hz: Option<f32>,
     /// Whether numbers, axes and scale bar are shown at first.
     pub shows_overlay: bool,
-    /// Turns the camera by itself, for pictures of a moving view; 0: not.
+    /// Turns the camera by itself, degrees a second; 0: it stays.
     pub auto_orbit_degrees_per_second: f32,
     /// Other methods than the ray cast to choose from.
     pub novel_views: Vec<Box<dyn NovelView>>,
-    /// The name of the one that is shown at first, or [`LAYERS`].
+    /// The name of the method at first, or [`LAYERS`].
     pub novel_view: &'static str,
-    /// What is shown at first in place of the first view.
+    /// Shown instead of the first view.
     pub state: Option<SavedState>,
     /// Whether `size` is that of the state's picture, in pixels.
     pub state_sets_size: bool,
-    /// What the server was given to open, where that is known, for states that are saved.
+    /// What the server opened, if known; a saved state names it.
     pub volume_source: Option<VolumeSource>,
-    /// The server's link, for links to what is seen.
+    /// The server's link, from which links to the view are made.
     pub link: Option<Link>,
     /// What keys and mouse do.
     pub bindings: Bindings,
-    /// Is given the way of the camera.
+    /// Records the path of the camera.
     pub recorder: Option<Arc<Mutex<CameraPath>>>,
     /// Watches every refresh, for tests and pictures of the window.
     pub script: Option<Script>,
@@ -87,10 +86,10 @@ impl Default for WindowOptions {
     }
 }
 
-/// Longest time the server should need for a frame while the camera moves: that of a long round trip. With half of it,
-/// a server without a GPU sends frames so coarse that the eye minds them more than their age.
+/// The longest time a server may need for a frame while the camera moves: that of a long round trip. With half of it,
+/// frames of a server without a GPU are so coarse that they look worse than older ones.
 const MOVING_BUDGET: Duration = Duration::from_millis(300);
-/// Refreshes a second of a display that does not tell.
+/// Refreshes a second if the display does not tell its rate.
 pub(crate) const USUAL_HZ: f32 = 60.0;
-/// Vertical field of view if none is named, degrees.
+/// Default vertical field of view, degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 40.0;

@@ -1,4 +1,4 @@
-//! A script that watches every refresh of a window, for tests and pictures of the window.
+//! Scripts that watch every refresh of a window, for tests and pictures of the window.
 
 use std::time::Duration;
 
@@ -8,24 +8,24 @@ use crate::view::waits::Waits;
 /// Is called after every refresh and says what to do next.
 pub type Script = Box<dyn FnMut(&Probe) -> ScriptStep>;
 
-/// What a script sees.
+/// What a script sees of a refresh.
 #[derive(Clone)]
 pub struct Probe {
     /// Time since the window opened.
     pub now: Duration,
     /// What is drawn; none before the volume is known.
     pub refresh: Option<Refresh>,
-    /// How many refreshes before this one had to wait for anything.
+    /// How many refreshes before this one had to wait.
     pub waits: Waits,
 }
 
-/// What a script wants.
+/// What a script asks for.
 pub enum ScriptStep {
     /// Nothing.
     Continue,
-    /// A picture of the window as it is drawn at this refresh.
+    /// Capture the window as this refresh draws it.
     Capture(Box<dyn FnOnce(Shot) + Send>),
-    /// The end.
+    /// Close the window.
     Close,
 }
 

@@ -1,4 +1,4 @@
-//! The panes of the window that ask for something: look, parts of the file, pictures to keep, the value under the pointer.
+//! Places the panels that ask for something: look, parts of the file, screenshots and the probe.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
 use isinglass_net::State;
 
-use super::side_panel::{self, Settings};
+use super::side_panel::{self, LookSettings};
 use super::{ViewerApp, is_free};
 use crate::paint::view_aids::{self, pixel_at};
 use crate::panels::browser::Chosen;
@@ -21,7 +21,7 @@ use crate::view::viewing::Refresh;
 use crate::view::waker_of;
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// How much of the window's right is taken by the look panel, points.
+    /// What the side panel takes of the window's right, points.
     pub(crate) fn right_width(&self) -> f32 {
         if self.is_look_open { side_panel::OPEN_WIDTH } else { 0.0 }
     }
@@ -31,7 +31,8 @@ impl<S: FrameSource> ViewerApp<S> {
         self.right_width().max(side_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
     }
 
-    /// What is taken at the top: panes lie between the numbers and the buttons, or below these where there is too little room.
+    /// The room taken at the top. Panes lie between the numbers and the buttons, or below these if there is too
+    /// little room.
     pub(crate) fn taken_at_top(&self, ctx: &egui::Context) -> Taken {
         let right = self.right_width_at_top();
         let left = if self.shows_overlay { status::width_taken(ctx, right) } else { 0.0 };
@@ -44,7 +45,7 @@ impl<S: FrameSource> ViewerApp<S> {
         Taken { left, right: self.right_width(), edge: BUTTONS_HEIGHT }
     }
 
-    /// What is taken at the bottom: panes lie beside axes and scale bar, or above them where there is too little room.
+    /// The room taken at the bottom. Panes lie beside axes and scale bar, or above them if there is too little room.
     pub(crate) fn taken_at_bottom(&self, ctx: &egui::Context) -> Taken {
         let corner = if self.aids.shows_axes { view_aids::CORNER } else { Vec2::ZERO };
         let (right, edge) = (self.right_width(), self.parts_bar.height());
@@ -56,10 +57,10 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// What a picture to keep shows: what is seen, whatever the projection.
+    /// What a screenshot shows: the present view.
     fn subject(&self, camera: &Camera) -> Option<Subject> {
         let (bounds, controls) = self.controls.as_ref()?;
-        // Of two eyes that each have half of the window, what one has in all of it.
+        // In stereo with half a window for each eye, a screenshot shows the view of one eye in the whole window.
         let camera = match self.window.filter(|_| !self.stereo().is_mono()) {
             Some(window) if self.is_orthographic => controls.parallel_camera(window, bounds),
             Some(window) => controls.camera(window, bounds),
@@ -76,7 +77,7 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Goes on with pictures to keep, and shows their dialog and progress.
+    /// Continues screenshots, and shows their dialog and progress.
     pub(super) fn show_screenshots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
         let is_connected = self.viewing.source().state() == State::Connected;
@@ -91,11 +92,11 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
             }
         }
-        // A look that waits goes first: the picture is to be made with it.
+        // The server must know the newest look before it renders.
         let (is_ready, taken) = (self.viewing.look_due().is_none(), self.taken_at_top(ctx));
         let source = self.viewing.source_mut();
         let done = match source.state() {
-            // None will come any more.
+            // No picture can come any more.
             State::Refused(_) => self.screenshots.end(source, ctx),
             _ => self.screenshots.poll(source, is_ready, ctx),
         };
@@ -105,7 +106,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// Asks for the value under the pointer, and shows what is known of it.
+    /// Requests the value under the pointer, and shows it.
     pub(super) fn show_probe(
         &mut self,
         ctx: &egui::Context,
@@ -113,7 +114,7 @@ impl<S: FrameSource> ViewerApp<S> {
         rect: egui::Rect,
         refresh: &Refresh,
     ) {
-        // A dialog is not to be covered, whoever opens it while the pointer rests.
+        // The probe must not cover a dialog.
         let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
         if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
@@ -141,7 +142,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
     }
 
-    /// A drag over the picture moves the light.
+    /// Moves the light by a drag over the picture.
     pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
         let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
         let lighting = light::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
@@ -156,7 +157,7 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let world_from_view = self.world_from_view();
         let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
-        let mut settings = Settings {
+        let mut settings = LookSettings {
             look: (*look).clone(),
             frame_size: self.viewing.frame_size,
             methods: &self.novel_views.names,
@@ -174,7 +175,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let files = &mut self.state_files;
         let wish =
             side_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
-        let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
+        let LookSettings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } =
+            settings;
         let shown = (
             self.novel_views.selected,
             self.viewing.frame_size,
@@ -183,7 +185,7 @@ impl<S: FrameSource> ViewerApp<S> {
             self.is_orthographic,
         );
         if (method, frame_size, stereo, aids, is_orthographic) != shown {
-            // The picture beneath has been drawn already.
+            // The picture beneath is drawn already.
             ctx.request_repaint();
         }
         self.novel_views.selected = method;
@@ -201,7 +203,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
-            // The picture is to say that it is older, and the pace may hold the look back.
+            // The picture has to be labelled as older.
             ctx.request_repaint();
         }
         if let Some(wish) = wish {
@@ -209,7 +211,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// The dialog that opens files, and what comes of it.
+    /// Shows the file dialog and opens the chosen file.
     pub(super) fn show_open_dialog(&mut self, ctx: &egui::Context) {
         match self.open_dialog.show(ctx) {
             Some(Chosen::Volume(request)) => self.wanted_volume = Some(request),
@@ -243,15 +245,13 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
-/// The button to the page of volumes and servers, with a gap beside it.
+/// Width of the button that leads to the start page, with a gap, points.
 const OPEN_BUTTON_WIDTH: f32 = 64.0;
-/// From the window's upper edge, with a gap below, less that of a pane.
+/// Height of the buttons from the window's upper edge, with a gap below, less that of a pane, points.
 const BUTTONS_HEIGHT: f32 = 42.0;
-/// Of a pane at the top.
+/// Least width of a pane at the top, points.
 const LEAST_ROOM_AT_TOP: f32 = 180.0;
-/// Of a pane at the bottom.
+/// Least width of a pane at the bottom, points.
 const LEAST_ROOM: f32 = 280.0;
-/// Files are the server's.
 const NO_SERVER_FOR_PART: &str = "Nothing else can be opened: there is no connection to the server";
-/// Pictures to keep are the server's work.
 const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";

@@ -1,4 +1,4 @@
-//! The panel at the right: transfer function, how frames are made, and what is drawn around them.
+//! The panel at the right. It composes the panels of the look, the frames, the clip, the view and the state.
 
 use egui::{Align2, RichText, Ui, vec2};
 use glam::Vec3;
@@ -19,49 +19,39 @@ use crate::panels::value_scale::ValueScale;
 use crate::panels::{clip, light, mode};
 use crate::view::viewing::FrameSize;
 
-/// What is set in the panel beside the transfer function.
-pub(crate) struct Settings<'a> {
-    /// The server's frames.
+/// What the panel shows and changes beside the transfer function.
+pub(crate) struct LookSettings<'a> {
     pub(crate) look: Look,
-    /// Their size.
     pub(crate) frame_size: FrameSize,
-    /// The methods to choose from.
     pub(crate) methods: &'a [&'static str],
-    /// The one chosen.
+    /// Index in `methods`.
     pub(crate) method: usize,
-    /// The picture for two eyes.
     pub(crate) stereo: Stereo,
-    /// What is drawn around the picture.
     pub(crate) aids: ViewAids,
-    /// Whether rays are parallel.
     pub(crate) is_orthographic: bool,
-    /// The handles of the clip.
     pub(crate) clip_editor: &'a mut ClipEditor,
-    /// The volume's box.
     pub(crate) bounds: Aabb,
-    /// Of its lengths, if known.
+    /// Unit of length, if known.
     pub(crate) unit: Option<&'a str>,
-    /// The viewing direction.
+    /// Viewing direction, world space.
     pub(crate) forward: Vec3,
-    /// For hints.
     pub(crate) bindings: &'a Bindings,
-    /// How the camera of the picture is turned.
     pub(crate) world_from_view: glam::Quat,
 }
 
-/// Shows the panel, open or folded, and changes what was set; the answer is what to do with states.
+/// Shows the panel, open or folded, and changes the settings. Returns what to do with states.
 pub(crate) fn show(
     ctx: &egui::Context,
     is_open: &mut bool,
     editor: &mut TransferEditor,
     scale: &ValueScale,
-    settings: &mut Settings<'_>,
+    settings: &mut LookSettings<'_>,
     state_files: &mut StateFiles,
 ) -> Option<StateWish> {
     let mut wish = None;
-    // Two areas: one would keep the width of the open panel.
+    // One area for both would keep the width of the open panel.
     let area_id = egui::Id::unique(if *is_open { "look" } else { "look, folded" });
-    // All of the window's height but for the title and the margins; what does not fit is scrolled to.
+    // The window's height without title and margins; the rest scrolls.
     let height = (ctx.content_rect().height() - 70.0).max(100.0);
     let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
     area.show(ctx, |ui| {
@@ -76,7 +66,8 @@ pub(crate) fn show(
                 return;
             }
             ui.set_width(PANEL_WIDTH);
-            // An area is as high as it was before: without a least height it would never grow with its content.
+            // An area keeps its height of the refresh before: without a least height it would never grow with its
+            // content.
             let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
             scroll.show(ui, |ui| {
                 ui.set_width(PANEL_WIDTH);
@@ -87,7 +78,8 @@ pub(crate) fn show(
                 });
                 section(ui, "Frames", false, |ui| frames(ui, settings));
                 section(ui, "Clip", false, |ui| {
-                    let Settings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
+                    let LookSettings { look, clip_editor, bounds, unit, forward, bindings, .. } =
+                        &mut *settings;
                     clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
                 });
                 section(ui, "View", false, |ui| view(ui, settings));
@@ -103,8 +95,8 @@ fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui
     header.show_unindented(ui, content);
 }
 
-fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
-    let Settings { look, frame_size, methods, method, stereo, .. } = settings;
+fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
+    let LookSettings { look, frame_size, methods, method, stereo, .. } = settings;
     egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         row(ui, "shading", "by gradients, with a light fixed in the world", |ui| {
             ui.checkbox(&mut look.shaded, "")
@@ -136,14 +128,12 @@ fn frames(ui: &mut Ui, settings: &mut Settings<'_>) {
         row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
             percent(ui, &mut frame_size.scale, 25.0..=100.0)
         });
-        // Only the ray cast has two eyes.
         if *method == 0 {
             stereo_rows(ui, stereo);
         }
     });
 }
 
-/// Mode and eye distance.
 fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     row(ui, "stereo", "two eyes, side by side or for red-cyan glasses", |ui| {
         let combo = egui::ComboBox::from_id_salt("stereo").selected_text(stereo.mode.name());
@@ -162,7 +152,7 @@ fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     });
 }
 
-fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
+fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let projection = settings.bindings.with_key("projection", Action::Projection);
     ui.horizontal(|ui| {
         ui.label(projection);
@@ -200,9 +190,9 @@ fn view(ui: &mut Ui, settings: &mut Settings<'_>) {
     });
 }
 
-/// Room for nine points of a curve, and for a third of a small screen beside it.
+/// Room for nine points of a curve, and for a third of a small screen beside it, points.
 const PANEL_WIDTH: f32 = 312.0;
-/// What the folded panel takes of the window's right, with a gap beside it.
+/// What the folded panel takes of the window's right, with a gap, points.
 pub(crate) const FOLDED_WIDTH: f32 = 74.0;
-/// What the open panel takes of the window's right, with a gap beside it.
+/// What the open panel takes of the window's right, with a gap, points.
 pub(crate) const OPEN_WIDTH: f32 = PANEL_WIDTH + 40.0;

@@ -1,4 +1,4 @@
-//! What is seen as a saved state, and back: from a file, a link, or the command line.
+//! From the view to a saved state, and back from a file, a link or the command line.
 
 use std::time::Duration;
 
@@ -24,23 +24,23 @@ use crate::view::waker_of;
 /// A state that is to be shown.
 pub(super) struct ComingState {
     read: ReadState,
-    /// Whether it was shown already, of what was there.
+    /// Whether it is shown already, as far as the present volume allows.
     is_shown: bool,
-    /// Whether it was told that it waits for a connection.
+    /// Whether the person knows that it waits for a connection.
     is_told: bool,
     asked: Option<AskedPart>,
-    /// Until then the server may say what its file holds.
+    /// The server may list the parts of its file until then.
     until: Option<Duration>,
 }
 
-/// The part of the file that the server was asked for.
+/// The part of the file that was requested from the server.
 #[derive(Clone, Copy)]
 struct AskedPart {
     part: Part,
-    /// The server's newest load then.
+    /// The server's newest load when the part was requested.
     before: LoadId,
     step: AskedStep,
-    /// Until then the next step is to come. What the server told last stays told, so it is a step only once.
+    /// The next step must come before then. The server's last message stays visible, so a step counts once.
     until: Duration,
 }
 
@@ -50,7 +50,7 @@ enum AskedStep {
     Reading {
         permille: u16,
     },
-    /// Its description is on the way, or was not what was expected.
+    /// The description is on the way, or is not the expected one.
     Read,
 }
 
@@ -65,7 +65,10 @@ impl AskedPart {
         Self { part, before, step: AskedStep::Asked, until: now + PART_PATIENCE }
     }
 
-    /// Learns how the server's newest load stands. Whether the part is still to come; or why it does not.
+    /// Follows the server's newest load. Returns whether the part may still come.
+    ///
+    /// # Errors
+    /// Why the part does not come.
     fn follow(&mut self, now: Duration, load: Option<LoadStatus>) -> Result<bool, String> {
         let step = match load.filter(|l| l.load > self.before) {
             Some(load) if load.part == self.part => match load.state {
@@ -77,7 +80,7 @@ impl AskedPart {
             Some(_) if self.step != AskedStep::Asked => {
                 return Err("another part of the file was asked for than it is of".into());
             }
-            // What others have asked for before.
+            // A load that was requested before.
             Some(_) | None => self.step,
         };
         if step != self.step {
@@ -99,7 +102,7 @@ impl AskedPart {
 }
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// All that is seen, and how, in a window whose picture is `picture`. None before the volume is known.
+    /// Everything that is seen, in a window whose picture is `picture`. None before the volume is known.
     pub(super) fn saved_state(&self, ctx: &egui::Context, picture: Intrinsics) -> Option<SavedState> {
         let description = self.viewing.source().description()?;
         let (_, controls) = self.controls.as_ref()?;
@@ -109,7 +112,7 @@ impl<S: FrameSource> ViewerApp<S> {
             None => SavedVolume { server: self.options.link.as_ref().map(Link::place), ..volume },
         };
         let volume = match self.viewing.source().parts() {
-            // The part may have been changed since.
+            // The part may have changed since the server opened the file.
             Some(parts) => save_part(volume, &parts.shown),
             None => volume,
         };
@@ -141,7 +144,7 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Shows what a state says of the volume that is there. What cannot be as it says is the answer, in one line.
+    /// Shows what a state says of the present volume. Returns one line about what cannot be shown as it says.
     fn restore(
         &mut self,
         ctx: &egui::Context,
@@ -197,8 +200,8 @@ impl<S: FrameSource> ViewerApp<S> {
         note
     }
 
-    /// Takes the states that have arrived since the last refresh: from the command line, as soon as there is a volume to show;
-    /// from files; from a drop; or from a link in the clipboard.
+    /// Takes states that arrived since the last refresh: from the command line, files, drops, or links in the
+    /// clipboard.
     pub(super) fn take_states(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics) {
         if self.viewing.source().description().is_none() || self.viewing.look().is_none() {
             return;
@@ -208,7 +211,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 && ctx.pixels_per_point() != 1.0
                 && self.options.state_sets_size
             {
-                // The window was opened before it was known how many pixels a point has.
+                // The number of pixels a point was not known when the window opened.
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
                 ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height)));
             }
@@ -223,7 +226,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 None
             }
             Some(Ok(FileOutcome::Read(FileContent::Other(path)))) => {
-                // What the file holds, or what is wrong with it, is said there.
+                // The editor reads the file, and says what is wrong with it.
                 self.is_look_open = true;
                 self.editor.open(path, &waker_of(ctx));
                 None
@@ -264,12 +267,12 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// A state to be shown, in place of one that is waited for.
+    /// Shows a state, in place of one that still waits.
     fn turn_to_state(&mut self, read: ReadState) {
         self.coming = Some(ComingState::new(read));
     }
 
-    /// Goes on with the state that is to be shown: first the server is asked for the part of its file that it is of.
+    /// Continues to show a state. The server is first asked for the state's part of its file.
     fn follow_state(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics) {
         let Some(mut coming) = self.coming.take() else { return };
         let source = self.viewing.source();
@@ -277,7 +280,7 @@ impl<S: FrameSource> ViewerApp<S> {
             if !coming.is_told {
                 self.notice = Some((STATE_WAITS.into(), now));
             }
-            // What was asked for may be lost. Another server may be there next.
+            // The request may be lost, and another server may come next.
             self.coming = Some(ComingState { asked: None, until: None, is_told: true, ..coming });
             return;
         }
@@ -319,7 +322,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     return;
                 }
             },
-            // The server says what its file holds as soon as it has let the viewer in, if it offers any of it.
+            // A server lists the parts of its file as soon as it lets the viewer in, if it offers any.
             (None, _) if saved.is_some_and(names_part) && now < until => {
                 if !std::mem::replace(&mut coming.is_shown, true) {
                     self.restore_with_note(ctx, now, window, &coming.read, None);
@@ -330,7 +333,7 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             (None, _) => {}
         }
-        // What a hand has changed since stays.
+        // Changes by hand since then stay.
         match (coming.is_shown, problem) {
             (true, None) => {}
             (true, problem) => self.notice = problem.map(|problem| (problem, now)),
@@ -352,7 +355,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// Whether a state is of another volume of this machine than the one that is shown, and that can be opened here.
+    /// Whether a state names another volume of this machine that can be opened in this window.
     fn is_of_other_volume(&self, state: &SavedState) -> bool {
         let named = |source: &str| match source.starts_with("builtin:") {
             true => source.into(),
@@ -362,30 +365,28 @@ impl<S: FrameSource> ViewerApp<S> {
         let wanted = state.volume.as_ref().and_then(|v| v.volume_source().ok()?);
         present.zip(wanted).is_some_and(|(present, wanted)| {
             named(&present.source) != named(&wanted.source)
-                // Of a raw file the same bytes, read otherwise. Without a shape there is no other way to read them.
+                // A raw file holds other volumes if it is read in another way. Without a shape there is no other way.
                 || (wanted.raw.is_some() && wanted.raw != present.raw)
                 || wanted.spacing != present.spacing
         })
     }
 
-    /// The line for the person at the viewer.
     #[cfg(test)]
     pub(crate) fn notice(&self) -> &str {
         self.notice.as_ref().map_or("", |(text, _)| text)
     }
 
-    /// The look that is wished for, and where the camera is.
     #[cfg(test)]
     pub(crate) fn seen(&self) -> Option<(isinglass_core::look::Look, isinglass_core::camera::Pose)> {
         Some(((*self.viewing.look()?).clone(), self.controls.as_ref()?.1.pose()))
     }
 
-    /// A state of another volume of this machine than the one that is shown; once.
+    /// A state of another volume of this machine; once.
     pub(crate) fn take_state_wish(&mut self) -> Option<Box<ReadState>> {
         self.wanted_state.take()
     }
 
-    /// Does what was asked for by key or in the panel.
+    /// Does what a key or the panel asks for.
     pub(super) fn do_state(&mut self, ctx: &egui::Context, now: Duration, wish: StateWish) {
         if wish == StateWish::Open {
             if !self.state_files.open(&waker_of(ctx)) {
@@ -408,15 +409,14 @@ impl<S: FrameSource> ViewerApp<S> {
         self.notice = Some((text.into(), now));
     }
 
-    /// A link to what is seen, for those who have a link of their own.
+    /// A link to the view for people who have access to the server.
     pub(super) fn link_to(&self, state: SavedState) -> Option<String> {
-        // Where the volume lies on a disk is not for whoever gets the link.
+        // The path on a disk is no business of the recipient.
         let volume = state.volume.map(SavedVolume::without_place);
         Some(self.options.link.as_ref()?.of_state(&state_to_link(&SavedState { volume, ..state })))
     }
 }
 
-/// In egui's terms.
 pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
     match theme {
         Theme::Dark => ThemePreference::Dark,
@@ -427,12 +427,12 @@ pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
 
 const STATE_WAITS: &str = "there is no connection to the server: the state is shown when there is one again";
 const SERVER_LINK: &str = "this link leads to a server: paste it on the page for another server or volume";
-/// How long a server that has let a viewer in may take to say what its file holds: it does so at once.
+/// How long a server may take to list the parts of its file after it lets a viewer in. It does so at once.
 const PARTS_PATIENCE: Duration = Duration::from_secs(3);
-/// How long it may take to begin to read a part, and to describe it once it is read: it does both at once, whatever it was doing.
+/// How long a server may take to begin to read a part, and to describe it afterwards. It does both at once.
 const PART_PATIENCE: Duration = Duration::from_secs(10);
-/// How long reading may stay where it is. A server tells whole percents, and the last of them before it has made ready what it
-/// read: a file of 100 GB that comes at 10 MB/s, slower than any disk, takes 100 s for one.
+/// How long reading may show no progress. A server reports whole percents: of 100 GB at 10 MB/s, slower than any
+/// disk, one takes 100 s.
 const READING_PATIENCE: Duration = Duration::from_secs(600);
 
 #[cfg(test)]

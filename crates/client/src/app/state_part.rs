@@ -1,21 +1,21 @@
-//! Which part of a server's file a state is of: its channel, time, level, series and region.
+//! Which part of a server's file a state names: its channel, time, level, series and region.
 
 use isinglass_core::wire::{Part, Parts, VolumeDescription};
 use isinglass_formats::SavedVolume;
 
-/// Where the volume of a state is, seen from what a server shows.
+/// Where a state's volume is, as seen from what the server shows.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum StatePart {
     /// It is shown, as far as can be told.
     Shown,
-    /// Another part of the file that is shown.
+    /// It is another part of the same file.
     Other(Part),
-    /// Not in this file, with a line that says why.
+    /// It is not in this file; a line says why.
     Elsewhere(String),
 }
 
 impl StatePart {
-    /// Of the volume `saved`, where `shown` is shown and the server says of its file what there is.
+    /// Finds the volume `saved`. `shown` is what the server shows, `parts` what its file holds.
     pub(crate) fn of(saved: &SavedVolume, shown: &VolumeDescription, parts: &Parts) -> Self {
         if !names_part(saved) {
             return Self::Shown;
@@ -47,7 +47,8 @@ impl StatePart {
             region,
         };
         let grid = |part: &Part| (part.level, part.series, voxels(part, parts.whole_dims));
-        // Channels and times of a file have one grid; another level or series has its own, whose size is told at most.
+        // Channels and times of a file share one grid. Another level or series has its own, of which at most the size
+        // is known.
         let is_of_file = match (wanted.series == now.series, wanted.level == now.level) {
             (true, true) if grid(&wanted) == grid(&now) => {
                 saved.dims == shown.dims && saved.spacing == shown.spacing
@@ -68,13 +69,13 @@ impl StatePart {
     }
 }
 
-/// Whether a state says of which part of a file it is.
+/// Whether a state names a part of a file.
 pub(crate) fn names_part(saved: &SavedVolume) -> bool {
     let SavedVolume { channel, time, level, series, region, .. } = saved;
     [channel, time, level, series].into_iter().any(Option::is_some) || region.is_some()
 }
 
-/// What a part is called in a state.
+/// Writes a part into a saved volume.
 pub(crate) fn save_part(volume: SavedVolume, part: &Part) -> SavedVolume {
     let &Part { channel, time, level, series, region } = part;
     let region = region.map(|ends| {
@@ -84,7 +85,7 @@ pub(crate) fn save_part(volume: SavedVolume, part: &Part) -> SavedVolume {
     SavedVolume { channel, time, level, series, region, ..volume }
 }
 
-/// The voxels of a part along each axis, where the whole has so many.
+/// The voxels of a part along each axis, if the whole has `whole` voxels.
 fn voxels(part: &Part, whole: [u64; 3]) -> [[u64; 2]; 3] {
     std::array::from_fn(|i| {
         let [from, to] = part.region.map_or([0, u32::MAX], |region| region[i]);

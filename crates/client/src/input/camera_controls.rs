@@ -1,11 +1,11 @@
-//! From pointer movements to a camera: orbit, roll, pan and zoom around a centre, the volume's at first.
+//! From pointer movements to a camera: orbit, roll, pan and zoom around a centre, at first the volume's.
 //!
-//! The camera is kept as a rotation and the eye's place *relative to the centre, in view space*: (x, y, d), where d is
-//! the view depth of the centre. Orbiting changes only the rotation, panning only x and y, zooming keeps d within
-//! bounds; so the eye can never pass the centre, and orbiting never moves the centre on the screen.
+//! The camera is a rotation and the eye's position *relative to the centre, in view space*: (x, y, d), where d is the
+//! view depth of the centre. Orbiting changes only the rotation, panning only x and y, and zooming keeps d within
+//! bounds. So the eye never passes the centre, and orbiting never moves the centre on the screen.
 //!
-//! Orbiting turns about the camera's own right and up axes, like VTK's and ParaView's trackball camera: no pole where
-//! the view flips or sticks, at the price that circling the pointer rolls the picture (`r` sets it upright again).
+//! Orbiting turns about the camera's own right and up axes, like the trackball camera of VTK and ParaView. No pole
+//! flips or stops the view, but a pointer that circles rolls the picture (`r` sets it upright again).
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
@@ -18,7 +18,7 @@ pub struct ControlInput {
     pub orbit: [f32; 2],
     /// Movement that pans.
     pub pan: [f32; 2],
-    /// Angle that the picture is turned by in its plane, radians, clockwise.
+    /// Turn in the plane of the picture, radians, clockwise.
     pub roll: f32,
     /// Natural logarithm of the magnification: positive brings the volume closer.
     pub zoom: f32,
@@ -29,7 +29,7 @@ pub struct ControlInput {
 }
 
 impl ControlInput {
-    /// The same, and what keys did. Zooming is about what the pointer says.
+    /// Adds what keys did. Zooming keeps the pointer's point in place.
     pub fn add(&mut self, keys: &Self) {
         let sum = |a: [f32; 2], b: [f32; 2]| [a[0] + b[0], a[1] + b[1]];
         self.orbit = sum(self.orbit, keys.orbit);
@@ -39,18 +39,18 @@ impl ControlInput {
         self.reset |= keys.reset;
     }
 
-    /// Whether it would leave the camera as it is.
+    /// Whether it leaves the camera as it is.
     pub fn is_idle(&self) -> bool {
         self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.roll == 0.0 && self.zoom == 0.0 && !self.reset
     }
 }
 
-/// Where the view starts and where `r` returns to, in upright space (`isinglass_core::space`).
+/// The first view, to which `r` returns, in upright space (`isinglass_core::space`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InitialOrbit {
-    /// Degrees; positive moves the eye to the right.
+    /// Degrees; a positive angle moves the eye to the right.
     pub azimuth_degrees: f32,
-    /// Degrees; positive moves the eye up.
+    /// Degrees; a positive angle moves the eye up.
     pub elevation_degrees: f32,
     /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
     pub distance_in_radii: Option<f32>,
@@ -62,12 +62,12 @@ impl Default for InitialOrbit {
     }
 }
 
-/// The camera under the user's hand.
+/// The camera in the user's hand.
 #[derive(Clone, Debug)]
 pub struct CameraControls {
     initial: InitialOrbit,
     world_from_upright: Quat,
-    /// Of the volume.
+    /// Middle of the volume.
     middle: Vec3,
     /// What the camera turns about.
     center: Vec3,
@@ -78,7 +78,7 @@ pub struct CameraControls {
 }
 
 impl CameraControls {
-    /// The first view of a volume in the box `bounds` that `world_from_upright` sets upright.
+    /// The first view of a volume in the box `bounds`, set upright by `world_from_upright`.
     pub fn new(
         initial: InitialOrbit,
         world_from_upright: Quat,
@@ -98,7 +98,7 @@ impl CameraControls {
         controls
     }
 
-    /// Back to the first view.
+    /// Returns to the first view.
     pub fn reset(&mut self, intrinsics: &Intrinsics) {
         let distance = self.initial.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance());
         self.center = self.middle;
@@ -135,8 +135,8 @@ impl CameraControls {
         before != (self.world_from_view, self.eye_from_center)
     }
 
-    /// Turns about the centre so that the near side of the volume follows the pointer: half a turn for a drag over the
-    /// shorter side of the picture.
+    /// Turns about the centre so that the near side of the volume follows the pointer. A drag over the shorter side
+    /// of the picture is half a turn.
     pub fn orbit(&mut self, [dx, dy]: [f32; 2], intrinsics: &Intrinsics) {
         let angle_per_pixel = std::f32::consts::PI / intrinsics.width.min(intrinsics.height).max(1) as f32;
         let turn = Quat::from_scaled_axis(Vec3::new(-dy, -dx, 0.0) * angle_per_pixel);
@@ -154,7 +154,7 @@ impl CameraControls {
         }
     }
 
-    /// Looks at the volume's middle from the direction `from`, `up` upwards, from as far away as before.
+    /// Looks at the volume's middle from the direction `from`, with `up` upwards, at the same distance as before.
     pub fn look_from(&mut self, from: Vec3, up: Vec3) {
         self.world_from_view = Pose::look_at(from, Vec3::ZERO, up).world_from_view;
         self.center = self.middle;
@@ -166,12 +166,12 @@ impl CameraControls {
         self.center
     }
 
-    /// Turns about another point from now on; the view stays as it is. A point that is not before the eye is refused.
+    /// Makes `center` the centre of rotation and keeps the view. A point that is not in front of the eye is refused.
     pub fn set_center(&mut self, center: Vec3) -> bool {
         self.set_center_at(center, None)
     }
 
-    /// The same where rays are parallel: a point is nowhere near to an eye, and what the picture shows stays as large.
+    /// The same for parallel rays: no point is near the eye, and the picture keeps its magnification.
     pub fn set_center_of_parallel(&mut self, center: Vec3) -> bool {
         self.set_center_at(center, Some(self.eye_from_center.z))
     }
@@ -187,7 +187,7 @@ impl CameraControls {
         is_usable
     }
 
-    /// Shifts the camera so that the centre of the volume, and all at its depth, follows the pointer.
+    /// Shifts the camera so that everything at the centre's depth follows the pointer.
     pub fn pan(&mut self, [dx, dy]: [f32; 2], intrinsics: &Intrinsics) {
         let shift = Vec3::new(-dx, dy, 0.0) * self.world_per_pixel(intrinsics);
         self.move_eye(shift);
@@ -204,19 +204,19 @@ impl CameraControls {
         }
     }
 
-    /// The pose now.
+    /// The present pose.
     pub fn pose(&self) -> Pose {
         Pose::around(self.center, self.world_from_view, self.eye_from_center)
     }
 
-    /// The rotation from view to world space, and the eye seen from the centre in view space: with
-    /// [`CameraControls::center`] all that the pose is made of.
+    /// The rotation from view to world space, and the eye relative to the centre in view space.
+    /// [`CameraControls::center`] completes the pose.
     pub fn placement(&self) -> (Quat, Vec3) {
         (self.world_from_view, self.eye_from_center)
     }
 
-    /// Puts the camera where another one's [`CameraControls::center`] and [`CameraControls::placement`] say. One that
-    /// these controls could not have brought there is refused.
+    /// Takes over another camera's [`CameraControls::center`] and [`CameraControls::placement`]. A position that
+    /// these controls cannot reach is refused.
     pub fn place(&mut self, center: Vec3, (world_from_view, eye_from_center): (Quat, Vec3)) -> bool {
         let reach = MAX_DEPTH_IN_RADII * self.radius;
         let is_usable = Pose::around(center, world_from_view, eye_from_center).is_valid()
@@ -230,13 +230,13 @@ impl CameraControls {
         is_usable
     }
 
-    /// The camera now, for a picture of the given size over a volume in `bounds`.
+    /// The camera, for a picture of the given size over a volume in `bounds`.
     pub fn camera(&self, intrinsics: Intrinsics, bounds: &Aabb) -> Camera {
         Camera::new(self.pose(), intrinsics, bounds)
     }
 
-    /// The camera of parallel rays now. It shows what lies at the depth of the centre as large as [`Self::camera`] does, for a
-    /// perspective picture of the given size; zooming changes how much that is.
+    /// The camera of parallel rays. It shows what lies at the centre's depth as large as [`Self::camera`] does in a
+    /// perspective picture of the given size. Zooming changes the height of what is seen.
     pub fn parallel_camera(&self, intrinsics: Intrinsics, bounds: &Aabb) -> Camera {
         self.camera(intrinsics, bounds).to_orthographic(self.eye_from_center.z, bounds)
     }
@@ -248,7 +248,7 @@ impl CameraControls {
 
     fn move_eye(&mut self, shift: Vec3) {
         let moved = self.eye_from_center + shift;
-        // A pointer event with NaN in it, or a pan beyond sight, is no reason to lose the volume.
+        // A pointer event with NaN in it, or a pan beyond sight, must not lose the volume.
         if moved.is_finite() && moved.truncate().length() <= MAX_DEPTH_IN_RADII * self.radius {
             self.eye_from_center = moved.with_z(self.bounded_depth(moved.z));
         }
@@ -260,8 +260,8 @@ impl CameraControls {
     }
 }
 
-/// The angle between two viewing poses as seen from the volume's centre, degrees: how far a frame made for one must
-/// be turned to serve the other.
+/// The angle between two viewing poses as seen from the volume's centre, degrees: how far a frame of one must turn to
+/// serve the other.
 pub fn angle_between_degrees(a: &Pose, b: &Pose, center: Vec3) -> f32 {
     (a.eye - center).angle_between(b.eye - center).to_degrees()
 }
@@ -270,9 +270,9 @@ pub fn angle_between_degrees(a: &Pose, b: &Pose, center: Vec3) -> f32 {
 pub const ZOOM_PER_NOTCH: f32 = 0.14;
 /// Magnification (natural logarithm) of a right drag over the whole height of the picture: about twenty times.
 pub const ZOOM_PER_HEIGHT: f32 = 3.0;
-/// Nearest that zooming brings the eye to the centre's plane: inside the volume, but never through the centre.
+/// Nearest distance from the eye to the centre's plane: inside the volume, but never through the centre.
 pub const MIN_DEPTH_IN_RADII: f32 = 0.02;
-/// Farthest that the eye goes: the volume is then a few dozen pixels.
+/// Farthest distance of the eye; the volume then covers a few dozen pixels.
 pub const MAX_DEPTH_IN_RADII: f32 = 50.0;
 /// Largest magnification of one event, so that no event overflows.
 const MAX_ZOOM_STEP: f32 = 20.0;

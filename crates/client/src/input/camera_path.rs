@@ -1,10 +1,10 @@
-//! A camera path as text: written by the viewer, played by whoever measures.
+//! A camera path as text: the viewer writes it, benchmarks play it.
 //!
-//! One line a refresh: `seconds azimuth elevation [roll distance right up]`, angles in degrees as everywhere (a positive
-//! azimuth moves the eye towards +x, a positive elevation towards +y; the roll turns the camera counter-clockwise about
-//! its viewing direction, after the other two), the rest in radii of the volume's bounding sphere: the view depth of
-//! its centre, and the shift of the eye to the right and up. Left out, the camera looks at the centre, upright, from where
-//! the sphere just fits the view. Lines that begin with `#` are remarks.
+//! One line a refresh: `seconds azimuth elevation [roll distance right up]`. Angles are in degrees: a positive
+//! azimuth moves the eye towards +x, a positive elevation towards +y. The roll turns the camera counter-clockwise
+//! about its viewing direction, after the other two. The rest is in radii of the volume's bounding sphere: the view
+//! depth of its centre, and the shift of the eye to the right and up. Without these four, the camera looks at the
+//! centre, upright, from where the sphere just fits the view. Lines that begin with `#` are remarks.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use glam::{EulerRot, Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::space::Aabb;
 
-/// Where a camera was at each of some times, for a volume of any size.
+/// Positions of a camera at increasing times, for a volume of any size.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraPath {
     keys: Vec<Key>,
@@ -23,30 +23,31 @@ pub struct CameraPath {
 struct Key {
     seconds: f32,
     world_from_view: Quat,
-    /// Eye from the volume's centre in view space, radii; none: upright before the centre, where the sphere fits.
+    /// Eye from the volume's centre in view space, radii; none: upright in front of the centre, where the sphere
+    /// fits.
     place: Option<Vec3>,
 }
 
-/// Why a text is no camera path.
+/// Why a text is not a camera path.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum CameraPathError {
-    /// A line cannot be read.
+    /// A line is unreadable.
     #[error(
         "line {line}: found {found:?}, expected seconds, azimuth, elevation and perhaps roll, distance, right, up"
     )]
     Line {
         /// Counts from 1.
         line: usize,
-        /// The line.
+        /// The text of the line.
         found: String,
     },
     /// A time is not after the one before.
     #[error("line {0}: the time is not after that of the line before")]
     Order(usize),
-    /// Nothing to play.
+    /// Too few positions, or too many.
     #[error("found {0} places of a camera, expected 2 to {MAX_KEYS}")]
     Length(usize),
-    /// Longer than anyone wants to wait.
+    /// The path is too long.
     #[error("the path is longer than {MAX_SECONDS} s")]
     Duration,
 }
@@ -80,11 +81,11 @@ impl CameraPath {
         }
     }
 
-    /// Adds where the camera is now. Times that do not ascend and places beyond the longest path are left out.
+    /// Adds the present position. A time that does not increase is left out, and so is what exceeds the longest path.
     pub fn record(&mut self, at: Duration, pose: &Pose, bounds: &Aabb) {
         let seconds = at.as_secs_f32();
         let place = pose.world_from_view.inverse() * (pose.eye - bounds.center()) / bounds.radius();
-        // A window that rests is not refreshed: the camera stayed where it was until just before.
+        // A window at rest is not refreshed: the camera stayed until just before.
         if let Some(&last) = self.keys.last()
             && seconds > last.seconds + 2.0 * REFRESH_SECONDS
             && (last.world_from_view, last.place) != (pose.world_from_view, Some(place))
@@ -99,7 +100,7 @@ impl CameraPath {
         }
     }
 
-    /// From the first place to the last.
+    /// From the first position to the last.
     pub fn duration(&self) -> Duration {
         match (self.keys.first(), self.keys.last()) {
             (Some(first), Some(last)) => Duration::from_secs_f32((last.seconds - first.seconds).max(0.0)),
@@ -107,8 +108,8 @@ impl CameraPath {
         }
     }
 
-    /// Where the camera is at a time from the first place on, before a volume in `bounds`; between two places the
-    /// way of a trackball. The first and the last place hold before and after.
+    /// The pose at a time after the first position, in front of a volume in `bounds`. Between two positions the
+    /// camera moves like a trackball. The first and last positions hold before and after.
     pub fn pose_at(&self, at: Duration, intrinsics: &Intrinsics, bounds: &Aabb) -> Option<Pose> {
         let seconds = self.keys.first()?.seconds + at.as_secs_f32();
         let after = self.keys.partition_point(|k| k.seconds <= seconds).min(self.keys.len() - 1);
@@ -116,7 +117,7 @@ impl CameraPath {
         let t = ((seconds - a.seconds) / (b.seconds - a.seconds).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
         let fit = Vec3::Z * intrinsics.fit_distance();
         let place = a.place.unwrap_or(fit).lerp(b.place.unwrap_or(fit), t);
-        // A camera that rests keeps its rotation to the bit.
+        // A camera at rest keeps its rotation to the bit.
         let world_from_view = match a.world_from_view == b.world_from_view {
             true => a.world_from_view,
             false => a.world_from_view.slerp(b.world_from_view, t).normalize(),
@@ -138,7 +139,7 @@ impl Key {
     }
 }
 
-/// The text that [`CameraPath::parse`] reads; times from 0.
+/// The text that [`CameraPath::parse`] reads; times start at 0.
 impl std::fmt::Display for CameraPath {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut text = "# seconds azimuth elevation roll distance right up\n".to_owned();
@@ -159,7 +160,7 @@ impl std::fmt::Display for CameraPath {
 /// Ten minutes at 60 Hz.
 const MAX_KEYS: usize = 36_000;
 const MAX_SECONDS: f32 = 600.0;
-/// Of a window whose camera moves.
+/// Seconds between refreshes of a window whose camera moves.
 const REFRESH_SECONDS: f32 = 1.0 / 60.0;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! From keys and mouse to actions and a camera. Knows no other folder of the crate.
+//! From keys and mouse to actions and a camera. This folder uses no other.
 
 pub(crate) mod bindings;
 pub mod camera_controls;

@@ -1,24 +1,24 @@
-//! Which way the world's axes point, and the standard views that follow from it.
+//! The directions of the world's axes, and the standard views that follow from them.
 
 use glam::{Quat, Vec3};
 use isinglass_core::space::world_from_upright;
 
 use crate::input::bindings::{Opposite, Side};
 
-/// The names of the axes' ends, and where the front and the top of the volume are.
+/// The names of the axes' ends, and where front and top of the volume are.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Orientation {
-    /// For x, y and z the letter at the positive end, and that at the negative one where the volume knows it.
+    /// For x, y and z the letter at the positive end, and at the negative end if the volume names it.
     pub(crate) letters: [(char, Option<char>); 3],
     world_from_upright: Quat,
-    /// What is up in the view from the top, upright space.
+    /// The up direction of the view from the top, upright space.
     up_from_top: Vec3,
-    /// From where the view from the right is, upright space.
+    /// The direction from which the view from the right looks, upright space.
     right: Vec3,
 }
 
 impl Orientation {
-    /// From letters such as `RAS`; without them the axes are x, y and z, z towards the viewer and y up.
+    /// From letters such as `RAS`. Without them the axes are x, y and z, with z towards the viewer and y up.
     pub(crate) fn of(letters: Option<&str>) -> Self {
         letters.and_then(Self::of_patient).unwrap_or(Self {
             letters: [('x', None), ('y', None), ('z', None)],
@@ -31,21 +31,20 @@ impl Orientation {
     fn of_patient(letters: &str) -> Option<Self> {
         let ends: Vec<char> = letters.chars().collect();
         let ends: [char; 3] = ends.try_into().ok()?;
-        // One of each pair, or the letters say nothing.
+        // Without one letter of each pair, the letters mean nothing.
         if ["RL", "AP", "SI"].iter().any(|pair| !ends.iter().any(|&end| pair.contains(end))) {
             return None;
         }
         Some(Self {
             letters: ends.map(|end| (end, opposite(end))),
             world_from_upright: world_from_upright(Some(letters)),
-            // As radiologists have it: anterior is up when one looks along the body.
+            // A radiologist's convention: anterior is up in a view along the body.
             up_from_top: Vec3::Z,
-            // A patient who looks at us has the right side on our left.
+            // A patient who faces us has the right side on our left.
             right: Vec3::NEG_X,
         })
     }
 
-    /// From where the first view is told.
     pub(crate) fn world_from_upright(&self) -> Quat {
         self.world_from_upright
     }
@@ -55,7 +54,7 @@ impl Orientation {
         self.world_from_upright * Vec3::Y
     }
 
-    /// From where a standard view looks at the centre, and what is up in it.
+    /// The direction from which a standard view looks at the centre, and its up direction.
     pub(crate) fn standard_view(&self, side: Side, opposite: Opposite) -> (Vec3, Vec3) {
         let (from, up) = match side {
             Side::Front => (Vec3::Z, Vec3::Y),

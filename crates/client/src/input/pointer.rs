@@ -1,7 +1,7 @@
 //! From egui's events to [`ControlInput`].
 //!
-//! The events themselves are read, not egui's summary of a refresh: a drag that begins and ends between two slow
-//! refreshes still counts, and the wheel acts at once instead of being smoothed over several refreshes.
+//! This reads the events themselves, not egui's summary of a refresh. So a drag that begins and ends between two slow
+//! refreshes counts, and the wheel acts at once instead of over several refreshes.
 
 use egui::{Event, MouseWheelUnit, PointerButton, Pos2, Rect};
 
@@ -12,20 +12,20 @@ use crate::input::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTC
 #[derive(Debug, Default)]
 pub(crate) struct Pointer {
     position: Option<Pos2>,
-    drag: Option<Drag>,
-    /// What the light was dragged by, pixels.
+    drag: Option<PointerDrag>,
+    /// Drag of the light, pixels.
     light: [f32; 2],
 }
 
-/// A button held down that was pressed over the picture.
+/// A button that was pressed over the picture and is held down.
 #[derive(Debug)]
-struct Drag {
+struct PointerDrag {
     button: PointerButton,
     gesture: Gesture,
 }
 
 impl Pointer {
-    /// What the events of a refresh mean for a picture in `rect`. `is_free`: no panel lies at a point.
+    /// What the events of a refresh mean for a picture in `rect`. `is_free`: no panel covers a point.
     pub(crate) fn control_input(
         &mut self,
         bindings: &Bindings,
@@ -44,10 +44,10 @@ impl Pointer {
                         self.drag = None;
                     } else if *pressed && self.drag.is_none() && rect.contains(*pos) && is_free(*pos) {
                         let Some(gesture) = bindings.gesture(*button, *modifiers) else { continue };
-                        self.drag = Some(Drag { button: *button, gesture });
+                        self.drag = Some(PointerDrag { button: *button, gesture });
                     }
                 }
-                // The release of the button may never be told.
+                // The system may never report the release.
                 Event::WindowFocused(false) => self.drag = None,
                 Event::MouseWheel { .. } | Event::Zoom(_) => {
                     let Some(at) = self.position.filter(|p| rect.contains(*p) && is_free(*p)) else {
@@ -68,7 +68,7 @@ impl Pointer {
         self.drag = None;
     }
 
-    /// What the light was dragged by since this was asked for, pixels; none if it was not.
+    /// The drag of the light since the last call, pixels; none if there was no drag.
     pub(crate) fn take_light_drag(&mut self) -> Option<[f32; 2]> {
         let drag = std::mem::take(&mut self.light);
         (drag != [0.0; 2]).then_some(drag)
@@ -91,17 +91,17 @@ impl Pointer {
     }
 }
 
-/// The angle from one point to another around a third, radians, clockwise; y runs down.
+/// The angle from one point to another around `center`, radians, clockwise; y runs down.
 fn angle_around(center: Pos2, from: Pos2, to: Pos2) -> f32 {
     let (a, b) = (from - center, to - center);
-    // Near to the centre every angle is chance.
+    // Near the centre the angle is arbitrary.
     if a.length().min(b.length()) < 4.0 {
         return 0.0;
     }
     (a.x * b.y - a.y * b.x).atan2(a.dot(b))
 }
 
-/// Steps of a wheel; touchpads count points.
+/// Notches of a wheel; touchpads count points.
 pub(crate) fn notches_of(unit: MouseWheelUnit, delta: f32) -> f32 {
     match unit {
         MouseWheelUnit::Line => delta,
@@ -110,7 +110,7 @@ pub(crate) fn notches_of(unit: MouseWheelUnit, delta: f32) -> f32 {
     }
 }
 
-/// Magnification, natural logarithm.
+/// Natural logarithm of the magnification.
 fn zoom_of(event: &Event) -> f32 {
     match event {
         Event::MouseWheel { unit, delta, .. } => notches_of(*unit, delta.y) * ZOOM_PER_NOTCH,
@@ -119,9 +119,9 @@ fn zoom_of(event: &Event) -> f32 {
     }
 }
 
-/// Touch pads scroll in points; about so many feel like a notch of a wheel (egui's own line height for scrolling).
+/// Touchpads scroll in points; this many feel like a notch of a wheel (egui's own line height for scrolling).
 const POINTS_PER_NOTCH: f32 = 40.0;
-/// A page is a bold step: twice the size.
+/// A page is a large step: twice the size.
 const NOTCHES_PER_PAGE: f32 = 5.0;
 
 #[cfg(test)]

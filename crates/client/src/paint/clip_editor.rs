@@ -1,9 +1,8 @@
 //! The clip box and plane under the user's hand: handles in the picture, and what dragging them does.
 //!
-//! A box has a handle in the middle of each face, which moves along the face's normal under the pointer. A plane has one
-//! in its middle, which moves it along its normal, and one at the tip of the normal, which tilts it about its middle.
-//! Faces that look away are drawn faintly and can be dragged as well; where two handles lie on each other the nearer face
-//! is meant.
+//! A box has a handle in the middle of each face, which moves along the face's normal under the pointer. A plane has
+//! one handle in its middle, which moves it along its normal, and one at the tip of the normal, which tilts it. Faces
+//! that look away have faint handles. Where two handles overlap, the nearer face gets the drag.
 
 use egui::{Color32, Event, PointerButton, Pos2, Rect, vec2};
 use glam::{Quat, Vec3};
@@ -16,46 +15,41 @@ use crate::paint::view_aids::{AXIS_COLORS, Pen, edges, faces_eye, pixel_at, proj
 /// Whether handles are shown, and what the pointer does with them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClipEditor {
-    /// Whether the clip is drawn with its handles.
     pub(crate) is_shown: bool,
-    /// The last box and plane, to come back when they are switched on again.
+    /// The last box and plane, which return when they are switched on again.
     last: Clip,
     hovered: Option<Handle>,
-    drag: Option<Drag>,
+    drag: Option<HandleDrag>,
 }
 
-/// The picture that handles lie in.
+/// The picture that contains the handles.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct View {
-    /// Its place.
+pub(crate) struct ClipView {
     pub(crate) rect: Rect,
-    /// Its camera.
     pub(crate) camera: Camera,
-    /// The volume's box.
     pub(crate) bounds: Aabb,
 }
 
-/// What can be dragged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Handle {
-    /// A face of the box: its axis, and whether it is the one of greater coordinates.
+    /// A face of the box: its axis, and whether it has the greater coordinate.
     Face(usize, bool),
-    /// The plane, along its normal.
+    /// Moves the plane along its normal.
     Slide,
-    /// The plane's normal.
+    /// Tilts the plane.
     Tilt,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Drag {
+struct HandleDrag {
     handle: Handle,
-    /// Where the button was pressed, and what the clip was then.
+    /// Where the button was pressed, and the clip at that time.
     from: Pos2,
     start: Clip,
 }
 
 impl ClipEditor {
-    /// Shows or hides the handles. Without anything to drag there is a box around all of the volume then.
+    /// Shows or hides the handles. Without a clip, a box around the whole volume appears.
     pub(crate) fn toggle(&mut self, clip: &mut Clip, bounds: &Aabb) {
         self.is_shown = !self.is_shown;
         if self.is_shown && *clip == Clip::default() {
@@ -73,7 +67,7 @@ impl ClipEditor {
         }
     }
 
-    /// Switches the plane off, or on as it was: at first across what `forward` looks along, through the middle.
+    /// Switches the plane off, or on as it was. At first it passes through the middle, across `forward`.
     pub(crate) fn toggle_plane(&mut self, clip: &mut Clip, bounds: &Aabb, forward: Vec3) {
         match clip.plane.take() {
             Some(plane) => self.last.plane = Some(plane),
@@ -94,12 +88,12 @@ impl ClipEditor {
         self.hovered.is_some() || self.drag.is_some()
     }
 
-    /// Takes what is meant for a handle out of a refresh's events; the clip, if it changes. `is_free`: no panel lies at a
-    /// point.
+    /// Takes the events of the handles out of a refresh's events. Returns the clip if it changes. `is_free`: no panel
+    /// covers a point.
     pub(crate) fn take_events(
         &mut self,
         events: &mut Vec<Event>,
-        view: &View,
+        view: &ClipView,
         clip: &Clip,
         is_free: impl Fn(Pos2) -> bool,
     ) -> Option<Clip> {
@@ -117,7 +111,7 @@ impl ClipEditor {
             }
             Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, .. } => {
                 self.hovered = handle_at(view, clip, *pos).filter(|_| is_free(*pos));
-                self.drag = self.hovered.map(|handle| Drag { handle, from: *pos, start: *clip });
+                self.drag = self.hovered.map(|handle| HandleDrag { handle, from: *pos, start: *clip });
                 self.drag.is_none()
             }
             Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => {
@@ -126,7 +120,7 @@ impl ClipEditor {
                 self.hovered = None;
                 false
             }
-            // The release of the button may never be told.
+            // The system may never report the release.
             Event::WindowFocused(false) => {
                 (self.drag, self.hovered) = (None, None);
                 true
@@ -137,7 +131,7 @@ impl ClipEditor {
     }
 
     /// Draws box, plane and handles.
-    pub(crate) fn paint(&self, pen: &Pen<'_>, view: &View, clip: &Clip) {
+    pub(crate) fn paint(&self, pen: &Pen<'_>, view: &ClipView, clip: &Clip) {
         if !self.is_shown {
             return;
         }
@@ -148,7 +142,7 @@ impl ClipEditor {
             self.paint_plane(pen, view, clip, &plane);
         }
         let busy = self.drag.map(|d| d.handle).or(self.hovered);
-        // The nearer ones over the others.
+        // Nearer handles cover the others.
         let mut handles = handles(view, clip);
         handles.sort_by_key(|(handle, _)| is_front(view, clip, *handle));
         for (handle, at) in handles {
@@ -164,8 +158,8 @@ impl ClipEditor {
         }
     }
 
-    /// Where the plane cuts the box, and its normal.
-    fn paint_plane(&self, pen: &Pen<'_>, view: &View, clip: &Clip, plane: &Plane) {
+    /// Draws the outline of the plane in the box, and its normal.
+    fn paint_plane(&self, pen: &Pen<'_>, view: &ClipView, clip: &Clip, plane: &Plane) {
         let basis = view.camera.basis();
         let outline = outline(&box_of(view, clip).unwrap_or(view.bounds), plane);
         for (i, a) in outline.iter().enumerate() {
@@ -181,9 +175,9 @@ impl ClipEditor {
     }
 }
 
-impl Drag {
+impl HandleDrag {
     /// The clip with the pointer at `to`.
-    fn moved(&self, view: &View, to: Pos2) -> Clip {
+    fn moved(&self, view: &ClipView, to: Pos2) -> Clip {
         let mut clip = self.start;
         match self.handle {
             Handle::Face(axis, is_high) => {
@@ -217,19 +211,19 @@ impl Drag {
                 }
             }
         }
-        // A pointer far outside makes numbers that are none.
+        // A pointer far outside can give invalid numbers.
         if clip.validate().is_ok() { clip } else { self.start }
     }
 }
 
-/// The offsets of planes with a normal that touch a box: the least and the greatest.
+/// The least and greatest offset of planes with this normal that touch a box.
 pub(crate) fn offsets(bounds: &Aabb, normal: Vec3) -> [f32; 2] {
     let middle = normal.dot(bounds.center());
     let reach = normal.abs().dot((bounds.max - bounds.min) * 0.5);
     [middle - reach, middle + reach]
 }
 
-/// A box with a face shifted along its axis: within the volume, and not up to the opposite face.
+/// A box with a face shifted along its axis, within the volume and not up to the opposite face.
 pub(crate) fn with_face(bounds: &Aabb, volume: &Aabb, axis: usize, is_high: bool, shift: f32) -> Aabb {
     let mut moved = *bounds;
     let gap = (volume.max[axis] - volume.min[axis]) * LEAST_SIDE;
@@ -243,11 +237,11 @@ pub(crate) fn with_face(bounds: &Aabb, volume: &Aabb, axis: usize, is_high: bool
     moved
 }
 
-/// The clip box as far as it lies in the volume.
-fn box_of(view: &View, clip: &Clip) -> Option<Aabb> {
+/// The part of the clip box inside the volume.
+fn box_of(view: &ClipView, clip: &Clip) -> Option<Aabb> {
     clip.bounds?;
     let bounds = clip.region(&view.bounds).bounds;
-    // Beside the volume there is nothing to drag; all of the volume is.
+    // A box outside the volume has nothing to drag; the whole volume does.
     Some(if bounds.min.cmplt(bounds.max).all() { bounds } else { view.bounds })
 }
 
@@ -257,18 +251,18 @@ fn face_middle(bounds: &Aabb, axis: usize, is_high: bool) -> Vec3 {
     middle
 }
 
-/// The point of the plane that is nearest to the middle of what is shown.
-fn middle_of(view: &View, clip: &Clip, plane: &Plane) -> Vec3 {
+/// The point of the plane nearest to the middle of the clip box.
+fn middle_of(view: &ClipView, clip: &Clip, plane: &Plane) -> Vec3 {
     let center = box_of(view, clip).unwrap_or(view.bounds).center();
     center - plane.normal * plane.distance(center)
 }
 
-fn tip_of(view: &View, middle: Vec3, plane: &Plane) -> Vec3 {
+fn tip_of(view: &ClipView, middle: Vec3, plane: &Plane) -> Vec3 {
     middle + plane.normal * (TIP_IN_RADII * view.bounds.radius())
 }
 
-/// Every handle that is in sight, and where it is on the screen.
-fn handles(view: &View, clip: &Clip) -> Vec<(Handle, Pos2)> {
+/// Every visible handle and its position on the screen.
+fn handles(view: &ClipView, clip: &Clip) -> Vec<(Handle, Pos2)> {
     let basis = view.camera.basis();
     let on_screen = |p: Vec3| projected(&basis, view.rect, p, p).map(|[at, _]| at);
     let mut handles = Vec::with_capacity(8);
@@ -281,7 +275,7 @@ fn handles(view: &View, clip: &Clip) -> Vec<(Handle, Pos2)> {
     if let Some(plane) = clip.plane {
         let middle = middle_of(view, clip, &plane);
         let (slide, tilt) = (on_screen(middle), on_screen(tip_of(view, middle, &plane)));
-        // A plane across the view has both at one place; one is moved aside.
+        // A plane across the view has both handles at one point; one moves aside.
         let is_across = slide.zip(tilt).is_some_and(|(slide, tilt)| slide.distance(tilt) < 2.0 * REACH);
         let tilt = if is_across { slide.map(|slide| slide + vec2(2.5 * REACH, 0.0)) } else { tilt };
         handles.extend(slide.map(|at| (Handle::Slide, at)));
@@ -291,7 +285,7 @@ fn handles(view: &View, clip: &Clip) -> Vec<(Handle, Pos2)> {
 }
 
 /// Whether a face shows its outer side, or the plane's normal points at the eye.
-fn is_front(view: &View, clip: &Clip, handle: Handle) -> bool {
+fn is_front(view: &ClipView, clip: &Clip, handle: Handle) -> bool {
     match (handle, clip.plane) {
         (Handle::Face(axis, is_high), _) => {
             box_of(view, clip).is_some_and(|bounds| faces_eye(&view.camera, &bounds, axis, is_high))
@@ -302,47 +296,46 @@ fn is_front(view: &View, clip: &Clip, handle: Handle) -> bool {
     }
 }
 
-/// The handle at a point of the screen.
-fn handle_at(view: &View, clip: &Clip, at: Pos2) -> Option<Handle> {
+fn handle_at(view: &ClipView, clip: &Clip, at: Pos2) -> Option<Handle> {
     if !view.rect.contains(at) {
         return None;
     }
     let near = handles(view, clip).into_iter().filter_map(|(handle, on_screen)| {
         let distance = on_screen.distance(at);
-        // What is in front wins where both are as near.
+        // Of two handles at the same distance, the one in front wins.
         let behind = if is_front(view, clip, handle) { 0.0 } else { BEHIND };
         (distance <= REACH).then_some((handle, distance + behind))
     });
     near.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(handle, _)| handle)
 }
 
-fn ray_at(view: &View, at: Pos2) -> Ray {
+fn ray_at(view: &ClipView, at: Pos2) -> Ray {
     let [x, y] = pixel_at(view.rect, &view.camera, at);
     view.camera.ray(x, y).0
 }
 
-/// How far a point on the line from `origin` along the unit vector `axis` moves that follows the pointer.
-fn shift_along(view: &View, origin: Vec3, axis: Vec3, from: Pos2, to: Pos2) -> f32 {
+/// How far a point on the line from `origin` along the unit vector `axis` moves to follow the pointer.
+fn shift_along(view: &ClipView, origin: Vec3, axis: Vec3, from: Pos2, to: Pos2) -> f32 {
     let forward = view.camera.pose.forward();
     let depth = (origin - view.camera.pose.eye).dot(forward);
     let (ray_from, ray_to) = (ray_at(view, from), ray_at(view, to));
     let along = |ray: &Ray| {
-        // The point of the line that is nearest to the ray.
+        // The point of the line nearest to the ray.
         let (between, cosine) = (origin - ray.origin, axis.dot(ray.dir));
         (cosine * ray.dir.dot(between) - axis.dot(between)) / (1.0 - cosine * cosine)
     };
     let is_steep = |ray: &Ray| 1.0 - axis.dot(ray.dir).powi(2) < LEAST_SINE_SQUARED;
     if is_steep(&ray_from) || is_steep(&ray_to) {
-        // Along the view nothing moves on the screen: down is towards the eye.
+        // A movement along the view is invisible: dragging down moves towards the eye.
         let world_per_point = 2.0 * view.camera.intrinsics.half_size_at(depth).1 / view.rect.height();
         return (to.y - from.y) * world_per_point * -axis.dot(forward).signum();
     }
     along(&ray_to) - along(&ray_from)
 }
 
-/// The direction from `middle` to the point of a sphere around it under the pointer, on the near or the far side; beside
-/// the sphere, to the nearest point.
-fn direction_at(view: &View, middle: Vec3, at: Pos2, is_near: bool) -> Vec3 {
+/// The direction from `middle` to the point under the pointer on a sphere around it, on the near or far side. Beside
+/// the sphere it is the nearest point.
+fn direction_at(view: &ClipView, middle: Vec3, at: Pos2, is_near: bool) -> Vec3 {
     let ray = ray_at(view, at);
     let radius = TIP_IN_RADII * view.bounds.radius();
     let nearest = (middle - ray.origin).dot(ray.dir);
@@ -351,7 +344,7 @@ fn direction_at(view: &View, middle: Vec3, at: Pos2, is_near: bool) -> Vec3 {
     (aside + ray.dir * if is_near { -half } else { half }).normalize_or(Vec3::Z)
 }
 
-/// The corners of what a plane cuts out of a box, in their order around.
+/// The corners of a plane's intersection with a box, in order around it.
 fn outline(bounds: &Aabb, plane: &Plane) -> Vec<Vec3> {
     let corners = bounds.corners();
     let mut points: Vec<Vec3> = edges()
@@ -369,16 +362,16 @@ fn outline(bounds: &Aabb, plane: &Plane) -> Vec<Vec3> {
     points
 }
 
-/// Least side of a dragged box, in units of the volume's: a voxel or two.
+/// Least side of a dragged box, as a share of the volume's: a voxel or two.
 pub(crate) const LEAST_SIDE: f32 = 0.005;
 /// Length of the normal that tilts the plane, in radii of the volume.
 const TIP_IN_RADII: f32 = 0.45;
-/// Points on the screen: of a handle, and from where it is taken.
+/// Radius of a handle, and the distance from which it can be dragged, points.
 const HANDLE_RADIUS: f32 = 6.0;
 const REACH: f32 = 12.0;
-/// By so many points a handle behind must be nearer to be meant.
+/// A handle behind must be nearer to the pointer by this distance, points.
 const BEHIND: f32 = 6.0;
-/// Below this angle of about nine degrees to the view a movement along an axis is not seen.
+/// Below an angle of about nine degrees to the view, a movement along an axis is invisible.
 const LEAST_SINE_SQUARED: f32 = 0.025;
 const BOX_COLOR: Color32 = Color32::from_rgb(120, 200, 255);
 const PLANE_COLOR: Color32 = Color32::from_rgb(255, 190, 70);
@@ -392,14 +385,14 @@ mod tests {
 
     const BOUNDS: Aabb = Aabb { min: Vec3::new(-2.0, -1.0, -1.5), max: Vec3::new(2.0, 1.0, 1.5) };
 
-    fn views() -> [View; 2] {
+    fn views() -> [ClipView; 2] {
         let rect = Rect::from_min_size(pos2(30.0, 10.0), vec2(400.0, 300.0));
         let intrinsics = Intrinsics::perspective(800, 600, 0.7);
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.6, 0.4, 9.0), intrinsics, &BOUNDS);
-        [camera, camera.to_orthographic(9.0, &BOUNDS)].map(|camera| View { rect, camera, bounds: BOUNDS })
+        [camera, camera.to_orthographic(9.0, &BOUNDS)].map(|camera| ClipView { rect, camera, bounds: BOUNDS })
     }
 
-    fn on_screen(view: &View, p: Vec3) -> Pos2 {
+    fn on_screen(view: &ClipView, p: Vec3) -> Pos2 {
         projected(&view.camera.basis(), view.rect, p, p).unwrap()[0]
     }
 
@@ -411,7 +404,7 @@ mod tests {
         Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE }
     }
 
-    fn dragged(view: &View, clip: &Clip, from: Pos2, to: Pos2) -> Option<Clip> {
+    fn dragged(view: &ClipView, clip: &Clip, from: Pos2, to: Pos2) -> Option<Clip> {
         let mut editor = ClipEditor { is_shown: true, ..ClipEditor::default() };
         let mut events = vec![press(from, true), Event::PointerMoved(to), press(to, false)];
         let changed = editor.take_events(&mut events, view, clip, |_| true);
@@ -467,7 +460,7 @@ mod tests {
     fn along_the_view_down_is_towards_the_eye() {
         let view = views()[1];
         let camera = Camera { pose: Pose::orbit(Vec3::ZERO, 0.0, 0.0, 6.0), ..view.camera };
-        let view = View { camera, ..view };
+        let view = ClipView { camera, ..view };
         let clip = boxed();
         let at = on_screen(&view, face_middle(&clip.bounds.unwrap(), 2, true));
         let moved = dragged(&view, &clip, at, at + vec2(0.0, 20.0)).unwrap().bounds.unwrap();

@@ -1,31 +1,31 @@
-//! Which frame lies in which slot of the GPU: each is uploaded once, as long as anybody may still show it.
+//! Which frame is in which slot of the GPU. Each frame is uploaded once.
 
 use std::sync::{Arc, Weak};
 
-/// At most `NUM` frames. A slot is free when nobody holds its frame any more; the first free one is taken, so there are
-/// hardly more slots in use than frames that are kept.
-pub(crate) struct Slots<T, const NUM: usize> {
+/// At most `NUM` frames. A slot is free when nobody holds its frame any more. The first free slot is used, so there
+/// are hardly more slots in use than frames that are kept.
+pub(crate) struct FrameSlots<T, const NUM: usize> {
     slots: Vec<Slot<T>>,
     refreshes: u64,
 }
 
 struct Slot<T> {
     frame: Weak<T>,
-    /// Why the frame is not there, if so: it would fail again at every refresh.
+    /// Why the upload failed. It would fail again at every refresh.
     refused: Option<String>,
-    /// The refresh that needed it last.
+    /// The last refresh that needed the slot.
     needed_at: u64,
 }
 
-impl<T, const NUM: usize> Default for Slots<T, NUM> {
+impl<T, const NUM: usize> Default for FrameSlots<T, NUM> {
     fn default() -> Self {
         Self { slots: Vec::new(), refreshes: 0 }
     }
 }
 
-impl<T, const NUM: usize> Slots<T, NUM> {
-    /// The slots of the frames of a refresh, in their order, after `upload` has put into a slot what was not there yet. If
-    /// there are more than `NUM`, the rest is refused.
+impl<T, const NUM: usize> FrameSlots<T, NUM> {
+    /// The slots of the frames of a refresh, in their order. `upload` fills a slot with a frame that is not there
+    /// yet. Frames beyond `NUM` are refused.
     pub(crate) fn refresh<E: ToString>(
         &mut self,
         frames: &[&Arc<T>],
@@ -54,7 +54,7 @@ impl<T, const NUM: usize> Slots<T, NUM> {
         frames.iter().map(slot_of).collect()
     }
 
-    /// The first that nobody needs, or else the one that was not needed for longest.
+    /// The first slot that nobody needs, or else the one that was unused for longest.
     fn free_slot(&self) -> Option<usize> {
         let is_dead = |slot: &Slot<T>| slot.frame.strong_count() == 0 && slot.needed_at < self.refreshes;
         let dead = self.slots.iter().position(is_dead);
@@ -80,7 +80,7 @@ mod tests {
     /// Four slots and what was uploaded to them.
     #[derive(Default)]
     struct Gpu {
-        slots: Slots<u32, 4>,
+        slots: FrameSlots<u32, 4>,
         content: [u32; 4],
         num_uploads: usize,
     }

@@ -1,7 +1,8 @@
-//! How long the GPU works on one novel view, by timestamps inside egui's render pass, or around a pass of its own.
+//! Measures how long the GPU works on a novel view, by timestamps inside egui's render pass or around a pass of its
+//! own.
 //!
-//! A measurement takes three refreshes: the pass writes two timestamps; the next refresh's encoder copies them out;
-//! the one after asks for the mapping, which some later refresh finds done. A new one starts only then, so nothing
+//! A measurement takes three refreshes. The pass writes two timestamps, the next refresh copies them out, and the one
+//! after requests their mapping. A later refresh finds that done, and only then a new measurement starts. So nothing
 //! ever waits for the GPU.
 
 use std::sync::Arc;
@@ -23,15 +24,14 @@ pub(crate) struct GpuTimer {
 pub(crate) struct GpuTime(AtomicU64);
 
 impl GpuTime {
-    /// The newest measurement, if there is one.
     pub(crate) fn get(&self) -> Option<Duration> {
         let nanos = self.0.load(Ordering::Relaxed);
         (nanos > 0).then(|| Duration::from_nanos(nanos))
     }
 }
 
-/// The features that timing inside a pass needs; none if the adapter has not all of them, or is a program on the CPU:
-/// that one draws when the pass has ended, and its timestamps would flatter.
+/// The features that timing inside a pass needs; none if the adapter lacks one. A software adapter draws after the
+/// pass has ended, so its timestamps would be too short.
 pub(crate) fn timer_features(adapter: &wgpu::Adapter) -> wgpu::Features {
     let wanted = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES;
     let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
@@ -69,7 +69,7 @@ impl GpuTimer {
         })
     }
 
-    /// Before the pass: moves a measurement one step on.
+    /// Advances a measurement, before the pass.
     pub(crate) fn step(&self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) {
         match self.stage.load(Ordering::Acquire) {
             WRITTEN => {
@@ -95,14 +95,14 @@ impl GpuTimer {
                 });
             }
             MAPPING => {
-                // Runs the callback if the mapping is done. Whoever hears of a lost device closes the window.
+                // Runs the callback if the mapping is done. A lost device closes the window elsewhere.
                 let _ = isinglass_gpu::poll(device, wgpu::PollType::Poll);
             }
             _ => {}
         }
     }
 
-    /// For a pass of its own: has its two timestamps written, if no measurement is under way.
+    /// The timestamps of a pass of its own, if no measurement is in progress.
     pub(crate) fn of_pass(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         (self.stage.load(Ordering::Acquire) == IDLE).then(|| {
             self.stage.store(WRITTEN, Ordering::Release);
@@ -114,7 +114,7 @@ impl GpuTimer {
         })
     }
 
-    /// Inside the pass: `draw` between two timestamps, if no measurement is under way.
+    /// Puts `draw` between two timestamps inside the pass, if no measurement is in progress.
     pub(crate) fn around(
         &self,
         pass: &mut wgpu::RenderPass<'static>,

@@ -1,4 +1,4 @@
-//! What is drawn of a frame: the ray cast inside egui's render pass, and lines and handles over the picture.
+//! Draws a frame: the ray cast inside egui's render pass, and lines and handles over the picture.
 
 pub(crate) mod clip_editor;
 pub(crate) mod frame_slots;

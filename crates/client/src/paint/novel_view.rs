@@ -1,5 +1,5 @@
-//! Pictures by other methods than the ray cast, given by whoever opens the window. They are drawn on a thread of their own
-//! and the newest wish wins, so a slow method never holds up a refresh: its picture comes late.
+//! Pictures by other methods than the ray cast. A thread draws them, and the newest request wins. So a slow method
+//! never holds up a refresh: its picture comes late.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,11 +15,11 @@ use crate::view::Waker;
 
 /// A way of making a picture from a layered frame.
 pub trait NovelView: Send {
-    /// What a person calls it; not [`LAYERS`].
+    /// The name for people; not [`LAYERS`].
     fn name(&self) -> &'static str;
 
-    /// The picture of a frame from a camera, at the camera's size. `bounds` is the box of the volume. Takes the time it
-    /// needs; what is known of a frame may be kept, as the next picture is likely to be of the same.
+    /// The picture of a frame from a camera, at the camera's size. `bounds` is the box of the volume. This may take
+    /// long. An implementation may keep what it knows of a frame: the next picture often shows the same one.
     ///
     /// # Errors
     /// One line for a person.
@@ -27,10 +27,9 @@ pub trait NovelView: Send {
     -> Result<Picture, String>;
 }
 
-/// The viewer's own method, the ray cast.
+/// The name of the ray cast.
 pub const LAYERS: &str = "layers";
 
-/// The methods to choose from and the one that is chosen.
 pub(crate) struct NovelViews {
     /// [`LAYERS`] and the others.
     pub(crate) names: Vec<&'static str>,
@@ -41,7 +40,7 @@ pub(crate) struct NovelViews {
 }
 
 impl NovelViews {
-    /// `name` is chosen at first; the ray cast if there is none of that name.
+    /// Starts with the method `name`, or with the ray cast if there is no such method.
     pub(crate) fn new(views: Vec<Box<dyn NovelView>>, name: &str, wake: Waker) -> Self {
         let names: Vec<&'static str> =
             std::iter::once(LAYERS).chain(views.iter().map(|v| v.name())).collect();
@@ -50,8 +49,8 @@ impl NovelViews {
         Self { names, selected, worker, texture: None }
     }
 
-    /// The newest picture of the method that is chosen, and a wish for one of this frame; none for the ray cast, and
-    /// before the first picture.
+    /// Requests a picture of this frame and returns the newest one. None for the ray cast, and before the first
+    /// picture.
     pub(crate) fn show(
         &mut self,
         ctx: &egui::Context,
@@ -60,7 +59,7 @@ impl NovelViews {
         camera: &Camera,
         background: [f32; 3],
     ) -> Option<Shown> {
-        // The other methods composite with over.
+        // The other methods composite with *over*.
         let selected = self.selected.checked_sub(1).filter(|_| !frame.frame.header.mode.is_projection());
         let Some((worker, view)) = self.worker.as_mut().zip(selected) else {
             self.texture = None;
@@ -80,7 +79,7 @@ impl NovelViews {
                 }
             }
             Some(Err(problem)) => {
-                // What there was is of another frame or camera.
+                // The former picture shows another frame or camera.
                 self.texture = None;
                 return Some(Shown::Problem(problem));
             }
@@ -90,18 +89,15 @@ impl NovelViews {
     }
 }
 
-/// What there is of a method.
 pub(crate) enum Shown {
-    /// The newest picture.
     Picture(egui::TextureId),
-    /// Why there is none.
+    /// Why there is no picture.
     Problem(String),
 }
 
-/// One picture to make.
 #[derive(Clone)]
 struct Wish {
-    /// Number of the method.
+    /// Index of the method.
     view: usize,
     frame: Arc<ReceivedFrame>,
     bounds: Aabb,
@@ -124,7 +120,7 @@ struct Worker {
     last: Option<Wish>,
 }
 
-/// Latest values, that nobody locks.
+/// The newest values, without a lock.
 #[derive(Default)]
 struct Shared {
     wish: ArcSwapOption<Wish>,
@@ -148,7 +144,7 @@ impl Worker {
         Self { shared, thread: thread.thread().clone(), last: None }
     }
 
-    /// Asks for a picture, unless it was asked for last.
+    /// Requests a picture unless it is the last one requested.
     fn wish(&mut self, wish: Wish) {
         if self.last.as_ref().is_none_or(|last| !last.is_same(&wish)) {
             self.shared.wish.store(Some(Arc::new(wish.clone())));
@@ -157,7 +153,7 @@ impl Worker {
         }
     }
 
-    /// The newest result that was not taken yet.
+    /// The newest result; once.
     fn take(&self) -> Option<Result<Picture, String>> {
         Arc::into_inner(self.shared.drawn.swap(None)?)
     }
@@ -171,7 +167,7 @@ impl Drop for Worker {
 }
 
 impl Shared {
-    /// Waits for it; none when the window is closed.
+    /// Waits for a request; none when the window closes.
     fn next_wish(&self) -> Option<Arc<Wish>> {
         loop {
             if self.is_closed.load(Ordering::Acquire) {

@@ -1,5 +1,5 @@
-//! The picture inside egui's render pass: uploads each frame when it comes and ray-casts whenever anything has changed, the
-//! newest frame or that and older ones.
+//! The picture inside egui's render pass. Each frame is uploaded when it comes, and the picture is cast when anything
+//! changes.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -11,49 +11,45 @@ use isinglass_core::space::Aabb;
 use isinglass_gpu::{Channels, Eye, GpuError, NUM_SLOTS, ViewPass};
 use isinglass_net::ReceivedFrame;
 
-use crate::paint::frame_slots::Slots;
+use crate::paint::frame_slots::FrameSlots;
 use crate::paint::gpu_timer::{GpuTime, GpuTimer};
-use crate::paint::picture_cache::{Stills, Way};
+use crate::paint::picture_cache::{DrawPath, PictureCache};
 use crate::paint::stereo::{Stereo, StereoMode};
 use crate::view::quality_control::Quality;
 
 /// What one refresh draws.
 pub(crate) struct PicturePaint {
-    /// Where, in points.
+    /// Points.
     pub(crate) rect: egui::Rect,
-    /// The frame to cast.
     pub(crate) frame: Arc<ReceivedFrame>,
-    /// Older frames for what it does not see.
+    /// Older frames for what `frame` does not see.
     pub(crate) kept: Vec<Arc<ReceivedFrame>>,
-    /// The camera to cast it from.
     pub(crate) camera: Camera,
     /// The box of the volume.
     pub(crate) bounds: Aabb,
-    /// What of it is shown.
     pub(crate) clip: Clip,
-    /// Whether it is for two eyes.
     pub(crate) stereo: Stereo,
-    /// How finely to cast, if for one eye.
+    /// How finely to cast for one eye.
     pub(crate) quality: Quality,
     /// Linear colour behind the volume.
     pub(crate) background: [f32; 3],
 }
 
-/// What the painting tells the application.
+/// What painting reports to the application.
 #[derive(Debug, Default)]
 pub(crate) struct PictureStatus {
-    /// Time of the newest novel view that was measured.
+    /// Time of the newest novel view.
     pub(crate) time: Arc<GpuTime>,
-    /// Whether the adapter can measure.
+    /// Whether the adapter measures times.
     pub(crate) has_timer: bool,
     problem: Mutex<Option<String>>,
-    /// What the device said beside that since a frame came: that it has no memory left, say.
+    /// What else the device complained of since the last frame, such as a lack of memory.
     complaint: Arc<Mutex<Option<String>>>,
     warm_up: Mutex<Option<WarmUpDraws>>,
 }
 
-/// Draws that a thread has made ready for the window's queue. Only the window submits to it: its surface cannot be configured
-/// anew while another thread does.
+/// Draws that a thread has prepared for the window's queue. Only the window submits to the queue: its surface cannot
+/// be configured while another thread does.
 #[derive(Debug)]
 struct WarmUpDraws {
     queue: wgpu::Queue,
@@ -61,18 +57,18 @@ struct WarmUpDraws {
 }
 
 impl PictureStatus {
-    /// Why the newest frame could not be uploaded, if so; an older one is shown then.
+    /// Why the newest frame could not be uploaded; an older one is shown then.
     pub(crate) fn problem(&self) -> Option<String> {
         let lock = |m: &Mutex<Option<String>>| m.lock().unwrap_or_else(PoisonError::into_inner).clone();
         lock(&self.problem).or_else(|| lock(&self.complaint))
     }
 
-    /// Submits what is ready of the draws before the first picture. Never waits.
+    /// Submits the prepared draws before the first picture. Never waits.
     pub(crate) fn submit_warm_up(&self) {
         let warm_up = self.warm_up.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(WarmUpDraws { queue, ready }) = &*warm_up else { return };
         for (commands, reply) in ready.try_iter() {
-            // A thread that has ended does not wait for it.
+            // The thread may have ended.
             let _ = reply.try_send(queue.submit([commands]));
         }
     }
@@ -81,15 +77,14 @@ impl PictureStatus {
 /// What stays on the GPU from refresh to refresh.
 struct PictureResources {
     pass: ViewPass,
-    slots: Slots<ReceivedFrame, NUM_SLOTS>,
-    stills: Stills<Still>,
-    way: Way,
+    slots: FrameSlots<ReceivedFrame, NUM_SLOTS>,
+    cache: PictureCache<PictureKey>,
+    path: DrawPath,
     timer: Option<GpuTimer>,
     status: Arc<PictureStatus>,
 }
 
-/// Prepares the device of the window. If it is lost later, why goes to `lost` and the window closes: it could not draw any
-/// more.
+/// Prepares the device of the window. If the device is lost later, `lost` gets the reason and the window closes.
 ///
 /// # Errors
 /// If the kernel cannot be built on it.
@@ -102,7 +97,7 @@ pub(crate) fn install(
     let closing = ctx.clone();
     device.set_device_lost_callback(move |reason, message| {
         *lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("{reason:?} {message}"));
-        // The device tells it in the midst of something, whose locks are held.
+        // The device calls this while it holds locks.
         let ctx = closing.clone();
         std::thread::spawn(move || {
             ctx.send_viewport_cmd_to(egui::ViewportId::ROOT, egui::ViewportCommand::Close);
@@ -131,9 +126,9 @@ pub(crate) fn install(
     });
     let resources = PictureResources {
         pass,
-        slots: Slots::default(),
-        stills: Stills::default(),
-        way: Way::Straight,
+        slots: FrameSlots::default(),
+        cache: PictureCache::default(),
+        path: DrawPath::Direct,
         timer,
         status: status.clone(),
     };
@@ -141,8 +136,8 @@ pub(crate) fn install(
     Ok(status)
 }
 
-/// Draws once with each pipeline, beside the page that waits for the first frame: a thread makes the draws ready and waits for
-/// them, the window submits them.
+/// Draws once with each pipeline while the first page waits for a frame. A thread prepares the draws and waits for
+/// them; the window submits them.
 fn warm_up(
     pass: &ViewPass,
     state: &egui_wgpu::RenderState,
@@ -159,25 +154,25 @@ fn warm_up(
         // The window may be closed meanwhile.
         submission.recv().ok()
     };
-    // A device makes no commands without its queue, and the window may be closed meanwhile.
+    // The device needs its queue even if the window closes meanwhile.
     let kept = queue.clone();
     let run = move || {
         if let Err(e) = warm_up.run(Some(&adapter), &device, submit) {
             tracing::warn!("first draws: {e}");
         }
-        // What is shown may have waited for the last of them.
+        // The picture may wait for the last of the pipelines.
         drop(warm_up);
         repaint.request_repaint();
         drop(kept);
     };
-    // Without a thread the first pictures come as late as they would have.
+    // Without a thread the first pictures come later.
     let _ = std::thread::Builder::new().name("warm-up".into()).spawn(run);
     Ok(WarmUpDraws { queue, ready })
 }
 
 impl PictureResources {
-    /// Sees to it that the frames of a refresh are shown. If the newest is refused, what was shown stays; an older one is
-    /// left out.
+    /// Shows the frames of a refresh. If the newest is refused, the frame before stays; an older frame that is
+    /// refused is left out.
     fn show(
         &mut self,
         device: &wgpu::Device,
@@ -204,9 +199,8 @@ impl PicturePaint {
         egui_wgpu::Callback::new_paint_callback(self.rect, self)
     }
 
-    /// All that the picture is made of.
-    fn still(&self, is_as_asked: bool) -> Still {
-        Still {
+    fn key(&self, is_as_asked: bool) -> PictureKey {
+        PictureKey {
             frames: std::iter::once(&self.frame).chain(&self.kept).map(Arc::downgrade).collect(),
             camera: self.camera,
             bounds: self.bounds,
@@ -218,7 +212,7 @@ impl PicturePaint {
         }
     }
 
-    /// Whether a picture has as many pixels as the window has for it, so that a copy is exact.
+    /// Whether the picture has as many pixels as the window has for it, so that a copy is exact.
     fn fits(&self, screen: &egui_wgpu::ScreenDescriptor) -> bool {
         let viewport = egui::PaintCallbackInfo {
             viewport: self.rect,
@@ -233,9 +227,9 @@ impl PicturePaint {
     }
 }
 
-/// What a picture is made of. Frames are the same if they are one.
+/// Everything that determines a picture. Frames are equal if they are the same one.
 #[derive(Debug)]
-struct Still {
+struct PictureKey {
     frames: Vec<Weak<ReceivedFrame>>,
     camera: Camera,
     bounds: Aabb,
@@ -243,11 +237,11 @@ struct Still {
     stereo: Stereo,
     quality: Quality,
     background: [f32; 3],
-    /// Whether it is cast as all this says, with a pipeline made for it.
+    /// Whether there is a pipeline for exactly this cast.
     is_as_asked: bool,
 }
 
-impl PartialEq for Still {
+impl PartialEq for PictureKey {
     fn eq(&self, other: &Self) -> bool {
         let values =
             |s: &Self| (s.camera, s.bounds, s.clip, s.stereo, s.quality, s.background, s.is_as_asked);
@@ -269,22 +263,21 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         let Some(r) = resources.get_mut::<PictureResources>() else { return Vec::new() };
         let problem = r.show(device, queue, self).err();
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
-        let num_samples = self.quality.num_samples;
-        r.pass.set_options(queue, &CastOptions { num_samples, clip: self.clip, ..Default::default() });
+        r.pass.set_options(queue, &CastOptions { clip: self.clip, ..Default::default() });
         let may_stand = self.stereo.is_mono() && self.fits(screen);
-        r.way = r.stills.next(self.still(r.pass.casts_as_asked()), self.is_enlarged(), may_stand);
-        match r.way {
-            Way::Again => {}
-            Way::Apart => {
+        r.path = r.cache.next(self.key(r.pass.casts_as_asked()), self.is_enlarged(), may_stand);
+        match r.path {
+            DrawPath::FromTexture => {}
+            DrawPath::IntoTexture => {
                 let size = self.quality.size_of(self.camera.intrinsics);
                 let camera = Camera { intrinsics: size, ..self.camera };
                 let timestamps = r.timer.as_ref().and_then(GpuTimer::of_pass);
                 r.pass.prepare_apart(device, queue, encoder, &camera, self.background, timestamps);
             }
-            Way::Straight if self.stereo.is_mono() => {
+            DrawPath::Direct if self.stereo.is_mono() => {
                 r.pass.prepare(queue, &self.camera, self.background);
             }
-            Way::Straight => {
+            DrawPath::Direct => {
                 r.pass.prepare_eyes(queue, &self.stereo.eyes(&self.camera, &self.bounds), self.background);
             }
         }
@@ -302,7 +295,7 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
     ) {
         let Some(r) = resources.get::<PictureResources>() else { return };
         match &r.timer {
-            _ if r.way.is_copied() => r.pass.paint_apart(pass),
+            _ if r.path != DrawPath::Direct => r.pass.paint_apart(pass),
             Some(timer) => timer.around(pass, |pass| self.paint_eyes(&r.pass, pass, &info)),
             None => self.paint_eyes(&r.pass, pass, &info),
         }
@@ -321,7 +314,7 @@ impl PicturePaint {
                 let whole = info.viewport_in_pixels();
                 let (left, top) = (whole.left_px as f32, whole.top_px as f32);
                 let (width, height) = (whole.width_px as f32, whole.height_px as f32);
-                // As many columns as the eyes' pictures have.
+                // Each eye's picture has this many columns.
                 let half = (width * 0.5).ceil();
                 for (eye, left) in [(Eye::Left, left), (Eye::Right, left + width - half)] {
                     pass.set_viewport(left, top, half, height, 0.0, 1.0);
@@ -336,5 +329,5 @@ impl PicturePaint {
     }
 }
 
-/// Linear colour behind the volume if no other is chosen: black, as in every picture that the program writes.
+/// Default linear colour behind the volume: black, as in every picture that the program writes.
 pub const BACKGROUND: [f32; 3] = [0.0; 3];

@@ -1,13 +1,13 @@
-//! The picture for two eyes: side by side or for red-cyan glasses, cast twice from the one frame.
+//! The picture for two eyes: side by side or for red-cyan glasses, cast twice from one frame.
 //!
-//! The eyes look off-axis and meet at the volume's centre, which so lies on the screen ([`View::stereo`]). Their distance
-//! is kept as the angle under which the centre sees them, so that depth stays as comfortable when zooming as it was.
+//! The eyes look off-axis and converge at the volume's centre, which therefore lies on the screen ([`View::stereo`]).
+//! Their distance is stored as the angle between them at the centre, so that depth stays comfortable while zooming.
 
 use isinglass_core::camera::{Camera, Intrinsics, Projection};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::space::Aabb;
 
-/// How the eyes' pictures reach the eyes.
+/// How each eye gets its picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StereoMode {
     /// One picture for both.
@@ -20,7 +20,7 @@ pub enum StereoMode {
 }
 
 impl StereoMode {
-    /// Every mode.
+    /// All modes.
     pub const ALL: [Self; 3] = [Self::Off, Self::SideBySide, Self::Anaglyph];
 
     /// The name in the panel.
@@ -32,7 +32,7 @@ impl StereoMode {
         }
     }
 
-    /// The one after this, around.
+    /// The next mode; the first follows the last.
     pub(crate) fn next(self) -> Self {
         Self::ALL[(self as usize + 1) % Self::ALL.len()]
     }
@@ -41,7 +41,7 @@ impl StereoMode {
 /// The picture for two eyes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stereo {
-    /// How.
+    /// How each eye gets its picture.
     pub mode: StereoMode,
     /// The angle between the eyes, seen from the volume's centre, degrees.
     pub eye_angle_degrees: f32,
@@ -59,13 +59,13 @@ impl Stereo {
         self.mode == StereoMode::Off
     }
 
-    /// What one eye's picture is like if the window's would be `window`. Half a window shows as much as the whole of it
-    /// across its narrower side, so that no volume that was in sight is cut off.
+    /// The intrinsics of one eye's picture in a window with the intrinsics `window`. Half a window shows as much as
+    /// the whole one across its narrower side, so that no visible volume is cut off.
     pub(crate) fn eye_intrinsics(&self, window: Intrinsics) -> Intrinsics {
         if self.mode != StereoMode::SideBySide {
             return window;
         }
-        // An odd column is drawn by both.
+        // Both eyes draw an odd column.
         let half = Intrinsics { width: window.width.div_ceil(2), ..window };
         let least = |i: &Intrinsics| {
             let (x, y) = i.half_size_at(1.0);
@@ -85,13 +85,13 @@ impl Stereo {
     /// What the left and the right eye see around `camera`. `bounds` is the box of the volume.
     pub fn eyes(&self, camera: &Camera, bounds: &Aabb) -> [View; 2] {
         let depth = (bounds.center() - camera.pose.eye).dot(camera.pose.forward());
-        // The controls keep the centre before the camera; whatever else comes has it on the near plane.
+        // The controls keep the centre in front of the camera; any other camera has it on the near plane.
         let focus_depth = depth.max(camera.near);
         let eye_distance = 2.0 * focus_depth * (self.eye_angle_degrees.to_radians() * 0.5).tan();
         View::from(camera).stereo(eye_distance, focus_depth)
     }
 
-    /// The part of `rect` that shows the eye under the pointer; all of it unless the eyes are side by side.
+    /// The part of `rect` that belongs to the eye under the pointer; the whole unless the eyes are side by side.
     pub(crate) fn rect_at(&self, rect: egui::Rect, pointer: Option<egui::Pos2>) -> egui::Rect {
         if self.mode != StereoMode::SideBySide {
             return rect;
@@ -101,11 +101,11 @@ impl Stereo {
     }
 }
 
-/// That of VTK and ParaView: about the eyes' distance at two metres.
+/// The value of VTK and ParaView: about the distance of the eyes at two metres.
 pub const DEFAULT_EYE_ANGLE_DEGREES: f32 = 2.0;
-/// Most that the panel offers; the eyes give up before.
+/// Largest angle of the panel; people cannot fuse more.
 pub(crate) const MAX_EYE_ANGLE_DEGREES: f32 = 8.0;
-/// Widest view, of a window that is far narrower than high.
+/// Widest view, for a window that is much higher than wide, radians.
 const MAX_FOV_Y: f32 = 2.8;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What is drawn over the picture to find one's way: the volume's box, its axes, a scale bar, the centre of rotation.
+//! Aids over the picture: the volume's box, its axes, a scale bar and the centre of rotation.
 
 use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke, Vec2, pos2, vec2};
 use glam::Vec3;
@@ -8,10 +8,9 @@ use isinglass_core::space::Aabb;
 
 use crate::input::orientation::Orientation;
 
-/// What is drawn, and on what.
+/// Which aids are drawn, and on which background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ViewAids {
-    /// The edges of the volume.
     pub(crate) shows_box: bool,
     /// Axes and scale bar.
     pub(crate) shows_axes: bool,
@@ -25,28 +24,25 @@ impl Default for ViewAids {
     }
 }
 
-/// What is drawn around.
-pub(crate) struct Scene<'a> {
-    /// The picture's place.
+/// What the aids are drawn around.
+pub(crate) struct AidsScene<'a> {
     pub(crate) rect: Rect,
-    /// The camera of the picture.
     pub(crate) camera: &'a Camera,
     /// The volume's box.
     pub(crate) bounds: &'a Aabb,
-    /// Which way its axes point.
     pub(crate) orientation: &'a Orientation,
-    /// Its unit of length, if known.
+    /// Unit of length, if known.
     pub(crate) unit: Option<&'a str>,
-    /// The point that the camera turns about.
+    /// The centre of rotation.
     pub(crate) center: Vec3,
-    /// Whether to mark it.
+    /// Whether to mark the centre.
     pub(crate) shows_center: bool,
-    /// How far above the picture's lower edge axes and scale lie, where that is taken.
+    /// Height of axes and scale above the picture's lower edge, where that is covered, points.
     pub(crate) lift: f32,
 }
 
-impl Scene<'_> {
-    /// What axes and scale are placed from, at the bottom left.
+impl AidsScene<'_> {
+    /// The corner at the bottom left where axes and scale lie.
     fn corner(&self) -> Pos2 {
         self.rect.left_bottom() - vec2(0.0, self.lift)
     }
@@ -58,8 +54,8 @@ impl ViewAids {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
     }
 
-    /// What the axes show, in words: which end of each points where.
-    pub(crate) fn axes_in_words(scene: &Scene<'_>) -> String {
+    /// The directions of the axes in words.
+    pub(crate) fn axes_in_words(scene: &AidsScene<'_>) -> String {
         let view_from_world = scene.camera.pose.world_from_view.inverse();
         let toward = |direction: Vec3| {
             let along = |axis: usize| (view_from_world * Vec3::AXES[axis]).dot(direction);
@@ -76,12 +72,12 @@ impl ViewAids {
     }
 
     /// The part of the picture that the axes take.
-    pub(crate) fn axes_rect(scene: &Scene<'_>) -> Rect {
+    pub(crate) fn axes_rect(scene: &AidsScene<'_>) -> Rect {
         let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
         Rect::from_center_size(center, Vec2::splat(2.0 * (AXIS_LENGTH + LETTER_GAP)))
     }
 
-    /// What draws over this background.
+    /// A pen for this background.
     pub(crate) fn pen<'a>(&self, painter: &'a Painter) -> Pen<'a> {
         let [r, g, b] = self.background.map(f32::from);
         let is_dark = 0.299 * r + 0.587 * g + 0.114 * b < 128.0;
@@ -89,8 +85,8 @@ impl ViewAids {
         Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } }
     }
 
-    /// Draws what is to be drawn.
-    pub(crate) fn paint(&self, painter: &Painter, scene: &Scene<'_>) {
+    /// Draws all aids that are on.
+    pub(crate) fn paint(&self, painter: &Painter, scene: &AidsScene<'_>) {
         let pen = self.pen(painter);
         if self.shows_box {
             pen.draw_box(scene.rect, scene.camera, scene.bounds, pen.ink);
@@ -105,7 +101,7 @@ impl ViewAids {
     }
 }
 
-/// Draws lines and words that can be seen on matter of any colour.
+/// Draws lines and words that stand out from any colour.
 pub(crate) struct Pen<'a> {
     pub(crate) painter: &'a Painter,
     pub(crate) ink: Color32,
@@ -131,7 +127,7 @@ impl Pen<'_> {
         self.painter.text(at, align, text, font, color);
     }
 
-    /// Edges of faces that look away are faint.
+    /// Draws a box; edges of faces that look away are faint.
     pub(crate) fn draw_box(&self, rect: Rect, camera: &Camera, bounds: &Aabb, color: Color32) {
         let basis = camera.basis();
         let corners = bounds.corners();
@@ -146,8 +142,8 @@ impl Pen<'_> {
         }
     }
 
-    /// In the corner at the bottom left.
-    fn draw_axes(&self, scene: &Scene<'_>) {
+    /// Draws the axes in the corner at the bottom left.
+    fn draw_axes(&self, scene: &AidsScene<'_>) {
         let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
         let view_from_world = scene.camera.pose.world_from_view.inverse();
         let mut ends: Vec<(Vec3, char, Color32, bool)> = Vec::with_capacity(6);
@@ -163,7 +159,7 @@ impl Pen<'_> {
             let tip = center + flat * AXIS_LENGTH;
             let color = if is_positive { color } else { color.gamma_multiply(0.55) };
             self.line([center, tip], if is_positive { 2.0 } else { 1.0 }, color);
-            // An axis that points at the eye has no room for its letter but at the middle.
+            // An axis that points at the eye has its letter in the middle.
             let out = if flat.length() > 1e-3 { flat.normalized() * LETTER_GAP } else { Vec2::ZERO };
             if is_positive || flat.length() > 0.35 {
                 self.text(tip + out, Align2::CENTER_CENTER, &letter.to_string(), 13.0, color);
@@ -171,8 +167,8 @@ impl Pen<'_> {
         }
     }
 
-    /// Beside the axes: a length that is right at the depth of the centre of rotation.
-    fn draw_scale(&self, scene: &Scene<'_>) {
+    /// Draws a length beside the axes. It is exact at the depth of the centre of rotation.
+    fn draw_scale(&self, scene: &AidsScene<'_>) {
         let depth = (scene.center - scene.camera.pose.eye).dot(scene.camera.pose.forward());
         let intrinsics = &scene.camera.intrinsics;
         let world_per_point = 2.0 * intrinsics.half_size_at(depth).1 / scene.rect.height();
@@ -192,7 +188,7 @@ impl Pen<'_> {
         self.text(left + vec2(0.0, 7.0), Align2::LEFT_TOP, note, 10.0, self.ink.gamma_multiply(0.7));
     }
 
-    fn draw_center(&self, scene: &Scene<'_>) {
+    fn draw_center(&self, scene: &AidsScene<'_>) {
         let basis = scene.camera.basis();
         let Some([at, _]) = projected(&basis, scene.rect, scene.center, scene.center) else { return };
         for arm in [vec2(9.0, 0.0), vec2(0.0, 9.0)] {
@@ -218,7 +214,7 @@ pub(crate) fn faces_eye(camera: &Camera, bounds: &Aabb, axis: usize, is_high: bo
 /// A line of the world on the screen, cut where it passes the eye.
 pub(crate) fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
     let (mut a, mut b) = (basis.pixel_from_point(a), basis.pixel_from_point(b));
-    // Homogeneous points: cutting is linear. Nearer than this, pixels are far outside.
+    // Homogeneous points are cut linearly. Nearer points are far outside the screen.
     let least = a.z.abs().max(b.z.abs()) * 1e-3;
     if a.z.max(b.z) <= least {
         return None;
@@ -235,7 +231,7 @@ pub(crate) fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[
     }))
 }
 
-/// The longest of 1, 2, 5, 10 … of the unit that is no longer than `most`, and how it is written.
+/// The longest of 1, 2, 5, 10 … of the unit that is at most `most`, and its text.
 fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
     if !(most > 0.0 && most.is_finite()) {
         return None;
@@ -256,15 +252,15 @@ fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
 const AXES_MARGIN: f32 = 58.0;
 const AXIS_LENGTH: f32 = 32.0;
 const LETTER_GAP: f32 = 10.0;
-/// x, y and z.
+/// Colours of x, y and z.
 pub(crate) const AXIS_COLORS: [Color32; 3] =
     [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
 const MAX_SCALE_POINTS: f32 = 150.0;
-/// What axes and scale take of the corner at the bottom left, with the scale's longest note.
+/// Room for axes and scale at the bottom left, with the scale's longest note, points.
 pub(crate) const CORNER: Vec2 =
     vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + AXIS_LENGTH + LETTER_GAP + 8.0);
 
-/// A place in the picture for a point of the screen, pixels.
+/// The point of the picture under a point of the screen, pixels.
 pub(crate) fn pixel_at(rect: Rect, camera: &Camera, at: Pos2) -> [f32; 2] {
     let i = &camera.intrinsics;
     let at = pos2(at.x - rect.left(), at.y - rect.top());

@@ -5,7 +5,7 @@ use isinglass_net::State;
 
 use super::style::{Taken, pane};
 
-/// One line at the bottom while something is wrong with the connection, or something was said.
+/// Shows news, or trouble of the connection, at the bottom.
 pub(crate) fn show(ctx: &egui::Context, text: &str, taken: Taken) {
     let area = egui::Area::new(egui::Id::unique("banner"));
     let area = area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge));
@@ -17,7 +17,7 @@ pub(crate) fn show(ctx: &egui::Context, text: &str, taken: Taken) {
     });
 }
 
-/// One line at the top, while the picture is made with an older look than was asked for.
+/// Shows at the top that the picture has an older look than was requested.
 pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State, taken: Taken) {
     let area = egui::Area::new(egui::Id::unique("older look"));
     let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 12.0 + taken.edge));

@@ -1,4 +1,4 @@
-//! The part of the look panel that clips: numbers for the box and the plane.
+//! Numbers for the clip box and plane.
 
 use egui::Ui;
 use glam::Vec3;
@@ -10,7 +10,7 @@ use super::text::format_in;
 use crate::input::bindings::{Action, Bindings};
 use crate::paint::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
 
-/// Shows and changes the clip of a volume in `bounds`, whose lengths are in `unit` if that is known; `forward` is the viewing
+/// Shows and changes the clip of a volume in `bounds`. `unit` is the unit of length, if known; `forward` the viewing
 /// direction.
 pub(crate) fn show(
     ui: &mut Ui,
@@ -63,7 +63,7 @@ pub(crate) fn show(
     });
 }
 
-/// Six ends, each on its side of the other.
+/// Six ends, each bounded by the opposite one.
 fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb, suffix: &str) {
     for (axis, names) in [["x from", "x to"], ["y from", "y to"], ["z from", "z to"]].into_iter().enumerate()
     {
@@ -73,7 +73,7 @@ fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb, suffix: &str) {
         row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
             let slider = slider(ui, &mut inner.min[axis], least..=most, format);
             let slider = ui.add(slider.suffix(suffix));
-            // A box that is thinner came from elsewhere, and stays as it is.
+            // A thinner box came from elsewhere, and stays.
             if slider.changed() {
                 inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
             }

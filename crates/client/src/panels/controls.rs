@@ -8,7 +8,7 @@ use std::ops::RangeInclusive;
 use egui::emath::Numeric;
 use egui::{DragValue, Id, Key, Response, Role, Slider, SliderClamping, Ui, WidgetInfo};
 
-/// A field that shows its number as `format` writes it.
+/// A field that shows its number by `format`.
 pub(crate) fn field<'a>(ui: &Ui, value: &'a mut f32, format: impl Fn(f32) -> String + 'a) -> DragValue<'a> {
     let (read, shown) = (reader(ui), format(*value));
     let field = DragValue::new(value).update_while_editing(false);
@@ -16,7 +16,7 @@ pub(crate) fn field<'a>(ui: &Ui, value: &'a mut f32, format: impl Fn(f32) -> Str
     field.custom_formatter(move |v, _| format(v as f32))
 }
 
-/// The same beside a slider. A number out of the range stays there until it is changed.
+/// The same with a slider. A number outside the range stays until the person changes it.
 pub(crate) fn slider<'a>(
     ui: &Ui,
     value: &'a mut f32,
@@ -60,7 +60,8 @@ pub(crate) fn named_number(response: &Response, role: Role, name: &str, value: f
     });
 }
 
-/// Reads what is written in a field of any number, unless Escape has ended it: egui takes the text at the refresh after that.
+/// Reads the text of any number field. egui takes the text one refresh after Escape, so this ignores a text that
+/// Escape ended.
 pub(crate) fn reader(ui: &Ui) -> impl Fn(&str) -> Option<f64> + use<> {
     let (id, now) = (Id::unique("escape in a number"), ui.ctx().cumulative_pass_nr());
     if ui.input(|i| i.key_pressed(Key::Escape)) {
@@ -70,7 +71,7 @@ pub(crate) fn reader(ui: &Ui) -> impl Fn(&str) -> Option<f64> + use<> {
     move |text| if is_given_up { None } else { read(text) }
 }
 
-/// Spaces are left out, and a minus may be the typographic one.
+/// Ignores spaces, and accepts a typographic minus.
 fn read(text: &str) -> Option<f64> {
     let plain = text.chars().filter(|c| !c.is_whitespace()).map(|c| if c == '−' { '-' } else { c });
     plain.collect::<String>().parse().ok()

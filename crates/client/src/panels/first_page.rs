@@ -5,7 +5,6 @@ use isinglass_net::State;
 
 use super::text::sentence;
 
-/// The page before the first picture.
 pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help: &str) {
     let rect = ui.max_rect();
     let painter = ui.painter();

@@ -5,7 +5,7 @@ use egui::{Align2, Color32, RichText, Ui, vec2};
 use super::style::{bright, quiet};
 use crate::input::bindings::Bindings;
 
-/// The keys and buttons, in the middle: side by side where one column is too high and there is room.
+/// Shows the keys in the middle of the window: in two columns if one is too high and there is room.
 pub(crate) fn show(ctx: &egui::Context, bindings: &Bindings, open: &mut bool) {
     egui::Window::new(RichText::new("Keys and mouse").size(14.0))
         .id(egui::Id::unique("help"))
@@ -27,23 +27,23 @@ pub(crate) fn show(ctx: &egui::Context, bindings: &Bindings, open: &mut bool) {
                 key_columns(ui, &columns, -HELP_GAPS.x);
             } else {
                 let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
-                // The bar lies over what is at the right.
+                // The scroll bar needs room at the right.
                 scroll.show(ui, |ui| key_columns(ui, &columns, 0.0));
             }
         });
 }
 
-/// Keys and what they do. Sizes are known before anything is drawn: a table that finds its own is cut off at first.
+/// Keys and what they do. Sizes are known before drawing: egui would cut off a table whose size it has to find.
 struct KeyColumn<'a> {
     lines: &'a [(String, &'static str)],
-    /// Of the keys and of what they do, with a gap beside each.
+    /// Widths of the keys and of the texts, with a gap beside each, points.
     widths: [f32; 2],
-    /// Of each line, with a gap below it.
+    /// Height of each line, with a gap below it, points.
     heights: Vec<f32>,
 }
 
 impl<'a> KeyColumn<'a> {
-    /// Lines whose texts take up to `room` points across, and are broken where they need more.
+    /// Lines whose texts take at most `room` points, and wrap where they need more.
     fn of(ui: &Ui, lines: &'a [(String, &'static str)], room: f32) -> Self {
         let font = egui::TextStyle::Body.resolve(ui.style());
         let size = |text: &str, width: f32| {
@@ -64,7 +64,7 @@ impl<'a> KeyColumn<'a> {
     }
 }
 
-/// Columns side by side, with so much more at their right.
+/// Draws columns side by side, with `more` points at their right.
 fn key_columns(ui: &mut Ui, columns: &[KeyColumn<'_>], more: f32) {
     let width = columns.iter().flat_map(|column| column.widths).sum::<f32>() + more;
     let height = columns.iter().map(KeyColumn::height).fold(0.0, f32::max);

@@ -1,4 +1,4 @@
-//! The section of the look panel about the light: shade, shadows, and where the light is.
+//! The section about the light: ambient occlusion, shadows and direction.
 
 use std::ops::RangeInclusive;
 
@@ -9,7 +9,7 @@ use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MI
 use super::controls::{percent, reader, row};
 use super::style::named;
 
-/// Shows the section and changes the light. `world_from_view`: how the camera of the picture is turned.
+/// Shows the section and changes the light. `world_from_view` is the rotation of the camera.
 pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     egui::Grid::new("light").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
         row(ui, "ambient occlusion", "how much darker matter is that sees little of the sky", |ui| {
@@ -47,7 +47,7 @@ pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) 
     });
 }
 
-/// The light turned as the hand moves in the picture, in pixels of one that is `height` high: half a turn over all of it.
+/// The light after a drag in a picture of `height` pixels. A drag over the whole height is half a turn.
 pub(crate) fn turned(lighting: Lighting, [x, y]: [f32; 2], height: f32, world_from_view: Quat) -> Lighting {
     let angle = std::f32::consts::PI / height.max(1.0);
     let in_view = Quat::from_rotation_y(x * angle) * Quat::from_rotation_x(y * angle);
@@ -55,7 +55,7 @@ pub(crate) fn turned(lighting: Lighting, [x, y]: [f32; 2], height: f32, world_fr
     lighting.towards(turn * lighting.direction())
 }
 
-/// A slider that changes nothing until it is moved: it shows fewer figures than there are.
+/// A slider that changes nothing until it moves, as it shows fewer figures than there are.
 fn slider(
     ui: &mut Ui,
     is_on: bool,
@@ -68,14 +68,14 @@ fn slider(
     let mut moved = shown;
     let slider = egui::Slider::new(&mut moved, range).fixed_decimals(decimals.into()).suffix(unit);
     let response = ui.add_enabled(is_on, slider.update_while_editing(false).custom_parser(reader(ui)));
-    // Whether it counts as changed is of no use: rounding does, too.
+    // Rounding also counts as a change for egui.
     if (moved - shown).abs() > 0.25 / power {
         *number = moved;
     }
     response
 }
 
-/// A ball as it is lit in the picture, with the light on it.
+/// A ball that is lit as in the picture, with a mark for the light.
 fn ball(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     let (rect, response) = ui.allocate_exact_size(Vec2::splat(BALL_SIDE), Sense::click_and_drag());
     let response = response.on_hover_text("where the light is, as seen from here");
@@ -87,8 +87,8 @@ fn ball(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
     paint_ball(ui, rect, world_from_view.inverse() * lighting.direction());
 }
 
-/// The direction of the light whose mark is at a place, in radii from the ball's middle, y down. Twice as far out as the
-/// rim is behind the ball's middle.
+/// The direction of the light for the position of its mark, in radii from the ball's middle, y down. At two radii the
+/// light is behind the ball.
 fn light_at(place: Vec2) -> Vec3 {
     let out = place.length().min(2.0);
     let flat = if out > 1.0 { 2.0 - out } else { out };
@@ -100,7 +100,7 @@ fn light_at(place: Vec2) -> Vec3 {
 fn paint_ball(ui: &Ui, rect: Rect, light: Vec3) {
     let (center, radius) = (rect.center(), 0.5 * BALL_SIDE - 1.0);
     let mut mesh = egui::Mesh::default();
-    // Brightness at points of the ball: |n·l| would hide which side the light is on.
+    // |n·l| would hide which side is lit.
     let color = |n: Vec3| {
         let lit = 0.18 + 0.8 * n.dot(light).max(0.0);
         Color32::from_gray((255.0 * lit.powf(1.0 / 2.2)).min(255.0) as u8)

@@ -1,4 +1,4 @@
-//! What a pixel tells of its ray, in the look panel: the mode, and the surfaces of its values.
+//! The mode, and the values of its surfaces.
 
 use egui::{SliderClamping, Ui};
 use isinglass_core::look::Look;
@@ -8,7 +8,7 @@ use super::controls::{self, named_number};
 use super::text::format_in;
 use super::value_scale::ValueScale;
 
-/// The rows of the panel.
+/// Shows the rows.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     ui.horizontal(|ui| {
         let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
@@ -27,7 +27,7 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     }
 }
 
-/// Chooses a mode. Surfaces that nobody has chosen yet get the value that parts the histogram best.
+/// Chooses a mode. Without surfaces, one appears at the value that separates the histogram best.
 pub(crate) fn set_mode(look: &mut Look, mode: Mode, scale: &ValueScale) {
     look.mode = mode;
     if mode == Mode::Iso && look.isos.as_slice().is_empty() {
@@ -35,7 +35,7 @@ pub(crate) fn set_mode(look: &mut Look, mode: Mode, scale: &ValueScale) {
     }
 }
 
-/// One line for each surface, and one to add another.
+/// A line for each surface, and a button that adds one.
 fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     let mut isos = look.isos.as_slice().to_vec();
     let mut removed = None;
@@ -72,12 +72,12 @@ fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     if add.clicked() {
         isos.push(another(&isos, scale.range));
     }
-    // Numbers that somebody wrote may be no surface.
+    // Numbers from elsewhere may be invalid.
     look.isos = Isos::new(&isos).unwrap_or(look.isos);
 }
 
-/// A surface beside others, which stay as they are: around the outermost that hides what is behind it, and seen through; if
-/// there is none such, half way up from the highest. Lower values lie further out.
+/// A new surface beside others, which stay. It is translucent and encloses the outermost opaque one. Without an
+/// opaque surface it lies half-way up from the highest. Lower values lie further out.
 fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
     let hides = |iso: &&Iso| iso.opacity >= HIDING_OPACITY;
     let outermost = isos.iter().filter(hides).map(|iso| iso.value).min_by(f32::total_cmp);
@@ -94,7 +94,7 @@ fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
     }
 }
 
-/// The mode for a person.
+/// The name of a mode for people.
 pub(crate) fn text(mode: Mode) -> &'static str {
     match mode {
         Mode::Composite => "composite",
@@ -105,9 +105,9 @@ pub(crate) fn text(mode: Mode) -> &'static str {
     }
 }
 
-/// Opacity of a surface that another one is seen through.
+/// Opacity of a surface in front of another one.
 const OUTER_OPACITY: f32 = 0.3;
-/// From here on next to nothing is seen behind a surface.
+/// From this opacity on, next to nothing is visible behind a surface.
 const HIDING_OPACITY: f32 = 0.9;
 
 #[cfg(test)]

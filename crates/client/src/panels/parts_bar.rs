@@ -1,5 +1,5 @@
-//! The bar at the bottom: which channel, time, level and series of the server's file is shown, another one to choose, and how
-//! far the reading of it is.
+//! The bar at the bottom: channel, time, level and series of the server's file, a choice of others, and the progress
+//! of reading.
 
 use std::time::Duration;
 
@@ -12,40 +12,39 @@ use super::style::{named, pane, warning};
 use super::text::format_bytes;
 use crate::input::bindings::{Action, Bindings};
 
-/// What a person does in the bar.
+/// What the person asks for in the bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PartsWish {
-    /// Another part.
     Open(Part),
-    /// The one that is being read is not wanted any more.
+    /// Stop the reading.
     Cancel,
 }
 
-/// What the bar remembers.
 #[derive(Debug, Default)]
 pub(crate) struct PartsBar {
-    /// What was asked for here, and the newest load of the server then: until the server has told of a later one.
+    /// The requested part, and the server's newest load at that time. It counts until the server reports a later
+    /// load.
     asked: Option<(Part, LoadId)>,
-    /// A load that failed, and since when that is shown.
+    /// A load that failed, and when that was first shown.
     failed: Option<(LoadId, Duration)>,
-    /// The time that the number is dragged to.
+    /// The time to which the person drags the number.
     dragged: Option<u32>,
     height: f32,
-    /// Where it begins, from the window's left.
+    /// Distance of the bar from the window's left, points.
     left: f32,
-    /// Of the pickers in one row, as last drawn so.
+    /// Width of the pickers in one row, as last drawn, points.
     row_width: f32,
 }
 
 impl PartsBar {
-    /// The part to count from: the one that was asked for, or is being read, or is shown.
+    /// The part to count from: the requested one, or the one being read, or the one shown.
     fn chosen(&self, parts: &Parts, load: Option<&LoadStatus>) -> Part {
         let is_reading = |l: &&LoadStatus| matches!(l.state, LoadState::Reading { .. });
         let read = load.filter(is_reading).map(|l| whole(l.part, parts));
         self.asked.map(|(part, _)| part).or(read).unwrap_or(parts.shown)
     }
 
-    /// A step in time, if there is another.
+    /// A step in time, if there is another time.
     pub(crate) fn step(&mut self, parts: &Parts, load: Option<&LoadStatus>, by: i32) -> Option<PartsWish> {
         let chosen = self.chosen(parts, load);
         let now = chosen.time.unwrap_or(0);
@@ -53,29 +52,29 @@ impl PartsBar {
         (time != now).then(|| self.open(Part { time: Some(time), ..chosen }, load))
     }
 
-    /// Another part, which is the one to count from until the server has told of its load.
+    /// Requests a part, from which steps count until the server reports its load.
     pub(crate) fn open(&mut self, part: Part, load: Option<&LoadStatus>) -> PartsWish {
         self.asked = Some((part, load.map_or(LoadId(0), |l| l.load)));
         self.failed = None;
         PartsWish::Open(part)
     }
 
-    /// Nothing is asked for any more: what was is lost with its connection.
+    /// Drops the request: it is lost with the connection.
     pub(crate) fn forget(&mut self) {
         self.asked = None;
     }
 
-    /// The height of the bar, with the space below it.
+    /// The height of the bar with the space below it, points.
     pub(crate) fn height(&self) -> f32 {
         self.height
     }
 
-    /// The same if the bar lies over the window's first `width` points, else none.
+    /// The same if the bar covers the window's first `width` points, else 0.
     pub(crate) fn height_over(&self, width: f32) -> f32 {
         if self.left < width { self.height } else { 0.0 }
     }
 
-    /// Shows the bar if there is anything to choose; what was chosen. The last `right` points of the window are taken.
+    /// Shows the bar if there is a choice; returns the choice. The last `right` points of the window are taken.
     pub(crate) fn show(
         &mut self,
         ctx: &egui::Context,
@@ -122,7 +121,7 @@ impl PartsBar {
         wish
     }
 
-    /// Learns what the server has said.
+    /// Follows what the server reports.
     fn follow(&mut self, now: Duration, load: Option<&LoadStatus>) {
         let Some(load) = load else { return };
         let is_over = !matches!(load.state, LoadState::Reading { .. });
@@ -141,7 +140,7 @@ impl PartsBar {
         }
     }
 
-    /// How a load stands; whether it is to be cancelled.
+    /// The progress of a load; returns whether to cancel it.
     fn status_row(&self, ui: &mut Ui, load: &LoadStatus) -> bool {
         match &load.state {
             LoadState::Reading { permille } => {
@@ -174,7 +173,7 @@ impl PartsBar {
     }
 }
 
-/// A row with one picker for each axis that there is more than one of.
+/// A row with a picker for each axis with more than one entry.
 fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
     if parts.num_times > 1 {
         let last = parts.num_times - 1;
@@ -190,7 +189,7 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
             .on_hover_text(bindings.with_key("the next time", Action::StepTime(1)));
         named(&on, egui::Role::Button, "the next time");
         time = time + u32::from(on.clicked()) - u32::from(back.clicked() && time > 0);
-        // A number that is being dragged asks when it is let go.
+        // A dragged number counts when it is released.
         match number.dragged() {
             true => *dragged = Some(time),
             false => chosen.time = Some(time.min(last)),
@@ -219,13 +218,13 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
         let mut series = chosen.series.unwrap_or(0);
         let name = |i: u32| numbered(i, parts.series.get(i as usize));
         if list(ui, "series", parts.num_series as usize, &mut series, name) {
-            // Another series has channels, times and levels of its own.
+            // Another series has its own channels, times and levels.
             *chosen = Part { series: Some(series), ..Part::default() };
         }
     }
 }
 
-/// A part as it is called in a line.
+/// A part in words.
 fn in_words(part: &Part) -> String {
     let named =
         [("series", part.series), ("level", part.level), ("channel", part.channel), ("time", part.time)];
@@ -236,7 +235,7 @@ fn in_words(part: &Part) -> String {
     if words.is_empty() { "the first part".into() } else { words.join(", ") }
 }
 
-/// What is not named of a part is as it is shown.
+/// Fills what a part does not name from the part shown.
 fn whole(part: Part, parts: &Parts) -> Part {
     let shown = parts.shown;
     Part {
@@ -248,7 +247,7 @@ fn whole(part: Part, parts: &Parts) -> Part {
     }
 }
 
-/// What went wrong with a load is shown for so long.
+/// How long a failure is shown.
 const FAILURE_TIME: Duration = Duration::from_secs(12);
 
 #[cfg(test)]

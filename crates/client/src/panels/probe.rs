@@ -1,4 +1,4 @@
-//! What is under the pointer: the point, from the depths of the frame that is shown, and its value, from the server.
+//! The probe: the point under the pointer, from the depths of the frame on screen, and its value, from the server.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,14 +10,13 @@ use isinglass_core::wire::{Probed, VolumeDescription, Welcome};
 use crate::panels::style::pane;
 use crate::view::pace::Pace;
 
-/// The probe, on or off.
 #[derive(Debug)]
 pub(crate) struct ValueProbe {
     is_on: bool,
     pace: Pace<Vec3>,
-    /// The point that was asked for last.
+    /// The point of the last request.
     asked: Option<Vec3>,
-    /// The volume that it was asked of.
+    /// The volume of the last request.
     volume: Option<Arc<Welcome>>,
 }
 
@@ -28,17 +27,15 @@ impl Default for ValueProbe {
 }
 
 impl ValueProbe {
-    /// On or off.
     pub(crate) fn toggle(&mut self) {
         *self = Self { is_on: !self.is_on, ..Self::default() };
     }
 
-    /// Whether points are wanted.
     pub(crate) fn is_on(&self) -> bool {
         self.is_on
     }
 
-    /// What is asked is asked of this volume: again, if it is another than before.
+    /// Sets the volume to probe. For another volume, the point is requested again.
     pub(crate) fn ask_of(&mut self, volume: Option<&Arc<Welcome>>) {
         let is_same = match (volume, &self.volume) {
             (Some(a), Some(b)) => Arc::ptr_eq(a, b) || a.volume == b.volume,
@@ -49,10 +46,10 @@ impl ValueProbe {
         }
     }
 
-    /// The pointer is at a point of the volume, or at none; the point to ask for now.
+    /// Sets the point under the pointer. Returns the point to request now.
     pub(crate) fn point_at(&mut self, now: Duration, point: Option<Vec3>) -> Option<Vec3> {
         let due = match point {
-            // A point that rests is asked for once.
+            // A point at rest is requested once.
             Some(point) if self.asked != Some(point) => {
                 self.asked = Some(point);
                 self.pace.offer(now, point)
@@ -65,21 +62,21 @@ impl ValueProbe {
         due
     }
 
-    /// When a question that waits may go: there must be a refresh then.
+    /// When a waiting request may go; the window must refresh then.
     pub(crate) fn due(&self) -> Option<Duration> {
         self.pace.due()
     }
 }
 
-/// The lines beside the pointer: what is there, where it is in the file's own world, and the voxel. `answer` is the
-/// newest; one for another voxel is no answer to this.
+/// The lines beside the pointer: the value, the position in the file's own world, and the voxel. `answer` is the
+/// newest; it counts only for the same voxel.
 pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescription) -> [String; 3] {
     let unit = volume.unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
     let place = match &volume.placement {
         Some(placement) => placement.file_from_world(point),
         None => point.to_array().map(f64::from),
     };
-    // A tenth of a voxel is as fine as anybody can point.
+    // Nobody can point more finely than a tenth of a voxel.
     let finest = f64::from(volume.spacing.iter().copied().fold(f32::INFINITY, f32::min));
     let decimals = (1.0 - finest.log10()).ceil().clamp(0.0, 6.0) as usize;
     let names = names(volume);
@@ -90,7 +87,7 @@ pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescrip
     let coordinates = [0, 1, 2].map(told);
     let index = voxel_at(point, volume);
     let [x, y, z] = index;
-    // While the pointer moves, the newest answer is for where it was: right as long as that is the same voxel.
+    // While the pointer moves, the newest answer is late. It is right while the voxel is the same.
     let found = answer.and_then(|a| a.voxel).filter(|voxel| voxel.index == index);
     let value = found.map_or("…".to_owned(), |found| {
         let unit = volume.value_unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
@@ -99,7 +96,7 @@ pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescrip
     [value, format!("{}{unit}", coordinates.join("  ")), format!("voxel {x}, {y}, {z}")]
 }
 
-/// The numbers of the voxel that holds a point, or of the nearest.
+/// The indices of the voxel that holds a point, or of the nearest one.
 fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
     let from_corner = point - volume.bounds().min;
     std::array::from_fn(|i| {
@@ -107,8 +104,8 @@ fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
     })
 }
 
-/// What the coordinates of the file's world are called, and what they are called below zero where there is a word for that. A
-/// body's world is right-anterior-superior.
+/// The names of the coordinates of the file's world, and their names below zero if there are such. A body's world is
+/// right-anterior-superior.
 fn names(volume: &VolumeDescription) -> [(&'static str, Option<&'static str>); 3] {
     let is_body = volume.orientation.is_some() && volume.placement.is_some();
     match is_body {
@@ -117,7 +114,7 @@ fn names(volume: &VolumeDescription) -> [(&'static str, Option<&'static str>); 3
     }
 }
 
-/// Shows lines beside the pointer, inside of the window.
+/// Shows the lines beside the pointer, inside the window.
 pub(crate) fn show(ctx: &Context, at: Pos2, lines: &[String; 3]) {
     let screen = ctx.content_rect();
     let right = at.x < screen.right() - 260.0;
@@ -143,7 +140,7 @@ pub(crate) fn show(ctx: &Context, at: Pos2, lines: &[String; 3]) {
     });
 }
 
-/// Points are asked for at most 30 times a second.
+/// Least time between requests: 30 a second.
 const PERIOD: Duration = Duration::from_micros(33_334);
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! Pictures to keep: one of the view, or a turntable of many, rendered in full by the server and written here.
+//! Screenshots: one of the view, or a turntable of many. The server renders them in full, and they are written here.
 //!
-//! One picture is asked for at a time, the next when the one before is on the disk. Files are written on a thread.
+//! One picture is requested at a time, the next when the one before is on the disk. A thread writes the files.
 
 mod files;
 
@@ -21,52 +21,45 @@ use super::style::{Taken, pane};
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
 
-/// What is to be seen in the pictures.
+/// What the pictures show.
 #[derive(Clone, Debug)]
 pub(crate) struct Subject {
-    /// Name of the volume, which files are called by.
+    /// Name of the volume, from which the files get theirs.
     pub(crate) name: String,
     /// The camera of the window.
     pub(crate) pose: Pose,
-    /// The same.
     pub(crate) intrinsics: Intrinsics,
     /// sRGB behind the volume.
     pub(crate) background: [u8; 3],
-    /// The box of the volume.
     pub(crate) bounds: Aabb,
-    /// What a turntable turns about: a point and a unit vector.
+    /// The axis of a turntable: a point and a unit vector.
     pub(crate) center: Vec3,
-    /// See there.
     pub(crate) up: Vec3,
 }
 
-/// The dialog, and what is being made.
 pub(crate) struct Screenshots {
     is_dialog_open: bool,
     size: Option<[u32; 2]>,
     num_pictures: u32,
-    /// Where files go, as a person writes it.
+    /// Where files go, as the person writes it.
     pub(crate) folder: String,
     series: Option<Series>,
 }
 
-/// Pictures on their way.
+/// Pictures in progress.
 struct Series {
     subject: Subject,
     total: u32,
     done: u32,
-    /// The file, or for several the folder.
+    /// The file, or the folder of several.
     path: PathBuf,
-    stage: Stage,
+    stage: PictureStage,
 }
 
 /// The stage of the picture after the last that is done.
-enum Stage {
-    /// To be requested.
+enum PictureStage {
     Due,
-    /// Requested.
     Requested(ShotId),
-    /// On its way to the disk.
     Writing(Background<PathBuf>),
 }
 
@@ -78,7 +71,6 @@ impl Default for Screenshots {
 }
 
 impl Screenshots {
-    /// What a person would type.
     #[cfg(test)]
     pub(crate) fn set_for_test(&mut self, name: &str, value: u32) {
         let size = self.size.get_or_insert([1; 2]);
@@ -89,22 +81,19 @@ impl Screenshots {
         }
     }
 
-    /// Whether the dialog is open.
     pub(crate) fn is_dialog_open(&self) -> bool {
         self.is_dialog_open
     }
 
-    /// Opens or closes the dialog.
     pub(crate) fn toggle_dialog(&mut self) {
         self.is_dialog_open = !self.is_dialog_open;
     }
 
-    /// Closes it.
     pub(crate) fn close_dialog(&mut self) {
         self.is_dialog_open = false;
     }
 
-    /// Asks for one picture, as large as the window's. While others are made it does nothing.
+    /// Requests one picture as large as the window's, unless others are in progress.
     pub(crate) fn take(&mut self, subject: Subject) {
         if self.series.is_none() {
             self.begin(subject, 1);
@@ -114,10 +103,10 @@ impl Screenshots {
     fn begin(&mut self, subject: Subject, total: u32) {
         let folder = files::folder_from_text(&self.folder);
         let path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
-        self.series = Some(Series { subject, total, done: 0, path, stage: Stage::Due });
+        self.series = Some(Series { subject, total, done: 0, path, stage: PictureStage::Due });
     }
 
-    /// Goes on with what is being made, if `is_ready` for another request; what there is to tell the person. Never waits.
+    /// Continues what is in progress. `is_ready`: another request may go. Returns news for the person. Never waits.
     pub(crate) fn poll(
         &mut self,
         source: &mut impl FrameSource,
@@ -126,18 +115,18 @@ impl Screenshots {
     ) -> Option<String> {
         let series = self.series.as_mut()?;
         match &mut series.stage {
-            Stage::Due if !is_ready => None,
-            Stage::Due => {
+            PictureStage::Due if !is_ready => None,
+            PictureStage::Due => {
                 let Subject { intrinsics, background, .. } = series.subject;
-                series.stage = Stage::Requested(source.shoot(series.pose(), intrinsics, background));
+                series.stage = PictureStage::Requested(source.shoot(series.pose(), intrinsics, background));
                 None
             }
-            Stage::Requested(id) => {
+            PictureStage::Requested(id) => {
                 let shot = source.take_shot().filter(|shot| shot.id == *id)?;
                 match &shot.png {
                     Ok(_) => {
                         let path = series.file();
-                        series.stage = Stage::Writing(Background::run(&waker_of(ctx), move || {
+                        series.stage = PictureStage::Writing(Background::run(&waker_of(ctx), move || {
                             let png = shot.png.as_deref().unwrap_or_default();
                             files::write(&path, png).map_err(|e| format!("{}: {e}", path.display()))
                         }));
@@ -150,10 +139,10 @@ impl Screenshots {
                     }
                 }
             }
-            Stage::Writing(writing) => match writing.take()? {
+            PictureStage::Writing(writing) => match writing.take()? {
                 Ok(file) => {
                     series.done += 1;
-                    series.stage = Stage::Due;
+                    series.stage = PictureStage::Due;
                     ctx.request_repaint();
                     let is_all = series.done == series.total;
                     let told = match series.total {
@@ -173,36 +162,34 @@ impl Screenshots {
         }
     }
 
-    /// Whether anything is being made.
     #[cfg(test)]
     pub(crate) fn is_busy(&self) -> bool {
         self.series.is_some()
     }
 
-    /// The source is another: what was asked of the one before will not come, and is of another volume. What there is to tell
-    /// the person.
+    /// The source has changed: requested pictures will not come. Returns news for the person.
     pub(crate) fn forget(&mut self) -> Option<String> {
         Some(self.series.take()?.stopped())
     }
 
-    /// The server will answer no more: what has come is still written. What there is to tell the person.
+    /// The server answers no more. A picture that has arrived is still written. Returns news for the person.
     pub(crate) fn end(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
         let told = self.poll(source, false, ctx);
         match self.series.as_ref().map(|series| &series.stage) {
-            Some(Stage::Due | Stage::Requested(_)) => self.cancel(source),
-            Some(Stage::Writing(_)) | None => told,
+            Some(PictureStage::Due | PictureStage::Requested(_)) => self.cancel(source),
+            Some(PictureStage::Writing(_)) | None => told,
         }
     }
 
-    /// Gives up what is being made; what there is to tell the person.
+    /// Stops what is in progress. Returns news for the person.
     fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
         let series = self.series.take()?;
         source.cancel_shot();
         Some(series.stopped())
     }
 
-    /// Shows the dialog if it is open, and the progress if there is any, beside what is taken at the top; what there is to tell
-    /// the person.
+    /// Shows the dialog if it is open, and the progress if there is any. `taken` is the room taken at the top.
+    /// Returns news for the person.
     pub(crate) fn show(
         &mut self,
         ctx: &Context,
@@ -275,10 +262,10 @@ impl Screenshots {
 }
 
 impl Series {
-    /// What there is to tell if no more are made.
+    /// News for the person when no more pictures are made.
     fn stopped(&self) -> String {
-        // One that is being written will be there.
-        let done = self.done + u32::from(matches!(self.stage, Stage::Writing(_)));
+        // A picture that is being written will be there.
+        let done = self.done + u32::from(matches!(self.stage, PictureStage::Writing(_)));
         match (done, self.total) {
             (0, _) => "No picture was made".to_owned(),
             (_, 1) => format!("Saved {}", self.path.display()),
@@ -286,7 +273,7 @@ impl Series {
         }
     }
 
-    /// The camera of the next picture: the window's own first.
+    /// The camera of the next picture; the first is the window's own.
     fn pose(&self) -> Pose {
         let Subject { pose, intrinsics, bounds, center, up, .. } = self.subject;
         if self.done == 0 {
@@ -298,11 +285,10 @@ impl Series {
             eye: center + turn * (pose.eye - center),
             world_from_view: (turn * pose.world_from_view).normalize(),
         };
-        // Parallel rays begin at the eye: all of the volume must be in front of it from there, too.
+        // Parallel rays begin at the eye, so the whole volume must be in front of it.
         if intrinsics.projection.is_orthographic() { turned.before(&bounds) } else { turned }
     }
 
-    /// Where it goes.
     fn file(&self) -> PathBuf {
         match self.total {
             1 => self.path.clone(),
@@ -311,7 +297,7 @@ impl Series {
     }
 }
 
-/// Shows how far a series is; whether it shall end.
+/// Shows the progress of a series; returns whether to cancel it.
 fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
     let mut is_cancelled = false;
     let area = egui::Area::new(egui::Id::unique("pictures"));

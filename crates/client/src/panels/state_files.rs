@@ -9,11 +9,8 @@ use super::background::{Written, write_text};
 use super::file_field::{FileField, FileOutcome};
 use crate::view::Waker;
 
-/// What is in a file.
 pub(crate) enum FileContent {
-    /// A state.
     State(Box<ReadState>),
-    /// Not a state.
     Other(PathBuf),
 }
 

@@ -9,20 +9,20 @@ use super::style::{bright, pane, quiet};
 use super::text::{format_duration, format_rate, sentence};
 use crate::view::viewing::Standing;
 
-/// All that the overlay shows; what is not known is absent and shown as a dash.
+/// Everything that the overlay shows; an unknown number is shown as a dash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OverlayModel {
     /// The connection.
     pub state: State,
-    /// How the picture stands to the server's.
+    /// How the picture relates to the server's.
     pub standing: Standing,
     /// Round-trip time of the connection.
     pub round_trip: Option<Duration>,
-    /// Time since the camera was last at the pose that the frame on screen answers.
+    /// Time since the camera was last at the pose of the frame on screen.
     pub frame_age: Option<Duration>,
     /// Angle between the pose of the frame on screen and the camera, around the volume's centre.
     pub turned_degrees: Option<f32>,
-    /// What drawing costs.
+    /// The time of drawing.
     pub view_time: ViewTime,
     /// Time the server took for the newest frame.
     pub generate: Option<Duration>,
@@ -30,26 +30,26 @@ pub struct OverlayModel {
     pub bytes_per_second: f64,
     /// Frames of the server that were decoded in the last second.
     pub new_frames_per_second: u32,
-    /// Refreshes in the last second; none while nothing moves.
+    /// Refreshes in the last second; none at rest.
     pub refreshes_per_second: Option<f64>,
 }
 
-/// The cost of a novel view, as well as the adapter can tell.
+/// The time of a novel view, as exactly as the adapter can tell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ViewTime {
     /// Measured on the GPU with timestamps.
     Gpu(Duration),
-    /// From refresh to refresh, where the adapter has no timestamps: it holds waiting for the display too.
+    /// The time between refreshes, for an adapter without timestamps: it includes waiting for the display.
     FrameInterval(Duration),
     /// Nothing was drawn lately.
     Unknown,
 }
 
-/// One line of the overlay.
+/// A line of the overlay: name and value.
 pub type Row = (&'static str, String);
 
 impl OverlayModel {
-    /// The lines under the badge, in a fixed order, so that a number stays in its place.
+    /// The lines under the badge, in a fixed order, so that each number keeps its place.
     pub fn rows(&self) -> Vec<Row> {
         let duration = |d: Option<Duration>| d.map_or_else(dash, format_duration);
         let is_current = self.frame_age == Some(Duration::ZERO);
@@ -74,7 +74,7 @@ impl OverlayModel {
         ]
     }
 
-    /// One calm line when the connection is not what it should be; the last picture stays in use under it.
+    /// One line about trouble of the connection. The last picture stays in use.
     pub fn banner(&self) -> Option<String> {
         match &self.state {
             State::Connected | State::Connecting { .. } => None,
@@ -99,7 +99,7 @@ impl Standing {
         }
     }
 
-    /// What the word means, for the person who points at it.
+    /// The explanation of the word, as hover text.
     pub fn explanation(self) -> &'static str {
         match self {
             Self::Waiting => "No frame has arrived yet.",
@@ -114,7 +114,6 @@ impl Standing {
     }
 }
 
-/// The state in one word.
 fn state_word(state: &State) -> &'static str {
     match state {
         State::Connecting { .. } => "connecting",
@@ -124,7 +123,7 @@ fn state_word(state: &State) -> &'static str {
     }
 }
 
-/// How much of the window's left the numbers take, with a gap beside them, where `right` points are taken on the right.
+/// What the numbers take of the window's left, with a gap, points. `right` points are taken on the right.
 pub(crate) fn width_taken(ctx: &egui::Context, right: f32) -> f32 {
     let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
     width + OVERLAY_GAPS
@@ -135,8 +134,8 @@ pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
     OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
 }
 
-/// The numbers, at the top left; in a narrow window the badge alone. `title` is the volume's name, `right` what is taken on the
-/// right.
+/// Shows the numbers at the top left, or the badge alone in a narrow window. `title` is the volume's name; `right`
+/// points are taken on the right.
 pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
     let has_numbers = has_room_for_numbers(ctx, right);
     egui::Area::new(egui::Id::unique("overlay"))
@@ -144,7 +143,7 @@ pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right
         .interactable(true)
         .show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
-                // A fixed width: changing digits must not make the pane tremble.
+                // A fixed width: the pane must not change its size with the digits.
                 ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
                 ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
                 ui.spacing_mut().interact_size.y = 0.0;
@@ -195,11 +194,11 @@ fn dash() -> String {
     "–".to_owned()
 }
 
-/// Of the numbers, points.
+/// Width of the numbers, points.
 const OVERLAY_WIDTH: f32 = 190.0;
-/// Of the badge's longest word, points.
+/// Width of the badge's longest word, points.
 const BADGE_WIDTH: f32 = 66.0;
-/// Around the numbers and in their pane, points.
+/// Gaps around the numbers and in their pane, points.
 const OVERLAY_GAPS: f32 = 42.0;
 
 #[cfg(test)]

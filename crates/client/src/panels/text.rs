@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// An error message as a sentence of its own.
+/// An error message as a sentence.
 pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
     let mut text = problem.to_string();
     if let Some(first) = text.get_mut(..1) {
@@ -47,12 +47,12 @@ pub fn format_bytes(bytes: u64) -> String {
     }
 }
 
-/// A value with about four figures, and no more than its size calls for.
+/// A value with about four figures.
 pub(crate) fn format_value(value: f32) -> String {
     format_in(value, 0.0)
 }
 
-/// The same with as many figures more as tell it from others of a range that is `span` wide.
+/// The same with enough figures to distinguish values in a range that is `span` wide.
 pub(crate) fn format_in(value: f32, span: f32) -> String {
     let size = value.abs();
     if size == 0.0 {
@@ -60,10 +60,10 @@ pub(crate) fn format_in(value: f32, span: f32) -> String {
     }
     let power = size.log10().floor() as i32;
     let wanted = if span > 0.0 { 3 - span.log10().floor() as i32 } else { -power };
-    // Single precision has no more.
+    // Single precision has no more figures.
     let wanted = wanted.clamp(-power, 7 - power);
     let decimals = match size {
-        // A large number that is told to the unit is written out.
+        // A large number that is exact to the unit is written out.
         a if (1e6..1e9).contains(&a) && span > 0.0 && wanted >= 0 => 0,
         a if !(1e-3..1e6).contains(&a) => {
             let figures = (wanted + power).max(2) as usize;

@@ -1,32 +1,30 @@
-//! The axes of the editor: values of the volume across, opacity upwards, and the histogram between them.
+//! The values of a volume: their range and histogram.
 
 use isinglass_core::transfer::Domain;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_core::wire::control::MAX_BINS;
 
-/// What is known of a volume's values.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ValueScale {
-    /// Least and greatest value, never the same.
+    /// Least and greatest value, never equal.
     pub(crate) range: (f32, f32),
-    /// Between which the bins are; a few voxels may lie far outside.
+    /// The range of the bins; a few voxels may lie far outside.
     bins: (f32, f32),
     counts: Vec<u64>,
 }
 
 impl ValueScale {
-    /// That of a volume.
     pub(crate) fn of(volume: &VolumeDescription) -> Self {
         let (range, bins) = (apart(volume.value_range), apart(volume.histogram_range));
         Self { range, bins, counts: volume.histogram.clone() }
     }
 
-    /// From the first to the last bin.
+    /// The width of the bins' range.
     pub(crate) fn span(&self) -> f32 {
         self.bins.1 - self.bins.0
     }
 
-    /// The value below which `percent` % of the voxels are, as far as the bins tell: within one, evenly.
+    /// The value below which `percent` % of the voxels lie, interpolated within a bin.
     pub(crate) fn percentile(&self, percent: f32) -> f32 {
         if percent <= 0.0 || percent >= 100.0 {
             return if percent <= 0.0 { self.range.0 } else { self.range.1 };
@@ -45,12 +43,12 @@ impl ValueScale {
         self.range.1
     }
 
-    /// The value that parts the histogram best, as far as the bins tell.
+    /// The value that separates the histogram best.
     pub(crate) fn parting_value(&self) -> f32 {
         isinglass_core::volume::parting_value(&self.counts, self.bins)
     }
 
-    /// The two values that a domain stands for, ascending and apart.
+    /// The two values of a domain, ascending and different.
     pub(crate) fn domain(&self, domain: &Domain) -> (f32, f32) {
         match *domain {
             Domain::Full => self.range,
@@ -59,7 +57,7 @@ impl ValueScale {
                 let [lo, hi] = [a, b].map(|percent| self.percentile(percent).clamp(self.bins.0, self.bins.1));
                 let bin =
                     |value: f32| ((value - self.bins.0) / self.span() * self.counts.len() as f32).floor();
-                // Nearly all voxels are the same, where a bin is one number: as the kernels read it.
+                // Nearly all voxels have one value, and a bin holds one number: the kernels read it in the same way.
                 let is_one = self.counts.len() < MAX_BINS && bin(lo) == bin(hi);
                 if is_one { self.bins } else { apart((lo, hi)) }
             }
@@ -72,7 +70,7 @@ impl ValueScale {
         let (lo, hi) = self.bins;
         let bin = ((value - lo) / self.span() * self.counts.len() as f32).floor();
         let last = self.counts.len() as f32 - 1.0;
-        // The greatest value is in the last bin.
+        // The last bin includes the greatest value.
         let bin = if value == hi { last } else { bin };
         if !(0.0..=last).contains(&bin) || total == 0 {
             return 0.0;
@@ -101,7 +99,7 @@ impl ValueScale {
     }
 }
 
-/// Two values that differ, as the kernels read a domain without a length.
+/// Two different values, as the kernels read a domain without a length.
 fn apart((lo, hi): (f32, f32)) -> (f32, f32) {
     if hi > lo { (lo, hi) } else { (lo, lo + (lo.abs() * 1e-3).max(1.0)) }
 }

@@ -1,6 +1,5 @@
-//! The window around the viewer: a start page where nothing is shown yet, and whatever is opened from it, from the list of what
-//! was opened lately, or from files that are dropped. What is shown stays until the next is there, and no refresh waits for any
-//! of it.
+//! The window around the viewer: the start page, and whatever opens from it, from the recent list, or by dropping
+//! files. The present picture stays until the next one is ready, and no refresh waits.
 
 mod opening;
 mod page;
@@ -32,15 +31,14 @@ use crate::panels::style::{name_window, named, pane, warning};
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
-/// What dropped files are to the window.
+/// What dropped files mean to the window.
 enum Dropped {
     Volume(PathBuf),
     State(Box<ReadState>),
-    /// For the viewer to look at.
+    /// Files for the viewer.
     Others(Vec<egui::DroppedFileHandle>),
 }
 
-/// See the module.
 pub(crate) struct StartWindow {
     app: ViewerApp<BoxedSource>,
     services: Services,
@@ -48,14 +46,14 @@ pub(crate) struct StartWindow {
     page: StartPage,
     is_page_shown: bool,
     has_session: bool,
-    /// The server in this process whose volume is shown, and the bytes of that.
+    /// The server in this process whose volume is shown, and the size of that volume, bytes.
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
     problem: Option<String>,
     dropped: Background<Dropped>,
     /// A state that was chosen in the list of files.
     chosen: Background<Box<ReadState>>,
-    /// Whether the list has led to a folder, or a person has gone to one.
+    /// Whether the list shows the folder of the recent list, or one that the person chose.
     has_folder: bool,
     clock: Clock,
     wake: Waker,
@@ -106,7 +104,7 @@ impl StartWindow {
         window
     }
 
-    /// A refresh of the whole window.
+    /// Refreshes the whole window.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         if self.recent.poll(&ctx) && !self.has_folder {
@@ -122,7 +120,7 @@ impl StartWindow {
         let wish = if self.is_page_shown {
             self.app.warm_up();
             name_window(&ctx, "isinglass");
-            // Of the viewer's keys only this one.
+            // Of the viewer's keys only this one works here.
             if self.app.take_quit(&ctx) {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
             }
@@ -174,7 +172,7 @@ impl StartWindow {
         }
     }
 
-    /// Begins to open a volume; what is shown stays.
+    /// Begins to open a volume.
     fn open(&mut self, request: LoadRequest) {
         let held = self.held();
         let servers = self.services.servers.clone();
@@ -182,7 +180,7 @@ impl StartWindow {
         self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
     }
 
-    /// Begins to open the volume that a state names, to be seen as the state says. What is shown stays.
+    /// Begins to open a state's volume, to show it as the state says.
     fn open_state(&mut self, read: Result<Box<ReadState>, String>) {
         self.problem = None;
         let opening = read.and_then(|read| {
@@ -225,7 +223,7 @@ impl StartWindow {
         }
     }
 
-    /// Takes the next step of what is being opened.
+    /// Continues what is being opened.
     fn go_on(&mut self, ctx: &egui::Context) {
         let Some(opening) = &mut self.opening else { return };
         if let Some(ended) = opening.poll() {
@@ -238,12 +236,12 @@ impl StartWindow {
                 }
             }
         } else {
-            // Its progress is not told, but asked for.
+            // Progress is polled.
             ctx.request_repaint_after(PROGRESS_PERIOD);
         }
     }
 
-    /// Bytes of the volume that a server of this window holds: of what it shows now, if it has said so.
+    /// Size of the volume that a server of this window holds, bytes.
     fn held(&self) -> u64 {
         let Some((_, bytes)) = self.server else { return 0 };
         self.app.source().parts().map_or(bytes, |parts| parts.bytes_in_memory)
@@ -260,7 +258,6 @@ impl StartWindow {
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
 
-    /// Ends what is shown.
     fn close(&mut self) {
         later((self.app.turn_to(Box::new(Nothing), Origin::default()), self.server.take()));
         (self.has_session, self.is_page_shown) = (false, true);
@@ -271,8 +268,8 @@ impl StartWindow {
         self.page.focus();
     }
 
-    /// Files that were dropped on the window are told apart by what they hold: volumes are opened here, and where nothing is
-    /// shown states with the volumes that they name; everything else goes on to the viewer, which knows presets and states.
+    /// Dropped files are distinguished by their content. Volumes open here. States open here with their volumes while
+    /// the page is shown. The viewer gets everything else: it knows presets and states.
     fn take_dropped(&mut self, ctx: &egui::Context) {
         let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
         if !files.is_empty() {
@@ -307,7 +304,7 @@ impl StartWindow {
         }
     }
 
-    /// What lies over the picture: the way to the page, and how far an opening is.
+    /// Shows the button to the page, and the progress of an opening.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
         let right = self.app.right_width().max(FOLDED_WIDTH);
         let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
@@ -360,7 +357,7 @@ impl eframe::App for StartWindow {
     }
 }
 
-/// Before anything is opened.
+/// The source before anything is opened.
 pub(crate) struct Nothing;
 
 impl FrameSource for Nothing {
@@ -397,5 +394,5 @@ impl FrameSource for Nothing {
     fn report(&mut self, _stats: ClientStats) {}
 }
 
-/// How often a window that opens something is refreshed.
+/// Period of refreshes while something is being opened.
 const PROGRESS_PERIOD: std::time::Duration = std::time::Duration::from_millis(60);

@@ -1,5 +1,5 @@
-//! From a wish to a source of frames, step by step and without waiting: a link is connected to; a volume is looked at, read,
-//! served in this process, and then connected to.
+//! From a link or a file to a source of frames, step by step and without waiting. A volume is read and served in this
+//! process, and then connected to like a link.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::view::{BoxedSource, Waker};
 
 /// Something that is being opened. Dropping it cancels.
 pub(crate) struct Opening {
-    /// What a person calls it.
+    /// The name for people.
     pub(crate) name: String,
     place: RecentPlace,
     origin: Origin,
@@ -29,14 +29,11 @@ pub(crate) struct Opening {
 }
 
 enum OpeningStep {
-    /// The header is read.
     Surveying(Local, Background<Outline>),
-    /// The voxels are read.
     Reading(Local, Loading),
-    /// The server is started.
     Starting(Background<LocalServer>),
     Connecting(Box<Client>),
-    /// It was told how it ended.
+    /// The outcome was taken.
     Over,
 }
 
@@ -45,32 +42,28 @@ struct Local {
     request: LoadRequest,
 }
 
-/// How far an opening is.
+/// The stage of an opening.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Stage {
-    /// The header is read.
     Looking,
-    /// The voxels are read.
+    /// The share of the voxels that are read.
     Reading(f32),
-    /// Bricks, histogram, upload to the GPU.
+    /// Makes bricks and a histogram, and uploads the volume to the GPU.
     Preparing,
-    /// A server is called.
     Connecting,
 }
 
-/// What was opened.
 pub(crate) struct Opened {
     pub(crate) source: BoxedSource,
     pub(crate) origin: Origin,
-    /// The server in this process, and the bytes of its volume.
+    /// The server in this process, and the size of its volume, bytes.
     pub(crate) server: Option<(Box<dyn Send>, u64)>,
     pub(crate) place: RecentPlace,
-    /// The name of the volume.
     pub(crate) shows: String,
 }
 
 impl Opening {
-    /// Calls a server.
+    /// Connects to a server.
     pub(crate) fn connect(link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
@@ -101,7 +94,7 @@ impl Opening {
         let name = std::path::Path::new(&request.source)
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());
-        // The list is read where another folder may be the present one.
+        // The recent list may be read from another working folder.
         let source = match request.source.starts_with("builtin:") {
             true => request.source.clone(),
             false => std::path::absolute(&request.source)
@@ -125,13 +118,12 @@ impl Opening {
         }
     }
 
-    /// The same, to be seen as a state says.
+    /// The same, shown as a state says.
     pub(crate) fn seen_as(mut self, read: ReadState) -> Self {
         self.origin.state = Some(read);
         self
     }
 
-    /// How far it is.
     pub(crate) fn stage(&self) -> Stage {
         match &self.step {
             OpeningStep::Surveying(..) => Stage::Looking,
@@ -143,12 +135,12 @@ impl Opening {
         }
     }
 
-    /// What is known of the volume, once its header was read.
+    /// What is known of the volume after its header is read.
     pub(crate) fn outline(&self) -> Option<&Outline> {
         self.outline.as_ref()
     }
 
-    /// Goes on as far as it can; the end, once.
+    /// Continues as far as possible; returns the outcome, once.
     pub(crate) fn poll(&mut self) -> Option<Result<Opened, String>> {
         loop {
             let next = match std::mem::replace(&mut self.step, OpeningStep::Over) {
@@ -229,8 +221,8 @@ impl Opening {
 
 impl Drop for Opening {
     fn drop(&mut self) {
-        // A server that is being started hands itself to nobody, and ends; one that is there already, or a volume that was read
-        // and not taken, would take its time here.
+        // A server that is starting ends by itself, as nobody takes it. A running server or a volume takes time to
+        // drop.
         let step = std::mem::replace(&mut self.step, OpeningStep::Over);
         let server = self.server.take();
         if server.is_some() || !matches!(step, OpeningStep::Over) {
@@ -244,8 +236,7 @@ fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, Strin
     Client::connect(link, options).map(Box::new).map_err(|e| sentence(&e))
 }
 
-/// Drops what takes time to end on a thread of its own.
+/// Drops what takes time on a thread of its own.
 pub(super) fn later<T: Send + 'static>(ended: T) {
-    // Without a thread it is dropped here.
     let _ = std::thread::Builder::new().name("goodbye".into()).spawn(move || drop(ended));
 }

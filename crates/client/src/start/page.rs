@@ -1,4 +1,4 @@
-//! The page of the start window: a link to paste, what was opened lately, and the files of this machine.
+//! The start page: a link to paste, the recent list, and the files of this machine.
 
 use std::path::PathBuf;
 
@@ -14,42 +14,40 @@ use crate::panels::style::{bright, named, quiet, warning};
 use crate::panels::text::{format_bytes, sentence};
 use crate::view::Waker;
 
-/// What is wanted on the page.
+/// What the person asks for.
 pub(crate) enum PageWish {
-    /// To see a server's volume.
+    /// Connect to a server.
     Connect(Box<Link>),
-    /// To see a volume of this machine.
+    /// Open a volume of this machine.
     Open(LoadRequest),
-    /// To see what a state in a file says, of the volume that it names.
+    /// Open a state with its volume.
     OpenState(PathBuf),
-    /// What is being opened is not wanted any more.
+    /// Stop the opening.
     Cancel,
-    /// Back to what was shown.
+    /// Return to the picture.
     Back,
-    /// What is shown is not wanted any more.
+    /// Close what is shown.
     Close,
-    /// An entry of the list is not wanted there.
+    /// Remove an entry of the recent list.
     Forget(usize),
 }
 
-/// What the page needs to know at a refresh.
+/// What the page shows at a refresh.
 pub(crate) struct PageScene<'a> {
     pub(crate) services: &'a Services,
     pub(crate) recent: &'a RecentList,
     pub(crate) opening: Option<&'a Opening>,
-    /// What went wrong last.
     pub(crate) problem: Option<&'a str>,
-    /// Whether something is shown behind the page.
+    /// Whether a picture is shown behind the page.
     pub(crate) has_session: bool,
-    /// Bytes of the volume that is shown in this process.
+    /// Size of the volume that is shown in this process, bytes.
     pub(crate) held: u64,
 }
 
-/// See the module.
 pub(crate) struct StartPage {
     link_text: String,
     link_problem: Option<String>,
-    /// What a server in the list is told by.
+    /// A hint about a server in the recent list.
     hint: Option<String>,
     wants_link_focus: bool,
     pub(crate) browser: Browser,
@@ -66,18 +64,17 @@ impl StartPage {
         }
     }
 
-    /// The keyboard goes to the link.
+    /// Gives the link field the keyboard.
     pub(crate) fn focus(&mut self) {
         self.wants_link_focus = true;
     }
 
-    /// Shows the page in all of `ui`.
     pub(crate) fn show(&mut self, ui: &mut Ui, scene: &PageScene<'_>) -> Option<PageWish> {
         let rect = ui.max_rect();
         ui.painter().rect_filled(rect, 0.0, ui.visuals().panel_fill);
         let mut wish = None;
         if let Some(opening) = scene.opening {
-            // The page beneath is not to be used, but the window stays awake.
+            // The page beneath is inactive, but the window stays awake.
             return loading_page(ui, opening, scene.has_session);
         }
         if scene.has_session && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)) {
@@ -142,7 +139,7 @@ impl StartPage {
         }
     }
 
-    /// Link and list.
+    /// The link field and the recent list.
     fn left(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         title(ui, "Connect to a server");
         let has_link = !self.link_text.trim().is_empty();
@@ -202,7 +199,7 @@ impl StartPage {
         }
     }
 
-    /// An entry of the list was chosen.
+    /// Opens an entry of the recent list.
     fn choose(&mut self, ui: &Ui, entry: &RecentEntry, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         match &entry.place {
             RecentPlace::Volume(volume) => {
@@ -210,7 +207,7 @@ impl StartPage {
                 *wish = Some(PageWish::Open(volume.clone().request(max_bytes)));
             }
             RecentPlace::Server { host, port } => {
-                // A link lets in once, and is not kept: there is nothing to call this server with.
+                // A link works once and is not stored: there is nothing to connect with.
                 self.hint = Some(format!(
                     "Links let in once and are not stored: paste the new one that 'isinglass serve' printed on {host} (port {port})."
                 ));
@@ -228,7 +225,7 @@ impl StartPage {
         let volumes = (&scene.services.servers, scene.held);
         match self.browser.show(ui, Some(volumes), height) {
             Some(Chosen::Volume(request)) => *wish = Some(PageWish::Open(request)),
-            // Of texts the page takes states.
+            // Of texts, the page accepts states.
             Some(Chosen::Text(path)) => *wish = Some(PageWish::OpenState(path)),
             None => {}
         }
@@ -240,7 +237,7 @@ enum RowWish {
     Forget,
 }
 
-/// Name, what it showed and when.
+/// A row with name, content and time.
 fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     let (name, place) = match &entry.place {
         RecentPlace::Server { host, port } => {
@@ -305,7 +302,7 @@ fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     wish
 }
 
-/// The page while something is being opened: what, how far, and a way out.
+/// The page while something is being opened: name, progress, and a way out.
 fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<PageWish> {
     let center = ui.max_rect().center();
     let card = egui::Rect::from_center_size(center, vec2(ui.max_rect().width().min(460.0) - 20.0, 210.0));
@@ -321,7 +318,7 @@ fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<Pag
     wish
 }
 
-/// How far an opening is, and a button that ends it; so does Escape, if nothing else can be meant by it.
+/// The progress of an opening, and a button that cancels it. Escape cancels, too, if it has no other meaning.
 pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -> Option<PageWish> {
     let color = quiet(ui.ctx());
     if let Some(outline) = opening.outline() {
@@ -356,7 +353,7 @@ fn title(ui: &mut Ui, text: &str) {
     ui.add_space(2.0);
 }
 
-/// The emblem: sheets of mica, one behind the other.
+/// Draws the emblem: sheets of mica, one behind the other.
 fn sheets(ui: &Ui, rect: egui::Rect) {
     let (fill, line) = match ui.visuals().dark_mode {
         true => (
@@ -376,7 +373,7 @@ fn sheets(ui: &Ui, rect: egui::Rect) {
     }
 }
 
-/// The link in what was pasted: a whole command line will do.
+/// The link in a pasted text, which may be a whole command line.
 fn link_in(text: &str) -> Result<Link, String> {
     let text = text.trim();
     let begin = text.find("isinglass://").unwrap_or(0);
@@ -386,7 +383,7 @@ fn link_in(text: &str) -> Result<Link, String> {
     link.parse::<Link>().map_err(|e| sentence(&e))
 }
 
-/// What a dropped file is to the window.
+/// Whether a file opens as a volume.
 pub(crate) fn is_volume(content: Content) -> bool {
     matches!(content, Content::Volume(_) | Content::Folder)
 }

@@ -1,4 +1,4 @@
-//! The list of what was opened lately, and the file that it is kept in.
+//! The recent list and its file.
 
 use std::path::{Path, PathBuf};
 
@@ -7,14 +7,14 @@ use isinglass_formats::{Recent, RecentEntry};
 use crate::panels::background::{Background, write_text};
 use crate::view::waker_of;
 
-/// Reads and writes on a thread of its own: the page is there before its list.
+/// Background threads read and write, so that the page need not wait for its list.
 pub(crate) struct RecentList {
     file: Option<PathBuf>,
-    /// Until the file was read, what was noted meanwhile.
+    /// Before the file is read, this holds what was added meanwhile.
     list: Recent,
     reading: Background<Recent>,
     writing: Background<()>,
-    /// What is to be written when the disk is free again.
+    /// The text to write when the disk is free again.
     waiting: Option<String>,
     problem: Option<String>,
 }
@@ -30,7 +30,7 @@ impl RecentList {
         Self { file, list, reading, writing, waiting: None, problem: None }
     }
 
-    /// Takes what the disk has said. Whether the list was read just now.
+    /// Takes news of the file. Returns whether the list was read just now.
     pub(crate) fn poll(&mut self, ctx: &egui::Context) -> bool {
         if let Some(Err(problem)) = self.writing.take() {
             self.problem = Some(problem);
@@ -40,12 +40,12 @@ impl RecentList {
         match read {
             Some(Ok(list)) => {
                 let early = std::mem::replace(&mut self.list, list);
-                // What waits was made of what was there before the list, which may be nothing again.
+                // The waiting text holds only what was added before the list was read.
                 if self.waiting.take().is_some() {
                     self.change(ctx, |list| list.note_all(early));
                 }
             }
-            // It starts anew with what was and is opened.
+            // The list then holds only what is opened from now on.
             Some(Err(problem)) => self.problem = Some(problem),
             None => {}
         }
@@ -58,17 +58,17 @@ impl RecentList {
         &self.list.entries
     }
 
-    /// The folder that was looked into last.
+    /// The folder that was last shown.
     pub(crate) fn folder(&self) -> Option<&Path> {
         self.list.folder.as_deref()
     }
 
-    /// What went wrong with the file last.
+    /// The newest problem with the file.
     pub(crate) fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
 
-    /// Puts something first.
+    /// Puts an entry first.
     pub(crate) fn note(&mut self, entry: RecentEntry, folder: Option<PathBuf>, ctx: &egui::Context) {
         self.change(ctx, |list| {
             list.note(entry);
@@ -76,7 +76,6 @@ impl RecentList {
         });
     }
 
-    /// Forgets an entry.
     pub(crate) fn forget(&mut self, number: usize, ctx: &egui::Context) {
         self.change(ctx, |list| {
             if number < list.entries.len() {
@@ -107,7 +106,7 @@ fn write(file: PathBuf, text: &str) -> Result<(), String> {
     write_text(file, text, true).map(drop)
 }
 
-/// How long ago something was used, in words.
+/// A past time in words.
 pub(crate) fn ago(now: u64, then: u64) -> String {
     let seconds = now.saturating_sub(then);
     let plural = |n: u64, unit: &str| format!("{n} {unit}{} ago", if n == 1 { "" } else { "s" });

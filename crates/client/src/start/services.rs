@@ -1,4 +1,4 @@
-//! What the start window needs of whoever opens it.
+//! What whoever opens the start window has to provide.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,26 +9,26 @@ use isinglass_net::Link;
 use crate::view::BoxedSource;
 use crate::view::local_servers::LocalServers;
 
-/// What is injected.
+/// What the start window needs.
 #[derive(Clone)]
 pub struct Services {
     /// Starts servers.
     pub servers: Arc<dyn LocalServers>,
-    /// Where the list of what was opened lately is kept; none: nowhere.
+    /// The file of the recent list; none: the list is not stored.
     pub recent_file: Option<PathBuf>,
     /// Seconds since 1970.
     pub calendar: fn() -> u64,
 }
 
-/// What the window begins with.
+/// What the window shows at first.
 pub enum First {
-    /// The page on which a server or a volume is chosen.
+    /// The page on which the person chooses a server or a volume.
     StartPage,
     /// A server that has let this viewer in.
     Connected {
         /// Its frames.
         source: BoxedSource,
-        /// Where it is.
+        /// Its link.
         link: Link,
     },
     /// A volume of this machine.

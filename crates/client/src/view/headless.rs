@@ -1,6 +1,6 @@
-//! The viewer without a window: the same wishes, frames and standings, driven by the caller's clock and camera path,
-//! and a record of every picture that a window would have shown. Whoever wants the pictures casts the recorded frames
-//! afterwards, from the recorded cameras.
+//! The viewer without a window: the same requests and frames, driven by the caller's clock and camera path. It
+//! records every picture that a window would have shown. To get the pictures, cast the recorded frames from the
+//! recorded cameras.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,20 +13,20 @@ use crate::view::foresight::Foresight;
 use crate::view::frame_source::FrameSource;
 use crate::view::viewing::{FrameSize, Standing, Viewing};
 
-/// One picture that a window would have shown.
+/// A picture that a window would have shown.
 #[derive(Clone, Debug)]
 pub struct DisplayRecord {
     /// The time, on the clock of the source's stamps.
     pub at: Duration,
-    /// The camera of the picture: made of the pose given for the same refresh.
+    /// The camera of the picture, from the pose of the same refresh.
     pub camera: Camera,
     /// The frame that was cast; none before the first.
     pub frame: Option<Arc<ReceivedFrame>>,
-    /// Older frames for what it does not see.
+    /// Older frames for what `frame` does not see.
     pub kept: Vec<Arc<ReceivedFrame>>,
-    /// How the picture stood to the server's.
+    /// How the picture relates to the server's.
     pub standing: Standing,
-    /// Time since the camera was last at the pose that the frame answers.
+    /// Time since the camera was last at the frame's pose.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera.
     pub turned_degrees: Option<f32>,
@@ -45,19 +45,20 @@ pub struct HeadlessViewer<S> {
 }
 
 impl<S: FrameSource> HeadlessViewer<S> {
-    /// Pictures of the size `picture`, frames of the same and their margin.
+    /// Pictures of the size `picture`, with frames of that size and a margin.
     pub fn new(source: S, picture: Intrinsics, foresight: Foresight) -> Self {
         let frame_size = FrameSize { max_width: u32::MAX, max_height: u32::MAX, ..FrameSize::default() };
         let viewing = Viewing::new(source, frame_size, foresight);
         Self { viewing, picture, is_orthographic: false, records: Vec::new() }
     }
 
-    /// Whether rays are parallel from now on: the picture shows as much of the volume's middle as it does else.
+    /// Sets whether rays are parallel from now on. The picture shows as much of the volume's middle as with
+    /// perspective.
     pub fn set_orthographic(&mut self, is_orthographic: bool) {
         self.is_orthographic = is_orthographic;
     }
 
-    /// Whoever brings the frames.
+    /// The source of frames.
     pub fn source(&self) -> &S {
         self.viewing.source()
     }
@@ -67,8 +68,8 @@ impl<S: FrameSource> HeadlessViewer<S> {
         self.source().description().map(|d| d.volume.bounds())
     }
 
-    /// One refresh of the display at `now`, the time on the clock of the source's stamps, with the camera at `pose`. Records what
-    /// is shown; nothing, and nothing is recorded, as long as the volume is not known.
+    /// Refreshes the display at `now`, the time on the clock of the source's stamps, with the camera at `pose`.
+    /// Records what is shown. Before the volume is known, nothing is recorded.
     pub fn tick(&mut self, now: Duration, pose: Pose) -> Option<&DisplayRecord> {
         let bounds = self.bounds()?;
         let mut camera = Camera::new(pose, self.picture, &bounds);
@@ -92,7 +93,8 @@ impl<S: FrameSource> HeadlessViewer<S> {
         self.records.last()
     }
 
-    /// What was shown since the last call. A frame lives as long as a record names it. Forgotten here, so that a long path at a large size fits into memory.
+    /// The records since the last call. A frame lives as long as a record names it, so long paths at a large size
+    /// need this.
     pub fn take_records(&mut self) -> Vec<DisplayRecord> {
         std::mem::take(&mut self.records)
     }

@@ -1,4 +1,4 @@
-//! Older frames that the viewer still holds, for what the newest does not see.
+//! Older frames that the viewer keeps for what the newest does not see.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use isinglass_net::ReceivedFrame;
 use crate::input::camera_controls::angle_between_degrees;
 use crate::view::foresight::eye_of;
 
-/// A few frames of one volume and look, from cameras as different as there were; the newest last.
+/// A few frames of one volume and look, from cameras as different as possible; the newest last.
 #[derive(Debug, Default)]
 pub(crate) struct KeptFrames {
     frames: VecDeque<Arc<ReceivedFrame>>,
@@ -20,7 +20,7 @@ pub(crate) struct KeptFrames {
 }
 
 impl KeptFrames {
-    /// A frame is shown. Complete ones are kept; one of another volume, look or connection ends all before.
+    /// Keeps a complete frame that is shown. A frame of another volume, look or connection drops all before it.
     pub(crate) fn note(&mut self, shown: &Arc<ReceivedFrame>, bounds: &Aabb) {
         if self.bounds.replace(*bounds) != Some(*bounds) {
             self.frames.clear();
@@ -41,7 +41,7 @@ impl KeptFrames {
         }
     }
 
-    /// The frames to combine with the newest for a picture: none as long as it sees all of it.
+    /// The frames to combine with the newest for a picture; none if it sees all of it.
     pub(crate) fn choose(
         &self,
         newest: &Arc<ReceivedFrame>,
@@ -55,7 +55,7 @@ impl KeptFrames {
         chosen.into_iter().map(|n| older[n].clone()).collect()
     }
 
-    /// The frame that a newer one comes nearest to.
+    /// The frame with the smallest distance to a newer one.
     fn most_repeated(&self, bounds: &Aabb) -> usize {
         let poses: Vec<_> = self.frames.iter().map(|f| eye_of(&f.frame.header.camera, bounds)).collect();
         let distance = |i: usize, j: usize| {
@@ -77,9 +77,9 @@ fn num_bytes(frame: &LayeredFrame) -> usize {
     12 * frame.num_segments() + 4 * frame.offsets.len()
 }
 
-/// Frames that are kept, the newest among them: twice as many as go into a picture, to choose from.
+/// Kept frames, the newest included: twice as many as a picture combines.
 const MAX_KEPT: usize = 7;
-/// Their size together: three of 1920×1080 with six segments a list.
+/// Size of all kept frames together: three of 1920×1080 with six segments a list.
 const MAX_KEPT_BYTES: usize = 512 << 20;
 
 #[cfg(test)]

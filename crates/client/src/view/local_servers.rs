@@ -4,20 +4,20 @@ use isinglass_core::volume::Volume;
 use isinglass_formats::{FormatError, LoadRequest, OpenOptions, Outline, outline};
 use isinglass_net::Link;
 
-/// Starts servers in this process, for volumes that are opened in the window. The viewer renders none itself.
+/// Starts servers in this process for volumes that are opened in the window. The viewer itself renders no volume.
 ///
 /// Functions that may take time are called on threads where they may.
 pub trait LocalServers: Send + Sync {
-    /// Most bytes of memory that volumes may take.
+    /// Memory that volumes may take, bytes.
     fn max_bytes(&self) -> u64;
 
-    /// Whether there is room for a volume beside the bytes `held`.
+    /// Checks that a volume fits beside `held` bytes.
     ///
     /// # Errors
-    /// One line for a person if there is none.
+    /// One line for a person if it does not.
     fn check(&self, outline: &Outline, held: u64) -> Result<(), String>;
 
-    /// Serves a volume that was read as `request` says, with this outline. May take a moment.
+    /// Serves a volume that was read as `request` says. May take a moment.
     ///
     /// # Errors
     /// One line for a person.
@@ -32,7 +32,7 @@ pub struct LocalServer {
     pub server: Box<dyn Send>,
 }
 
-/// The header of what is asked for, if there is room for it.
+/// Reads the header of a volume, and checks that there is room for it.
 pub(crate) fn survey(
     request: &LoadRequest,
     held: u64,
@@ -41,7 +41,7 @@ pub(crate) fn survey(
     let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
     let options = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
     let found = match outline(&source, &options) {
-        // Let the check say it, with all that it needs.
+        // The check explains what is needed.
         Err(FormatError::TooLarge { .. }) => {
             outline(&source, &OpenOptions { max_bytes: u64::MAX, ..options })
         }

@@ -1,4 +1,4 @@
-//! The point that a person means who points at the picture, from the depths of the frame that is shown.
+//! The visible point under the pointer, from the depths of the frame on screen.
 
 use glam::Vec3;
 use isinglass_core::camera::Camera;
@@ -6,8 +6,8 @@ use isinglass_core::clip::Region;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::mode::Compositing;
 
-/// Where half of what is seen along the ray through a point of the picture lies in front, of what is left of the volume,
-/// world space: on an opaque surface the surface, in a cloud its visible middle. None where next to nothing is seen.
+/// The point on the ray through a pixel in front of which half of its visible opacity lies, world space. On an opaque
+/// surface that is the surface, in a cloud its visible middle. None where next to nothing is visible.
 pub(crate) fn visible_point(
     frame: &LayeredFrame,
     region: &Region,
@@ -32,7 +32,7 @@ pub(crate) fn visible_point(
     Some(ray.at(s0 + step * (half as f32 + 0.5)))
 }
 
-/// Between two points near to each other, in the list that the middle between them falls into.
+/// The optical depth between two near points, in the list under their middle.
 fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     let camera = &frame.header.camera;
     let basis = camera.basis();
@@ -56,7 +56,7 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
         let (front, back) = (f32::from(s.front), f32::from(s.back));
         let share = (b.min(back) - a.max(front)).max(0.0) / (b - a);
         let length = (back - front) * level_depth * slant;
-        // In a projection what shows most stands for what is densest.
+        // In a projection, what shows most stands for the densest matter.
         let dense = match frame.header.mode.compositing() {
             Compositing::Over => s.tau,
             Compositing::Greatest => s.tau * s.tau * s.tau,
@@ -67,9 +67,9 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     tau
 }
 
-/// Fine enough for a point to turn about.
+/// Steps along the ray.
 const NUM_STEPS: usize = 512;
-/// Less is not seen.
+/// Less is invisible.
 const LEAST_OPACITY: f32 = 0.02;
 
 #[cfg(test)]

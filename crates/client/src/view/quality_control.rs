@@ -1,16 +1,13 @@
-//! How finely the picture is cast while the camera moves, so that it keeps a rate of refreshes. Pure: time comes in as
-//! an argument.
+//! How finely the picture is cast while the camera moves, so that it holds a refresh rate. Pure: time is an argument.
 //!
-//! What can be given up is a ladder of [`Quality`]. Kept frames go first: they fill edges, and cost all of the picture
-//! twice and more. The rest of its order is that of measured quality at equal time: a smaller
-//! picture, enlarged, keeps more than fewer samples a ray do (bonsai, 512², K = 8, 30°: half the size SSIM .982 in 0.28
-//! of the full time; 16 samples a ray .934 in more than the full time on the CPU), so samples are thinned last.
+//! Quality is given up along a ladder. Kept frames go first: they fill edges, and cost more than the whole picture.
+//! Then the cast picture shrinks, and is enlarged.
 //!
-//! What is measured is the time from refresh to refresh, which no cast makes shorter than the display's own period: at 60 Hz
-//! every cast of up to 16.7 ms takes 16.7. Where a step takes no more than that, what it costs is not known, and the next
-//! finer one is tried.
+//! The measured time is the time between refreshes, which is never shorter than the display's period: at 60 Hz every
+//! cast of up to 16.7 ms takes 16.7 ms. A step that takes no more than that has an unknown cost, so the next finer
+//! one is tried.
 //!
-//! Order of calls: [`QualityControl::handle_cast`] whenever a time was measured, [`QualityControl::quality`] for each
+//! Order of calls: [`QualityControl::handle_cast`] for each measured time, [`QualityControl::quality`] for each
 //! refresh.
 
 use std::time::Duration;
@@ -20,11 +17,9 @@ use isinglass_core::camera::Intrinsics;
 /// How finely to cast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
-    /// Side of the picture that is cast, in units of the one that is shown; at most 1.
+    /// Side of the cast picture, as a share of the shown one; at most 1.
     pub scale: f32,
-    /// Samples a ray; 0: all that there is.
-    pub num_samples: u32,
-    /// Whether older frames are cast, too, where the newest does not see all of the picture.
+    /// Whether older frames are cast where the newest does not see all of the picture.
     pub keeps: bool,
 }
 
@@ -32,25 +27,25 @@ impl Quality {
     /// Everything.
     pub const FULL: Self = LADDER[0];
 
-    /// The picture to cast when `shown` is shown.
+    /// The intrinsics to cast with when `shown` is shown.
     pub fn size_of(&self, shown: Intrinsics) -> Intrinsics {
         let scaled = |side: u32| ((side as f32 * self.scale).round() as u32).max(1);
         Intrinsics { width: scaled(shown.width), height: scaled(shown.height), ..shown }
     }
 }
 
-/// Chooses a step of the ladder by the times that casts took.
+/// Chooses a step of the ladder by the measured times.
 #[derive(Clone, Debug)]
 pub struct QualityControl {
-    /// A refresh may take so long.
+    /// Longest time of a refresh.
     target: Duration,
     step: usize,
-    /// What each step took when it was last cast, and when that was.
+    /// The time of each step when it was last cast, and when that was.
     measured: [Option<(Duration, Duration)>; LADDER.len()],
     changed_at: Duration,
-    /// About the shortest time between two refreshes of late: the display's period where casts are fast.
+    /// The shortest time between refreshes of late: the display's period if casts are fast.
     period: Duration,
-    /// The step whose first time was too long by little, and is not believed alone.
+    /// The step whose first time was slightly too long, which needs a second one to count.
     doubted: Option<usize>,
 }
 
@@ -62,13 +57,13 @@ impl QualityControl {
         Self { target, step: 0, measured, changed_at: Duration::ZERO, period: LONGEST_PERIOD, doubted: None }
     }
 
-    /// A refresh with a cast of `quality` took `time`, known at `now`. Without kept frames to cast, `keeps` is false in what
-    /// was cast.
+    /// Reports that a refresh with a cast of `quality` took `time`, known at `now`. If no kept frames were cast,
+    /// `keeps` is false.
     pub fn handle_cast(&mut self, now: Duration, quality: Quality, time: Duration) {
         let Some(step) = LADDER.iter().position(|q| *q == quality) else { return };
         let longer = self.period + time.saturating_sub(self.period).mul_f32(PERIOD_GAIN);
         self.period = time.min(longer).min(LONGEST_PERIOD);
-        // A single slow refresh is a driver that compiles, a clock that wakes up: the next one tells.
+        // A single slow refresh may be a driver that compiles or a clock that speeds up: the next one tells.
         let is_hiccup =
             time > self.target && time <= self.target.mul_f32(HICCUP) && !self.is_known(now, step);
         if is_hiccup && self.doubted != Some(step) {
@@ -90,29 +85,27 @@ impl QualityControl {
         }
     }
 
-    /// How to cast. A camera that rests is shown in full at once, but for kept frames that were too slow: the window
-    /// stands still as long as the cast takes. When it moves again, the step that held the rate before is taken up.
+    /// The quality of the next cast. At rest the picture is whole at once, without kept frames that were too slow:
+    /// the window would stop for as long. A camera that moves again starts from the step that held the rate.
     pub fn quality(&self, is_moving: bool) -> Quality {
         LADDER[if is_moving { self.step } else { self.step.min(ALONE) }]
     }
 
-    /// The finest step that is expected to hold the rate.
+    /// Chooses the finest step that should hold the rate.
     fn choose(&mut self, now: Duration) {
         let Some((here, _)) = self.measured[self.step] else { return };
         let may_hold_alone =
             self.step < ALONE && !self.is_known(now, ALONE) && here <= self.target * MOST_OF_KEPT;
         if here > self.target && may_hold_alone {
-            // What kept frames cost is not known beforehand: the picture is made smaller only if it is too slow without.
+            // The cost of kept frames is unknown beforehand. The picture shrinks only if it is too slow without them.
             self.go_to(now, ALONE);
         } else if here > self.target {
             let holds = |step: &usize| self.expected(now, *step, here) <= self.target.mul_f32(HEADROOM);
             let step = (self.step + 1..LADDER.len()).find(holds);
-            // Samples cost what no step before them tells, so the one before them is tried first.
-            let most = (LADDER.len() - 2).max(self.step + 1);
-            self.go_to(now, step.unwrap_or_else(|| self.finest_of_fastest(now, here).min(most)));
+            self.go_to(now, step.unwrap_or_else(|| self.finest_of_fastest(now, here)));
         } else if self.step > 0 && now >= self.changed_at + PATIENCE {
-            // One step up at a time, and only if it is expected to hold with room to spare: what it took when it was
-            // last tried counts for a while, so that a step too fine is not tried again and again.
+            // One step up at a time, and only with time to spare. The last time of a step counts for a while, so that
+            // a step that is too fine is not tried again and again.
             let finer = self.step - 1;
             let is_at_period = here <= self.period.mul_f32(AT_PERIOD) && !self.is_known(now, finer);
             if is_at_period || self.expected(now, finer, here) <= self.target.mul_f32(HEADROOM) {
@@ -121,15 +114,15 @@ impl QualityControl {
         }
     }
 
-    /// Where nothing holds the rate: nothing is given up that does not bring it nearer. What does not go with the pixels,
-    /// or a machine that others keep busy, is not helped by a worse picture.
+    /// If nothing holds the rate, only what brings it nearer is given up. A coarser picture does not help if the time
+    /// does not depend on pixels, or other programs keep the machine busy.
     fn finest_of_fastest(&self, now: Duration, here: Duration) -> usize {
         let expected = |step| self.expected(now, step, here);
         let least = (0..LADDER.len()).map(expected).min().unwrap_or(here);
         (0..LADDER.len()).find(|step| expected(*step).mul_f32(HEADROOM) <= least).unwrap_or(self.step)
     }
 
-    /// What a step took of late, or should take if times go with the pixels and a part of them does not.
+    /// The recent time of a step, or an estimate: most of the time is proportional to pixels.
     fn expected(&self, now: Duration, step: usize, here: Duration) -> Duration {
         match self.measured[step] {
             Some((time, at)) if now < at + MEMORY => time,
@@ -145,48 +138,48 @@ impl QualityControl {
         if step != self.step {
             self.step = step;
             self.changed_at = now;
-            // A new beginning for this step: older times of it may be of another view.
+            // Older times of this step may be of another view.
             self.measured[step] = None;
         }
     }
 }
 
-/// From everything to what still shows where things are.
-const LADDER: [Quality; 7] = [
-    Quality { scale: 1.0, num_samples: 0, keeps: true },
-    Quality { scale: 1.0, num_samples: 0, keeps: false },
-    Quality { scale: 0.75, num_samples: 0, keeps: false },
-    Quality { scale: 0.5, num_samples: 0, keeps: false },
-    Quality { scale: 0.35, num_samples: 0, keeps: false },
-    Quality { scale: 0.25, num_samples: 0, keeps: false },
-    Quality { scale: 0.25, num_samples: 16, keeps: false },
+/// From the whole picture to one that still shows where things are.
+const LADDER: [Quality; 6] = [
+    Quality { scale: 1.0, keeps: true },
+    Quality { scale: 1.0, keeps: false },
+    Quality { scale: 0.75, keeps: false },
+    Quality { scale: 0.5, keeps: false },
+    Quality { scale: 0.35, keeps: false },
+    Quality { scale: 0.25, keeps: false },
 ];
-/// The step of the whole picture of the newest frame alone.
+/// The step of the whole picture from the newest frame alone.
 const ALONE: usize = 1;
-/// Time of each step in units of the second: the share of its pixels, and a tenth that stays. Kept frames are tried where
-/// there is some time to spare: how much they cost goes with how much of the picture they fill.
-const COSTS: [f32; LADDER.len()] = [1.4, 1.0, 0.61, 0.33, 0.21, 0.16, 0.13];
-/// With kept frames a picture takes so many times as long as without, at most.
+/// Time of each step relative to the second: the share of its pixels, and a constant tenth. Kept frames are tried if
+/// there is some time to spare: their cost depends on how much of the picture they fill.
+const COSTS: [f32; LADDER.len()] = [1.4, 1.0, 0.61, 0.33, 0.21, 0.16];
+/// With kept frames a picture takes at most so many times as long as without.
 const MOST_OF_KEPT: u32 = 4;
-/// A step is taken up if it is expected to need no more than this part of the time.
+/// A step is chosen if it should need no more than this share of the time.
 const HEADROOM: f32 = 0.85;
 /// Weight of a new time: the mean of about the last five (Gupta 2022, section 5).
 const GAIN: f32 = 0.3;
-/// A step is kept for so long before a finer one is tried.
+/// A step holds for this time before a finer one is tried.
 const PATIENCE: Duration = Duration::from_millis(400);
-/// Times are believed for so long.
+/// Measured times count for this long.
 const MEMORY: Duration = Duration::from_secs(5);
-/// A rate counts as held that is missed by so much: two periods of a display of 59.94 Hz are longer than a thirtieth of a second.
+/// A rate counts as held if it is missed by this factor: two periods at 59.94 Hz are longer than a thirtieth of a
+/// second.
 const SLACK: f32 = 1.05;
-/// Periods of displays are no longer: what takes longer is a cast.
+/// The longest period of a display: what takes longer is a cast.
 const LONGEST_PERIOD: Duration = Duration::from_millis(21);
 /// How fast the period follows longer times, so that two refreshes without a wait between them are soon forgotten.
 const PERIOD_GAIN: f32 = 0.05;
-/// A step that takes no longer than this many periods may cost anything up to that.
+/// A step that takes at most so many periods may cost anything up to that.
 const AT_PERIOD: f32 = 1.15;
-/// A first time of up to so many targets is believed when it comes twice.
+/// A first time of up to so many targets counts when it comes twice.
 const HICCUP: f32 = 2.5;
-/// Slower is no motion.
+/// Least refresh rate, 1/s.
 const MIN_RATE: f32 = 0.1;
 
 #[cfg(test)]
@@ -368,13 +361,6 @@ mod tests {
             f64::from(wanted.get()) / f64::from(all.get())
         };
         assert_eq!(shares(&pixels(2.0), &|q| q.scale == 0.25), 1.0);
-        // Samples cost more than they save: tried now and then, and not kept.
-        let sampled = |q: Quality| q.num_samples > 0;
-        let costly = |q| if sampled(q) { 0.15 } else { pixels(0.6)(q) };
-        let share = shares(&costly, &sampled);
-        assert!(share < 0.1, "{share}");
-        let cheap = |q| if sampled(q) { 0.05 } else { pixels(0.6)(q) };
-        assert!(shares(&cheap, &sampled) > 0.9, "what does help is kept");
         // Time that nothing changes: the picture is whole but for a few tries.
         let share = shares(&|_| 0.1, &|q| q == Quality::FULL);
         assert!(share > 0.8, "{share}");

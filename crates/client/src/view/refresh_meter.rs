@@ -10,8 +10,8 @@ pub(crate) struct RefreshMeter {
 }
 
 impl RefreshMeter {
-    /// A refresh at `now`. `continuous`: it follows the last one without a rest; a rest is not counted as a slow
-    /// refresh.
+    /// Records a refresh at `now`. `continuous`: it follows the last one without a rest. A rest does not count as a
+    /// slow refresh.
     pub(crate) fn record(&mut self, now: Duration, continuous: bool) {
         if !continuous {
             self.times.clear();
@@ -22,7 +22,7 @@ impl RefreshMeter {
         }
     }
 
-    /// The mean interval; none while at rest.
+    /// The mean interval; none at rest.
     pub(crate) fn interval(&self) -> Option<Duration> {
         let (first, last) = (self.times.front()?, self.times.back()?);
         let intervals = u32::try_from(self.times.len() - 1).ok().filter(|&n| n > 0)?;
@@ -30,7 +30,7 @@ impl RefreshMeter {
     }
 }
 
-/// What a rate is taken over: long enough to read, short enough to follow a change.
+/// The time over which the mean is taken.
 const WINDOW: Duration = Duration::from_secs(1);
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
-//! Whether there is a screen to open a window on.
+//! Whether there is a display for a window.
 
-/// Whether a window can be expected to open: on Linux and the BSDs, whether the X server that `DISPLAY` names accepts
-/// a connection (on Wayland the window goes through XWayland, which sets `DISPLAY` too); elsewhere always.
+/// Whether a window should open. On Linux and the BSDs, the X server that `DISPLAY` names must accept a connection
+/// (on Wayland the window goes through XWayland, which sets `DISPLAY`, too). Elsewhere always.
 pub fn display_available() -> bool {
     #[cfg(all(unix, not(target_os = "macos")))]
     return std::env::var("DISPLAY").is_ok_and(|name| x11::answers(&name));
@@ -15,7 +15,7 @@ mod x11 {
     use std::os::unix::net::UnixStream;
     use std::time::Duration;
 
-    /// Where a display listens: the host (none: this machine) and the display's number.
+    /// Where a display listens: the host (none: this machine) and the number of the display.
     #[derive(Debug, PartialEq)]
     pub(super) struct Address<'a> {
         pub(super) host: Option<&'a str>,
@@ -45,7 +45,7 @@ mod x11 {
         }
     }
 
-    /// X servers on Linux also listen on a name that is no file, which is all that some containers share.
+    /// X servers on Linux also listen on an abstract name, which is all that some containers share.
     #[cfg(target_os = "linux")]
     fn answers_abstract(path: &str) -> bool {
         use std::os::linux::net::SocketAddrExt;
@@ -60,7 +60,7 @@ mod x11 {
 
     /// TCP port of display 0.
     const FIRST_PORT: u16 = 6000;
-    /// A display behind ssh answers on this machine; nobody wants to wait longer for another.
+    /// A display behind ssh answers on this machine; nobody waits longer for another.
     const TIMEOUT: Duration = Duration::from_millis(500);
 
     #[cfg(test)]

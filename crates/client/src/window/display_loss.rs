@@ -1,16 +1,15 @@
-//! The screen may go away while the window is open: the X server ends, or the connection to it breaks. Window libraries
-//! panic then, in whatever they were about to do.
+//! The display may disappear while the window is open: the X server ends, or its connection breaks. Window libraries
+//! then panic.
 
 use std::panic::{self, AssertUnwindSafe, PanicHookInfo};
 use std::sync::Arc;
 use std::thread;
 
-/// The screen is gone.
 #[derive(Debug, PartialEq)]
 pub(crate) struct DisplayLost;
 
-/// Runs `work`. If it panics and there is no display any more (`is_available`), nothing is printed and that is told;
-/// every other panic goes its way.
+/// Runs `work`. A panic without a display (`is_available`) is returned, and prints nothing. Every other panic
+/// continues.
 pub(crate) fn told_apart<T>(is_available: fn() -> bool, work: impl FnOnce() -> T) -> Result<T, DisplayLost> {
     type Hook = dyn Fn(&PanicHookInfo<'_>) + Send + Sync;
     let hook: Arc<Hook> = Arc::from(panic::take_hook());

@@ -36,12 +36,12 @@ pub enum ViewerError {
          (libx11-6, libxcursor1, libxi6, libxkbcommon-x11-0) are needed"
     )]
     Window(String),
-    /// The window was open, and the screen it was on is gone.
+    /// The display of the open window is gone.
     #[error(
         "the display was lost while the window was open: the X server ended, or the connection to it broke"
     )]
     DisplayLost,
-    /// The window was open, and the device that draws it is gone.
+    /// The device of the open window is gone.
     #[error(
         "the graphics device was lost while the window was open: {0}; a driver that was reset or updated does that, start again"
     )]
@@ -49,16 +49,16 @@ pub enum ViewerError {
     /// The kernel could not be built for this device.
     #[error("cannot prepare the graphics device: {0}")]
     Device(String),
-    /// Nothing can bring the frames.
+    /// There is no source of frames.
     #[error("{0}")]
     Source(String),
 }
 
-/// Opens a window on the frames of `make_source` and returns when it is closed. `clock` is that of the source's stamps.
-/// Must be called on the main thread.
+/// Opens a window on the frames of `make_source` and returns when it closes. `clock` is the clock of the source's
+/// stamps. Must be called on the main thread.
 ///
 /// # Errors
-/// If there is no window, no adapter or no source; before anything was shown. Or if the display goes away later.
+/// If there is no window, adapter or source, before anything is shown. Or if the display is lost later.
 pub fn run_window<S: FrameSource + 'static>(
     options: WindowOptions,
     clock: Clock,
@@ -70,8 +70,8 @@ pub fn run_window<S: FrameSource + 'static>(
     })
 }
 
-/// Opens a window that begins with `first`, and in which other servers and volumes can be chosen. Returns when it is closed.
-/// `clock` is that of the sources' stamps. Must be called on the main thread.
+/// Opens a window that begins with `first`, and in which the person can choose other servers and volumes. Returns
+/// when it closes. `clock` is the clock of the sources' stamps. Must be called on the main thread.
 ///
 /// # Errors
 /// As for [`run_window`].
@@ -82,14 +82,14 @@ pub fn run_window_with_start(
     first: impl FnOnce(Waker) -> Result<First, String>,
 ) -> Result<(), ViewerError> {
     open_window(options, |options, opened| {
-        let Opened { ctx, wake, views, status } = opened;
+        let WindowParts { ctx, wake, views, status } = opened;
         let first = first(wake.clone()).map_err(ViewerError::Source)?;
         let app = ViewerApp::new(options, views, Box::new(Nothing) as _, clock.clone(), status);
         Ok(Box::new(StartWindow::new(app, services, first, &ctx, clock, wake)))
     })
 }
 
-/// What a window shows, without the window and without the ray cast: for whoever shows it elsewhere, as tests do.
+/// The content of a window, without the window and without the ray cast, for tests.
 pub struct WindowContents<S>(ViewerApp<S>);
 
 impl<S: FrameSource> WindowContents<S> {
@@ -99,14 +99,13 @@ impl<S: FrameSource> WindowContents<S> {
         Self(ViewerApp::new(options, views, source, clock, Arc::default()))
     }
 
-    /// A refresh in all of `ui`.
+    /// Refreshes in all of `ui`.
     pub fn show(&mut self, ui: &mut egui::Ui) {
         self.0.show(ui);
     }
 }
 
-/// A window that was opened.
-struct Opened {
+struct WindowParts {
     ctx: egui::Context,
     wake: Waker,
     views: NovelViews,
@@ -115,7 +114,7 @@ struct Opened {
 
 fn open_window(
     options: WindowOptions,
-    make_app: impl FnOnce(WindowOptions, Opened) -> Result<Box<dyn eframe::App>, ViewerError>,
+    make_app: impl FnOnce(WindowOptions, WindowParts) -> Result<Box<dyn eframe::App>, ViewerError>,
 ) -> Result<(), ViewerError> {
     let [width, height] = options.size;
     let native = eframe::NativeOptions {
@@ -126,7 +125,7 @@ fn open_window(
             .with_min_inner_size([320.0, 240.0])
             .with_icon(egui::IconData::default()),
         wgpu_options: wgpu_options(),
-        // The picture is the server's to 1/255; noise would be seen in a comparison.
+        // The picture equals the server's to 1/255; noise would spoil a comparison.
         dithering: false,
         event_loop_builder: Some(Box::new(choose_window_system)),
         ..Default::default()
@@ -148,7 +147,7 @@ fn open_window(
         let wake = waker_of(&ctx);
         let views =
             NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());
-        Ok(make_app(options, Opened { ctx, wake, views, status })?)
+        Ok(make_app(options, WindowParts { ctx, wake, views, status })?)
     });
     let run = || eframe::run_native("isinglass", native, create);
     let result = told_apart(display_available, run);
@@ -165,15 +164,15 @@ fn open_window(
     }
 }
 
-/// Refreshes a second of the display that a window opens on, if it tells.
+/// Refresh rate of the display that shows the window, if known, 1/s.
 fn display_hz(window: &winit::window::Window) -> Option<f32> {
     let monitor = window.current_monitor().or_else(|| window.primary_monitor())?;
     let hz = monitor.refresh_rate_millihertz()? as f32 / 1e3;
     (hz >= 1.0).then_some(hz)
 }
 
-/// X11 wherever there is a choice: on Wayland, which goes through XWayland then, files cannot be dropped on a window of winit's,
-/// and under some compositors it has no title.
+/// X11 if there is a choice. On Wayland the window goes through XWayland: winit's Wayland windows accept no dropped
+/// files, and have no title under some compositors.
 fn choose_window_system(builder: &mut eframe::EventLoopBuilder<eframe::UserEvent>) {
     #[cfg(all(unix, not(target_os = "macos")))]
     winit::platform::x11::EventLoopBuilderExtX11::with_x11(builder);
@@ -189,7 +188,7 @@ fn viewer_error(error: eframe::Error) -> ViewerError {
         },
         eframe::Error::Wgpu(e) => ViewerError::Adapter(one_line(&e)),
         other => {
-            // winit puts the place in its own source in front of the cause.
+            // winit puts its own source position before the cause.
             let text = one_line(&other);
             let cause = text.rsplit(": ").next().unwrap_or(&text).trim_end_matches('.');
             ViewerError::Window(cause.to_owned())
@@ -201,7 +200,7 @@ fn one_line(e: &dyn std::fmt::Display) -> String {
     e.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// eframe's defaults, least latency, buffers for large frames, and timestamps where the adapter has them.
+/// eframe's defaults with the least latency, buffers for large frames, and timestamps if the adapter has them.
 fn wgpu_options() -> egui_wgpu::WgpuConfiguration {
     let mut setup = egui_wgpu::WgpuSetupCreateNew::without_display_handle();
     let device_descriptor = setup.device_descriptor.clone();

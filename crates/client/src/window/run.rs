@@ -5,18 +5,18 @@ use isinglass_net::{Client, ClientOptions, Clock, Link, LinkModel};
 use super::{ViewerError, run_window};
 use crate::app::options::WindowOptions;
 
-/// What the viewer needs to know.
+/// What the viewer needs.
 pub struct ViewerOptions {
-    /// As printed by the server.
+    /// As the server printed it.
     pub link: Link,
-    /// A link with these properties is put under the connection.
+    /// Properties of a simulated link under the connection.
     pub conditioner: Option<LinkModel>,
-    /// The window. Its server's name is taken from the link if it is empty.
+    /// The window. An empty server name is replaced by that of the link.
     pub window: WindowOptions,
 }
 
-/// Opens the viewer on a server and returns when its window is closed. Must be called on the main thread. A server that
-/// does not answer or refuses is shown in the window; it is not an error of this function.
+/// Opens the viewer on a server and returns when its window closes. Must be called on the main thread. The window
+/// shows a server that does not answer or refuses; that is no error of this function.
 ///
 /// # Errors
 /// If there is no window, or this machine cannot connect to anything at all.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use egui::{Event, Key, Modifiers, vec2};
+use egui::{Event, Key, Modifiers, PointerButton, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
@@ -15,8 +15,10 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{LoadStatus, Parts, ProbeRequest, Probed, Token, VolumeDescription, Welcome};
-use isinglass_net::{LinkStats, ReceivedShot};
+use isinglass_core::wire::{
+    ClientStats, LoadStatus, Parts, ProbeRequest, Probed, Token, VolumeDescription, Welcome,
+};
+use isinglass_net::{LinkStats, ReceivedFrame, ReceivedShot, State};
 
 use super::*;
 use crate::input::camera_controls::InitialOrbit;

@@ -7,7 +7,6 @@ use egui::{Key, Modifiers, PointerButton};
 
 use super::BindingError;
 
-/// What is pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Chord {
     /// A key with exactly these modifiers.
@@ -19,7 +18,7 @@ pub(super) enum Chord {
 impl FromStr for Chord {
     type Err = BindingError;
 
-    /// `a`, `ctrl+shift+z`, `F1`, `shift+left drag`; upper case or lower.
+    /// Reads `a`, `ctrl+shift+z`, `F1`, `shift+left drag`, in upper or lower case.
     fn from_str(text: &str) -> Result<Self, BindingError> {
         let bad = |expected| BindingError::Chord(text.chars().take(60).collect(), expected);
         let words = text.trim().to_lowercase();
@@ -83,14 +82,14 @@ pub(super) fn is_digit(key: Key) -> bool {
     key.name().len() == 1 && key.name().starts_with(|c: char| c.is_ascii_digit())
 }
 
-/// Whether a field that a person types in has no use of its own for a key.
+/// Whether a text field has no use of its own for a key.
 pub(super) fn means_nothing_in_text(key: Key, modifiers: Modifiers) -> bool {
     let is_function = key.name().strip_prefix('F').is_some_and(|number| number.parse::<u8>().is_ok());
     // Alt and Ctrl together write letters on some keyboards.
     is_function || modifiers.command && !modifiers.alt && !OF_TEXT.contains(&key)
 }
 
-/// How many of the modifiers that can be written are in a chord.
+/// How many modifiers a chord names.
 pub(super) fn num_held(modifiers: Modifiers) -> u8 {
     u8::from(modifiers.command) + u8::from(modifiers.shift) + u8::from(modifiers.alt)
 }
@@ -102,7 +101,7 @@ const BUTTONS: [(&str, PointerButton); 5] = [
     ("back", PointerButton::Extra1),
     ("forward", PointerButton::Extra2),
 ];
-/// Keys that have a shorter name than egui's.
+/// Keys with a shorter name than egui's.
 const SHORT: [(&str, Key); 12] = [
     ("Esc", Key::Escape),
     ("Del", Key::Delete),
@@ -117,7 +116,7 @@ const SHORT: [(&str, Key); 12] = [
     (";", Key::Semicolon),
     ("'", Key::Quote),
 ];
-/// With Ctrl: the clipboard, undo, moving about, and deleting.
+/// Keys that edit text together with Ctrl.
 const OF_TEXT: [Key; 20] = [
     Key::A,
     Key::C,
@@ -140,7 +139,6 @@ const OF_TEXT: [Key; 20] = [
     Key::Insert,
     Key::Enter,
 ];
-/// The key for commands.
 const CTRL_NAME: &str = if cfg!(target_os = "macos") { "Cmd" } else { "Ctrl" };
 pub(super) const EXPECTED_KEY: &str =
     "a key with or without ctrl, shift and alt, such as \"ctrl+z\", \"F1\" or \"Space\"";

@@ -1,7 +1,7 @@
-//! What keys and mouse do: the one table that the window acts by, the help shows and settings may change.
+//! What keys and mouse do. The window acts by this one table, the help shows it, and settings change it.
 //!
-//! A line of the table has names for what can be bound, each with its chords: `Ctrl+z` for a key, `shift+left drag` for a
-//! button. Whoever adds something to do adds a line here; everything else follows.
+//! A line of the table names what can be bound, each with its chords: `Ctrl+z` for a key, `shift+left drag` for a
+//! button. A new action needs a line here; everything else follows.
 
 mod chord;
 #[cfg(test)]
@@ -16,58 +16,58 @@ use chord::Chord;
 /// What a key does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Back to the first view.
+    /// Return to the first view.
     FirstView,
-    /// A standard view, from the front, the right or the top, or from the opposite side.
+    /// Show a standard view, from the front, the right or the top, or from the opposite side.
     StandardView(Side, Opposite),
-    /// Moves the camera by a step.
+    /// Move the camera by a step.
     Step(Step),
-    /// Numbers on or off.
+    /// Switch the numbers on or off.
     Numbers,
-    /// The look panel open or folded.
+    /// Open or fold the side panel.
     LookPanel,
-    /// The volume's box on or off.
+    /// Switch the volume's box on or off.
     Box,
-    /// Handles of the clip box, and a clip box if there is none, on or off.
+    /// Switch the clip handles on or off, with a clip box if there is no clip.
     Clip,
-    /// Perspective or parallel rays.
+    /// Switch between perspective and parallel rays.
     Projection,
-    /// Axes and scale bar on or off.
+    /// Switch axes and scale bar on or off.
     Axes,
-    /// The next kind of stereo.
+    /// Choose the next kind of stereo.
     Stereo,
-    /// The value under the pointer on or off.
+    /// Switch the probe on or off.
     Probe,
-    /// A picture of the view to keep.
+    /// Save a picture of the view.
     Picture,
-    /// The dialog for a picture of another size, or for a turntable.
+    /// Open the dialog for a picture of another size, or for a turntable.
     PictureDialog,
-    /// The next mode.
+    /// Choose the next mode.
     Mode,
-    /// One edit of the transfer function back.
+    /// Undo an edit of the transfer function.
     Undo,
-    /// One edit of the transfer function forward.
+    /// Redo an edit of the transfer function.
     Redo,
-    /// So many times on in the server's file, or back.
+    /// Move by so many times in the server's file.
     StepTime(i32),
-    /// The page on which another volume or server is chosen.
+    /// Show the start page.
     Start,
-    /// The state of the view as a file.
+    /// Save the state of the view as a file.
     SaveState,
-    /// The dialog that opens a file.
+    /// Open the file dialog.
     OpenFile,
-    /// A link to what is seen, in the clipboard.
+    /// Copy a link to the view.
     CopyLink,
-    /// The help on or off.
+    /// Switch the help on or off.
     Help,
-    /// The help off.
+    /// Close the help.
     CloseHelp,
-    /// The end.
+    /// Close the window.
     Quit,
 }
 
 impl Action {
-    /// Whether a key that is held down does it again and again.
+    /// Whether the key repeats while it is held down.
     fn repeats(self) -> bool {
         matches!(self, Self::Undo | Self::Redo | Self::Step(_))
     }
@@ -84,34 +84,34 @@ pub enum Side {
     Top,
 }
 
-/// Whether a standard view is taken from the other side.
+/// Whether a standard view is seen from the opposite side.
 pub type Opposite = bool;
 
-/// A movement of the camera by keys: as a drag to that side would.
+/// A movement of the camera by keys, in the direction of a drag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Around the centre: to the right and down, in steps.
+    /// Around the centre: steps to the right and down.
     Turn(i8, i8),
-    /// In the picture's plane: to the right and down.
+    /// In the picture's plane: steps to the right and down.
     Pan(i8, i8),
-    /// In the picture's plane, clockwise.
+    /// In the picture's plane: steps clockwise.
     Roll(i8),
-    /// Nearer.
+    /// Steps nearer.
     Zoom(i8),
 }
 
 /// What a drag over the picture does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gesture {
-    /// Turns about the centre.
+    /// Turn about the centre.
     Orbit,
-    /// Moves in the picture's plane.
+    /// Move in the picture's plane.
     Pan,
-    /// Turns in the picture's plane.
+    /// Turn in the picture's plane.
     Roll,
-    /// Brings nearer, up and down.
+    /// Move nearer or away by dragging up and down.
     Zoom,
-    /// Moves the light.
+    /// Move the light.
     Light,
 }
 
@@ -124,32 +124,32 @@ enum Deed {
 
 /// A line of the table.
 struct Line {
-    /// What it is, as people read it.
+    /// The text of the help.
     text: &'static str,
-    /// Names, what they do, and their chords unless settings say otherwise.
+    /// Names, what they do, and their default chords.
     entries: &'static [(&'static str, Deed, &'static [&'static str])],
     /// Keys or movements that cannot be changed.
     fixed: &'static str,
 }
 
-/// Why a setting binds nothing.
+/// Why a setting is refused.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum BindingError {
-    /// There is nothing of that name to bind.
+    /// There is no action of that name.
     #[error("unknown action {0:?}, expected one of {1}")]
     Action(String, String),
-    /// A chord cannot be read.
+    /// A chord is unreadable.
     #[error("found {0:?}, expected {1}")]
     Chord(String, &'static str),
-    /// One chord does two things.
+    /// One chord has two meanings.
     #[error("{0} is bound to {1} and to {2}; bind one of them to something else, or to [] for nothing")]
     Conflict(String, &'static str, &'static str),
-    /// Wheels turn one way or the other.
+    /// The direction of the wheel is not a boolean.
     #[error("found {0:?}, expected true or false")]
     Switch(String),
 }
 
-/// What keys and mouse do in one window.
+/// What keys and mouse do in a window.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Bindings {
     /// The chords of every entry of the table, in its order.
@@ -201,10 +201,10 @@ impl Bindings {
         Ok(())
     }
 
-    /// Whether every chord does one thing.
+    /// Checks that every chord has one meaning.
     ///
     /// # Errors
-    /// The first chord that does two.
+    /// The first chord with two.
     pub fn check(&self) -> Result<(), BindingError> {
         let all = || {
             entries().zip(&self.chords).flat_map(|((name, ..), chords)| chords.iter().map(move |c| (name, c)))
@@ -222,7 +222,7 @@ impl Bindings {
         entries().map(|(name, ..)| name).chain([REVERSE_WHEEL])
     }
 
-    /// What a name is bound to, as it is read.
+    /// The chords of a name, as text.
     pub fn chords(&self, name: &str) -> Vec<String> {
         if name == REVERSE_WHEEL {
             return vec![self.reverses_wheel.to_string()];
@@ -257,13 +257,13 @@ impl Bindings {
         bound.next().and_then(|(_, chords)| chords.first()).map(Chord::to_string).unwrap_or_default()
     }
 
-    /// A text with the key that does the same, if there is one.
+    /// A text with its key in brackets, if it has one.
     pub(crate) fn with_key(&self, text: &str, action: Action) -> String {
         let key = self.hint(action);
         if key.is_empty() { text.to_owned() } else { format!("{text} ({key})") }
     }
 
-    /// What a drag does that begins with this button: of several, what names the most of the modifiers that are held.
+    /// The gesture that begins with this button. Of several, the one with the most modifiers that are held.
     pub(crate) fn gesture(&self, button: PointerButton, held: Modifiers) -> Option<Gesture> {
         let bound = entries().zip(&self.chords).filter_map(|((_, deed, _), chords)| match deed {
             Deed::Drag(gesture) => Some((gesture, chords)),
@@ -279,7 +279,7 @@ impl Bindings {
         named.max_by_key(|(count, _)| *count).map(|(_, gesture)| gesture)
     }
 
-    /// Takes the keys of the table out of a refresh's events, and says what they do.
+    /// Takes the keys of the table out of a refresh's events. Returns their actions.
     pub(crate) fn take_actions(&self, events: &mut Vec<Event>, focus: Focus) -> Vec<Action> {
         let mut actions = Vec::new();
         events.retain(|event| {
@@ -288,27 +288,27 @@ impl Bindings {
             };
             let Some(action) = self.action_of(*key, *physical_key, *modifiers) else { return true };
             let is_left = match focus {
-                // Keys are letters, and undo is the text's.
+                // A text field needs letters, and has its own undo.
                 Focus::Text => {
                     let is_other = chord::means_nothing_in_text(*key, *modifiers);
                     !is_other && !matches!(action, Action::Quit | Action::CloseHelp)
                 }
-                // A widget has its own use for arrows.
+                // A control uses arrows itself.
                 Focus::Widget => matches!(action, Action::Step(_)),
                 Focus::Picture => false,
             };
-            // A key that is held down asks once for what switches.
+            // A switch acts once while its key is held down.
             if !is_left && (!repeat || action.repeats()) {
                 actions.push(action);
             }
-            // Whoever else listens for it may close, too: a list, a chosen point.
+            // Lists and chosen points close by this key, too.
             is_left || action == Action::CloseHelp
         });
         actions
     }
 
-    /// By the sign, wherever it lies. Digits are found by their place on the keyboard too: with shift, or in some countries
-    /// without, they are other signs, which mean nothing by themselves.
+    /// Keys are found by their character. Digits are also found by their place on the keyboard: with shift, and on
+    /// some keyboards without it, they type other characters.
     fn action_of(&self, key: Key, physical_key: Option<Key>, modifiers: Modifiers) -> Option<Action> {
         let of = |key: Key| {
             let fits = |c: &Chord| matches!(c, Chord::Key(m, k) if *k == key && modifiers.matches_exact(*m));
@@ -321,14 +321,13 @@ impl Bindings {
     }
 }
 
-/// Where the keyboard goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Focus {
-    /// To the picture, or nowhere.
+    /// The picture, or nothing.
     Picture,
-    /// To a control.
+    /// A control.
     Widget,
-    /// To a field that a person types in.
+    /// A text field.
     Text,
 }
 
@@ -340,7 +339,7 @@ const fn keys(text: &'static str, entries: &'static [(&'static str, Deed, &'stat
     Line { text, entries, fixed: "" }
 }
 
-/// What cannot be changed.
+/// A line that settings cannot change.
 const fn fixed(keys: &'static str, text: &'static str) -> Line {
     Line { text, entries: &[], fixed: keys }
 }
@@ -353,10 +352,9 @@ const fn step(step: Step) -> Deed {
     Deed::Act(Action::Step(step))
 }
 
-/// The name of a setting that is no chord.
+/// The name of the setting for the wheel, which is no chord.
 pub const REVERSE_WHEEL: &str = "reverse-wheel";
 
-/// Every line.
 const TABLE: &[Line] = &[
     keys("orbit", &[("orbit", Deed::Drag(Gesture::Orbit), &["left drag"])]),
     keys("pan", &[("pan", Deed::Drag(Gesture::Pan), &["middle drag", "shift+left drag"])]),

@@ -1,4 +1,4 @@
-//! What is in a folder, listed on a thread: names at once, what they hold as fast as the disk tells.
+//! The content of a folder. A thread lists names at once, and then what the files hold.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,19 +15,19 @@ pub(crate) struct Entry {
     pub(crate) name: String,
     pub(crate) path: PathBuf,
     pub(crate) is_folder: bool,
-    /// Of a file.
+    /// Size of a file.
     pub(crate) bytes: u64,
-    /// None until it was looked at.
+    /// None until the file was read.
     pub(crate) content: Option<Content>,
 }
 
 impl Entry {
-    /// Whether it is a state, which opens with the volume that it names.
+    /// Whether it is a state, which opens with its volume.
     pub(crate) fn is_state(&self) -> bool {
         self.content == Some(Content::State)
     }
 
-    /// What it is, in a word or two.
+    /// The kind of file, in a word or two.
     pub(crate) fn kind(&self) -> &'static str {
         match self.content {
             Some(Content::Volume(name)) => name,
@@ -41,7 +41,7 @@ impl Entry {
     }
 }
 
-/// A folder that is being listed, or was.
+/// A folder and its entries, as far as they are known.
 pub(crate) struct Folder {
     pub(crate) path: PathBuf,
     pub(crate) entries: Vec<Entry>,
@@ -65,12 +65,12 @@ impl Folder {
         let is_left = Arc::new(AtomicBool::new(false));
         let (of_thread, left, wake) = (path.clone(), is_left.clone(), wake.clone());
         let run = move || list(&of_thread, &sender, &left, &wake);
-        // Without a thread the sender is gone, and nothing is listed.
+        // Without a thread the sender is gone, and the list stays empty.
         let _ = std::thread::Builder::new().name("folder".into()).spawn(run);
         Self { path, entries: Vec::new(), problem: None, is_listing: true, news: Some(news), is_left }
     }
 
-    /// Takes what has been found.
+    /// Takes new entries.
     pub(crate) fn poll(&mut self) {
         while let Some(news) = &self.news {
             match news.try_recv() {
@@ -87,7 +87,7 @@ impl Folder {
         }
     }
 
-    /// Whether the folder itself may be a volume: it holds slices.
+    /// Whether the folder itself may be a volume, as it holds slices.
     pub(crate) fn may_be_volume(&self) -> Option<&'static str> {
         let has = |name| self.entries.iter().any(|e| e.content == Some(Content::Volume(name)));
         ["DICOM", "TIFF"].into_iter().find(|name| has(name))
@@ -109,7 +109,7 @@ fn list(path: &Path, news: &SyncSender<News>, is_left: &AtomicBool, wake: &Waker
             return;
         }
     };
-    // Folders first, then by name, as people write them.
+    // Folders first, then by name without case.
     entries.sort_by_cached_key(|e| (!e.is_folder, e.name.to_lowercase(), e.name.clone()));
     if !send(News::Names(entries.clone())) {
         return;
@@ -128,7 +128,7 @@ fn list(path: &Path, news: &SyncSender<News>, is_left: &AtomicBool, wake: &Waker
     send(News::Contents(found));
 }
 
-/// Names, without those that begin with a dot.
+/// Names, except those that begin with a dot.
 fn read(path: &Path, is_left: &AtomicBool) -> std::io::Result<Vec<Entry>> {
     let mut entries = Vec::new();
     for entry in std::fs::read_dir(path)? {
@@ -140,7 +140,7 @@ fn read(path: &Path, is_left: &AtomicBool) -> std::io::Result<Vec<Entry>> {
         if entries.len() == MAX_ENTRIES || is_left.load(Ordering::Relaxed) {
             break;
         }
-        // What a link leads to counts; one that leads nowhere is a file that cannot be read.
+        // A link counts as its target; a broken link is a file that cannot be read.
         let metadata = std::fs::metadata(entry.path()).ok();
         entries.push(Entry {
             name: name.chars().map(|c| if c.is_control() { '?' } else { c }).collect(),
@@ -153,7 +153,7 @@ fn read(path: &Path, is_left: &AtomicBool) -> std::io::Result<Vec<Entry>> {
     Ok(entries)
 }
 
-/// Files that are looked at before the window is told.
+/// Files between two messages to the window.
 const BATCH: usize = 32;
-/// Names that are listed.
+/// Entries of a list, at most.
 const MAX_ENTRIES: usize = 20_000;

@@ -1,4 +1,4 @@
-//! The list of files that volumes are opened from, and texts where somebody reads them. It works by keyboard as by mouse, and
+//! The list of files from which volumes open, and texts if the owner reads them. It works by keyboard and mouse, and
 //! never waits for a disk.
 
 mod folder;
@@ -18,31 +18,30 @@ use super::text::format_bytes;
 use crate::view::Waker;
 use crate::view::local_servers::{LocalServers, survey};
 
-/// See the module.
 pub(crate) struct Browser {
     wake: Waker,
-    /// Whether volumes are opened here.
+    /// Whether volumes open here.
     takes_volumes: bool,
-    /// Whether texts are.
+    /// Whether texts open here.
     takes_texts: bool,
     folder: Folder,
     path_text: String,
-    /// Number of an entry.
+    /// Index of an entry.
     selected: Option<usize>,
-    /// The name to select when the folder is listed.
+    /// The name to select once the folder is listed.
     wanted_name: Option<String>,
-    /// One that was wanted and is not in the list.
+    /// A name that was wanted and is not in the list.
     missing_name: Option<String>,
     scrolls: bool,
     wants_focus: bool,
-    /// The letters of a name that were typed lately, and the time of the last.
+    /// The letters of a name that were typed lately, and the time of the last, seconds.
     typed: (String, f64),
     looked_at: Option<LookedAt>,
-    /// Whether the folder itself is to be opened.
+    /// Whether the folder itself is selected as a volume.
     takes_folder: bool,
 }
 
-/// What shall be opened.
+/// What to open.
 pub(crate) enum Chosen {
     /// A volume, or a part of it.
     Volume(LoadRequest),
@@ -50,14 +49,14 @@ pub(crate) enum Chosen {
     Text(PathBuf),
 }
 
-/// Who opens volumes, and the bytes that the one before holds.
+/// What opens volumes, and the size of the volume shown, bytes.
 pub(crate) type Volumes<'a> = (&'a Arc<dyn LocalServers>, u64);
 
 /// A volume whose header is shown.
 struct LookedAt {
     source: PathBuf,
     form: SelectionForm,
-    /// The selection that `found` answers.
+    /// The selection of `found`.
     asked: Selection,
     waiting: Background<Outline>,
     found: Option<Result<Outline, String>>,
@@ -87,17 +86,16 @@ impl Browser {
         Self { takes_texts: true, ..Self::new(folder, wake) }
     }
 
-    /// The keyboard goes to the list.
+    /// Gives the list the keyboard.
     pub(crate) fn focus(&mut self) {
         self.wants_focus = true;
     }
 
-    /// The folder that is shown.
     pub(crate) fn folder(&self) -> &Path {
         &self.folder.path
     }
 
-    /// Shows another folder; `select` is the name to select in it.
+    /// Shows another folder and selects the entry `select`.
     pub(crate) fn go_to(&mut self, folder: PathBuf, select: Option<String>) {
         self.path_text = folder.display().to_string();
         self.folder = Folder::open(folder, &self.wake);
@@ -112,14 +110,14 @@ impl Browser {
         }
     }
 
-    /// Shows path, list and what is selected; what shall be opened. Without `volumes` no volume is.
+    /// Shows path, list and details; returns what to open. Without `volumes`, volumes do not open.
     pub(crate) fn show(&mut self, ui: &mut Ui, volumes: Option<Volumes<'_>>, height: f32) -> Option<Chosen> {
         self.takes_volumes = volumes.is_some();
         self.folder.poll();
         if let Some(name) = self.wanted_name.take_if(|_| !self.folder.is_listing) {
             let found = self.folder.entries.iter().position(|e| e.name == name);
             self.select(found);
-            // A folder that cannot be listed has a line of its own.
+            // A folder that cannot be listed has its own line.
             self.missing_name = (found.is_none() && self.folder.problem.is_none()).then_some(name);
         }
         self.path_row(ui);
@@ -155,7 +153,7 @@ impl Browser {
             named(&field, egui::Role::TextInput, "path");
             if field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter)) {
                 if let Some(path) = path_from_text(&self.path_text) {
-                    // The folder is listed on a thread. What is in it, or that the name is not, is told there.
+                    // A thread lists the folder, and reports a missing name.
                     self.go_to_text(path);
                 }
                 self.wants_focus = true;
@@ -171,7 +169,7 @@ impl Browser {
         });
     }
 
-    /// The folder of a path that was written, with its last part selected, as that may be a file.
+    /// Shows the folder of a written path and selects its last part, which may be a file.
     fn go_to_text(&mut self, path: PathBuf) {
         let path = if path.is_relative() { self.folder.path.join(path) } else { path };
         let is_folder_text = self.path_text.trim_end().ends_with(['/', '\\']);
@@ -191,7 +189,7 @@ impl Browser {
         self.takes_folder &= entry.is_none();
     }
 
-    /// The list; whether what is selected shall be opened.
+    /// Shows the list; returns whether to open the selected entry.
     fn list(&mut self, ui: &mut Ui, height: f32) -> bool {
         let width = ui.available_width();
         let (outer, _) = ui.allocate_exact_size(vec2(width, height), Sense::hover());
@@ -227,7 +225,7 @@ impl Browser {
         ui.spacing_mut().item_spacing.y = 0.0;
         let mut area = ScrollArea::vertical().auto_shrink(false);
         if let Some(row) = self.selected.filter(|_| self.scrolls) {
-            // In sight, with a line around it.
+            // Keeps the selected row and a row around it in sight.
             let (top, bottom) = ((row as f32 - 1.0) * ROW, (row as f32 + 2.0) * ROW);
             let offset = ui.data(|d| d.get_temp::<f32>(id)).unwrap_or(0.0);
             let view = height - 6.0;
@@ -259,13 +257,13 @@ impl Browser {
         opens
     }
 
-    /// What the keys say; whether what is selected shall be opened.
+    /// Handles keys; returns whether to open the selected entry.
     fn keys(&mut self, ui: &Ui, height: f32) -> bool {
         let last = self.folder.entries.len().saturating_sub(1);
         let page = ((height / ROW) as usize).saturating_sub(2).max(1);
         let at = self.selected;
         let press = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
-        // A slow refresh may bring several at once.
+        // A slow refresh may bring several presses.
         let steps = |key| ui.input_mut(|i| i.count_and_consume_key(Modifiers::NONE, key));
         let (down, up) = (steps(Key::ArrowDown), steps(Key::ArrowUp));
         let to = |n: usize| Some(n.min(last)).filter(|_| !self.folder.entries.is_empty());
@@ -304,7 +302,7 @@ impl Browser {
         press(Key::Enter) && self.enter()
     }
 
-    /// Letters select the first name that begins with them.
+    /// Typed letters select the first name that begins with them.
     fn type_on(&mut self, ui: &Ui) {
         let (text, now) = ui.input(|i| {
             let texts = i.events.iter().filter_map(|e| match e {
@@ -328,7 +326,7 @@ impl Browser {
         }
     }
 
-    /// Whether it opens here, as far as its first bytes tell; unknown until it was looked at.
+    /// Whether a file opens here, by its first bytes; unknown until they are read.
     fn opens(&self, entry: &Entry) -> Option<bool> {
         Some(match entry.content? {
             Content::Volume(_) => self.takes_volumes,
@@ -342,7 +340,7 @@ impl Browser {
         self.folder.entries.get(self.selected?)
     }
 
-    /// Goes into the folder that is selected, or says that the file is to be opened.
+    /// Enters the selected folder, or returns that the file is to be opened.
     fn enter(&mut self) -> bool {
         let Some(entry) = self.entry() else { return false };
         if entry.is_folder && self.opens(entry) != Some(true) {
@@ -353,7 +351,7 @@ impl Browser {
         true
     }
 
-    /// Reads the header of what is selected, and again when other parts of it are chosen.
+    /// Reads the header of the selected volume, and again for other parts of it.
     fn look(&mut self, (servers, held): Volumes<'_>) {
         let source = match self.entry() {
             Some(entry) if matches!(entry.content, Some(Content::Volume(_))) => Some(entry.path.clone()),
@@ -386,7 +384,7 @@ impl Browser {
         }
     }
 
-    /// A file that is selected and no volume that opens here; whether it shall be opened.
+    /// Details of a selected file that is no volume of this list; returns the file to open.
     fn file(&self, ui: &mut Ui, opens: bool) -> Option<PathBuf> {
         let color = quiet(ui.ctx());
         if let Some(name) = &self.missing_name {
@@ -412,7 +410,7 @@ impl Browser {
         (opens || is_clicked.inner).then(|| entry.path.clone())
     }
 
-    /// What is known of the volume that is selected, and what may be chosen of it.
+    /// Details of the selected volume, and a choice of its parts.
     fn volume(&mut self, ui: &mut Ui, (servers, _): Volumes<'_>, opens: bool) -> Option<LoadRequest> {
         let looked = self.looked_at.as_mut()?;
         ui.add_space(4.0);
@@ -447,14 +445,14 @@ impl Browser {
             }
         }
         let is_good = matches!(looked.found, Some(Ok(_))) && !looked.waiting.is_busy();
-        // Whoever presses enter before the header was read is not made to press it again.
+        // Enter before the header is read counts.
         is_asked |= is_good && looked.form.opens_when_read;
         looked.form.opens_when_read = is_asked && !is_good && looked.waiting.is_busy();
         (is_asked && is_good).then(|| request(&looked.source, looked.asked, &**servers))
     }
 }
 
-/// A path in the clipboard, where it is pasted into the list.
+/// An absolute path in the clipboard that is pasted into the list.
 fn pasted_path(ui: &Ui) -> Option<PathBuf> {
     ui.input(|i| {
         let texts =
@@ -485,7 +483,7 @@ fn facts(outline: &Outline) -> String {
     format!("{}, {x}×{y}×{z} {}, voxels of {}{unit}", outline.format, outline.dtype, spacing.join("×"))
 }
 
-/// A line of the list: name, kind and size.
+/// Draws a line of the list: name, kind and size.
 fn row(ui: &Ui, rect: Rect, entry: &Entry, opens: bool, is_selected: bool, is_hovered: bool) {
     let visuals = ui.visuals();
     if is_selected {
@@ -521,5 +519,5 @@ fn row(ui: &Ui, rect: Rect, entry: &Entry, opens: bool, is_selected: bool, is_ho
 const ROW: f32 = 21.0;
 const SIZE_WIDTH: f32 = 62.0;
 const DETAILS_HEIGHT: f32 = 150.0;
-/// Letters that come later begin another name.
+/// Letters after a longer pause begin another name, seconds.
 const TYPING_SECONDS: f64 = 1.0;

@@ -1,4 +1,4 @@
-//! What to take of a file before it is read: channel, time, level, series and region.
+//! The part of a file to read: channel, time, level, series and region.
 
 use egui::Ui;
 use isinglass_formats::{Outline, Region, Selection};
@@ -7,15 +7,15 @@ use crate::panels::controls::whole;
 use crate::panels::part_pickers::{MAX_ENTRIES, label, list, numbered, time_field};
 use crate::panels::style::named;
 
-/// The choices of a person, and what the file leaves to choose.
+/// The person's choices, and what the file offers.
 #[derive(Default)]
 pub(crate) struct SelectionForm {
     chosen: Selection,
-    /// As the header last said.
+    /// From the newest header.
     choices: Option<Choices>,
     region: [[u32; 2]; 3],
     takes_region: bool,
-    /// Whether it was asked to be opened before the header was read.
+    /// Whether to open the volume as soon as its header is read.
     pub(crate) opens_when_read: bool,
 }
 
@@ -29,14 +29,13 @@ struct Choices {
 }
 
 impl SelectionForm {
-    /// What was chosen.
     pub(crate) fn selection(&self) -> Selection {
         let [x, y, z] = self.region;
         let region = Region { min: [x[0], y[0], z[0]], max: [Some(x[1]), Some(y[1]), Some(z[1])] };
         Selection { region: self.takes_region.then_some(region), ..self.chosen }
     }
 
-    /// Learns what there is.
+    /// Takes over what the file offers.
     pub(crate) fn learn(&mut self, outline: &Outline) {
         let dims = outline.whole_dims.map(|n| u32::try_from(n).unwrap_or(u32::MAX));
         if self.choices.as_ref().is_none_or(|c| c.whole_dims != dims) {
@@ -61,13 +60,13 @@ impl SelectionForm {
         });
     }
 
-    /// Shows what there is to choose.
+    /// Shows the choices.
     pub(crate) fn show(&mut self, ui: &mut Ui) {
         let Some(choices) = &self.choices else { return };
         let chosen = &mut self.chosen;
         ui.horizontal_wrapped(|ui| {
             if choose(ui, "series", &choices.series, &mut chosen.series, choices.shown.series) {
-                // Another series has channels, times and levels of its own.
+                // Another series has its own channels, times and levels.
                 *chosen = Selection { series: chosen.series, ..Selection::default() };
                 self.takes_region = false;
             }
@@ -106,7 +105,7 @@ impl SelectionForm {
     }
 }
 
-/// A list of `names`, if there is a choice; whether the person chooses another one than `shown` or `chosen`.
+/// A list of `names`, if there are several. Returns whether the person chooses another entry.
 fn choose(ui: &mut Ui, what: &str, names: &[String], chosen: &mut Option<u32>, shown: Option<u32>) -> bool {
     let mut index = chosen.or(shown).unwrap_or(0);
     let name = |i: u32| names.get(i as usize).cloned().unwrap_or_default();

@@ -1,5 +1,5 @@
-//! Edits of a transfer function. Points have values of the volume here; where one leaves the domain, the domain grows and
-//! the others keep their values.
+//! Edits of a transfer function. Points have values of the volume here. If one leaves the domain, the domain grows
+//! and the others keep their values.
 
 use isinglass_core::transfer::{ControlPoint, Domain, MAX_POINTS, TransferFunction};
 use isinglass_core::volume::Volume;
@@ -8,12 +8,11 @@ use isinglass_core::volume::Volume;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Curve {
     pub(crate) transfer: TransferFunction,
-    /// Ascending and apart.
+    /// Ascending and different.
     pub(crate) domain: (f32, f32),
 }
 
 impl Curve {
-    /// The value of a point.
     pub(crate) fn value(&self, index: usize) -> f32 {
         self.value_at(self.transfer.points[index].x)
     }
@@ -23,12 +22,12 @@ impl Curve {
         self.domain.0 + (self.domain.1 - self.domain.0) * x
     }
 
-    /// The position of a value, 0 to 1 inside of the domain.
+    /// The position of a value: 0 to 1 inside the domain.
     pub(crate) fn position(&self, value: f32) -> f32 {
         (value - self.domain.0) / (self.domain.1 - self.domain.0)
     }
 
-    /// sRGB and opacity at a value, as between the points.
+    /// sRGB and opacity at a value, interpolated between the points.
     pub(crate) fn at(&self, value: f32) -> ([f32; 3], f32) {
         let (points, x) = (&self.transfer.points, self.position(value));
         let after = points.partition_point(|p| p.x <= x);
@@ -44,7 +43,7 @@ impl Curve {
         }
     }
 
-    /// The same with point `index` moved, no further than to its neighbours.
+    /// The curve with point `index` moved, at most to its neighbours.
     pub(crate) fn with_point_at(&self, index: usize, value: f32, opacity: f32) -> Self {
         let mut values: Vec<f32> = (0..self.transfer.points.len()).map(|i| self.value(i)).collect();
         let least = index.checked_sub(1).map_or(-MAX_VALUE, |i| values[i]);
@@ -57,7 +56,7 @@ impl Curve {
         moved
     }
 
-    /// The same with another point, of the colour that is there, and its number; none if there are too many.
+    /// The curve with another point in the colour of its place, and its index; none if there are too many points.
     pub(crate) fn with_point(&self, value: f32, opacity: f32) -> Option<(Self, usize)> {
         if self.transfer.points.len() >= MAX_POINTS || !value.is_finite() {
             return None;
@@ -74,7 +73,7 @@ impl Curve {
         Some((more, index))
     }
 
-    /// The same without a point; none if it is the last one.
+    /// The curve without a point; none if it is the last one.
     pub(crate) fn without_point(&self, index: usize) -> Option<Self> {
         let mut less = self.clone();
         if less.transfer.points.len() < 2 || index >= less.transfer.points.len() {
@@ -84,14 +83,14 @@ impl Curve {
         Some(less)
     }
 
-    /// The same with another colour, sRGB, of a point.
+    /// The curve with another sRGB colour of a point.
     pub(crate) fn with_color(&self, index: usize, color: [f32; 3]) -> Self {
         let mut colored = self.clone();
         colored.transfer.points[index].color = color.map(|c| c.clamp(0.0, 1.0));
         colored
     }
 
-    /// The same stretched to the values from `lo` to `hi`; what is none keeps it as it is.
+    /// The curve stretched to the values from `lo` to `hi`. Invalid ones leave it as it is.
     pub(crate) fn with_domain(&self, lo: f32, hi: f32) -> Self {
         let mut stretched = self.clone();
         if lo.abs() <= MAX_VALUE && hi.abs() <= MAX_VALUE && lo < hi {
@@ -107,13 +106,13 @@ impl Curve {
         (lo + (hi - lo) * 0.5, hi - lo)
     }
 
-    /// The same with another level and window, the window no narrower than `least`.
+    /// The curve with another level and window, the window at least `least` wide.
     pub(crate) fn with_level_and_window(&self, level: f32, window: f32, least: f32) -> Self {
         let half = window.max(least) * 0.5;
         self.with_domain(level - half, level + half)
     }
 
-    /// Makes the domain hold all values, which are those of the points.
+    /// Grows the domain to hold the values of the points.
     fn include(&mut self, values: &[f32]) {
         let (Some(&first), Some(&last)) = (values.first(), values.last()) else { return };
         let (lo, hi) = (self.domain.0.min(first), self.domain.1.max(last));
@@ -130,8 +129,8 @@ impl Curve {
     }
 }
 
-/// Where an opacity stands on its axis, 0 to 1. Useful opacities of matter one voxel thick go from a few thousandths to
-/// one half: the cube root gives each of them room.
+/// The height of an opacity on its axis, 0 to 1. Useful opacities of matter one voxel thick range from a few
+/// thousandths to one half: the cube root gives each of them room.
 pub(crate) fn height_of(opacity: f32) -> f32 {
     opacity.clamp(0.0, 1.0).cbrt()
 }
@@ -141,7 +140,7 @@ pub(crate) fn opacity_at(height: f32) -> f32 {
     height.clamp(0.0, 1.0).powi(3)
 }
 
-/// No voxel has a larger value, and differences of such are finite.
+/// No voxel has a larger value, and differences of such values are finite.
 const MAX_VALUE: f32 = Volume::MAX_MAGNITUDE;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! What was before, for undo and redo.
+//! Undo and redo.
 
-/// States before and after the present one, which its user holds.
+/// States before and after the present one, which the owner holds.
 #[derive(Clone, Debug)]
 pub(crate) struct History<T> {
     past: Vec<T>,
@@ -14,7 +14,7 @@ impl<T> Default for History<T> {
 }
 
 impl<T> History<T> {
-    /// The present has been replaced; `before` was it.
+    /// The present state replaces `before`.
     pub(crate) fn note(&mut self, before: T) {
         if self.past.len() == MAX_STEPS {
             self.past.remove(0);
@@ -30,20 +30,20 @@ impl<T> History<T> {
         Some(before)
     }
 
-    /// The state that [`History::undo`] left, if nothing was changed since.
+    /// The state that [`History::undo`] left, if nothing has changed since.
     pub(crate) fn redo(&mut self, present: T) -> Option<T> {
         let after = self.future.pop()?;
         self.past.push(present);
         Some(after)
     }
 
-    /// Whether there is something to undo, and to redo.
+    /// Whether undo and redo are possible.
     pub(crate) fn has(&self) -> (bool, bool) {
         (!self.past.is_empty(), !self.future.is_empty())
     }
 }
 
-/// More steps than anyone goes back; a transfer function takes a few hundred bytes.
+/// A transfer function takes a few hundred bytes.
 const MAX_STEPS: usize = 200;
 
 #[cfg(test)]

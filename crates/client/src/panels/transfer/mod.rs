@@ -1,4 +1,4 @@
-//! The editor of the transfer function: the curve over the histogram, and what is done to all of it.
+//! The editor of the transfer function: the curve over the histogram, and the rows below it.
 
 mod curve;
 mod history;
@@ -22,42 +22,41 @@ use super::text::format_in;
 use super::value_scale::ValueScale;
 use crate::view::{Waker, waker_of};
 
-/// The state of the editor. It shows what it is given, and tells what was made of it.
+/// The state of the editor. It shows the function it is given, and returns edits.
 pub(crate) struct TransferEditor {
     curve: Curve,
-    /// As the server or the editor itself last had it.
+    /// The function that the server or the editor last had.
     known: Option<TransferFunction>,
-    /// Of the volume at the refresh before.
+    /// The volume's values at the refresh before.
     scale: Option<ValueScale>,
-    /// What reset goes back to.
+    /// The function that reset returns to.
     preset: TransferFunction,
-    history: History<Step>,
-    /// The state before a movement that goes on.
-    before: Option<Step>,
+    history: History<Snapshot>,
+    /// The state before a movement that is in progress.
+    before: Option<Snapshot>,
     selected: Option<usize>,
     grip: Option<Grip>,
     view: Option<(f32, f32)>,
     is_log: bool,
     files: FileField<Vec<ImportedTransfer>>,
     found: Vec<ImportedTransfer>,
-    /// What a preset says of shading, until it is taken.
+    /// Shading of an imported preset, until it is taken.
     shaded: Option<bool>,
 }
 
-/// What undo goes back to.
+/// A state of the history.
 #[derive(Clone, Debug, PartialEq)]
-struct Step {
+struct Snapshot {
     transfer: TransferFunction,
-    /// What reset went back to, and the shift is told from.
+    /// The function that reset returned to then.
     preset: TransferFunction,
 }
 
-/// What was made in the editor at a refresh.
+/// The edits of a refresh.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Edit {
-    /// Another transfer function.
     pub(crate) transfer: Option<TransferFunction>,
-    /// What an imported preset says of shading.
+    /// Shading of an imported preset.
     pub(crate) shaded: Option<bool>,
 }
 
@@ -88,8 +87,8 @@ impl Default for TransferEditor {
 }
 
 impl TransferEditor {
-    /// Takes what the picture is made with: another function than the editor's own comes from elsewhere. To be called at
-    /// each refresh, whether the editor is shown or not.
+    /// Follows the function of the picture; one that is not the editor's own comes from elsewhere. Call this at each
+    /// refresh, even if the editor is not shown.
     pub(crate) fn follow(&mut self, given: &TransferFunction, scale: &ValueScale) {
         if self.known.as_ref() != Some(given) && self.grip.is_none() {
             self.known = Some(given.clone());
@@ -98,19 +97,19 @@ impl TransferEditor {
             self.set(given.clone(), scale);
             self.fit();
         }
-        // The values behind percentiles depend on the volume.
+        // Values of percentiles depend on the volume.
         self.curve.domain = scale.domain(&self.curve.transfer.domain);
         if self.scale.as_ref() != Some(scale) && self.scale.replace(scale.clone()).is_some() {
-            // What was looked at may be nowhere in another volume: all of it is shown.
+            // The former view may be empty in another volume: show everything.
             self.view = Some(self.widest_view(scale));
         }
         self.take_outcome(scale);
     }
 
-    /// What has been made since the last call. Movements end when no button is held.
+    /// The edits since the last call. A movement ends when no button is held.
     pub(crate) fn take_edit(&mut self, ctx: &egui::Context) -> Edit {
         if ctx.input(|i| !i.pointer.any_down()) {
-            // Where the editor was folded under the hand, its plot has not seen the release.
+            // A plot that was folded during a drag does not see the release.
             self.grip = None;
         }
         if self.grip.is_none()
@@ -132,7 +131,6 @@ impl TransferEditor {
         self.selected.is_some()
     }
 
-    /// Back by one step.
     pub(crate) fn undo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
             && let Some(step) = self.history.undo(self.present())
@@ -141,7 +139,6 @@ impl TransferEditor {
         }
     }
 
-    /// Forward by one step.
     pub(crate) fn redo(&mut self, scale: &ValueScale) {
         if self.before.is_none()
             && let Some(step) = self.history.redo(self.present())
@@ -150,7 +147,7 @@ impl TransferEditor {
         }
     }
 
-    /// Reads a file of presets, and takes the first of them.
+    /// Reads a file of presets, and takes the first.
     pub(crate) fn open(&mut self, path: PathBuf, wake: &Waker) {
         self.files.set_path(&path);
         self.read(path, wake);
@@ -160,7 +157,7 @@ impl TransferEditor {
         self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
     }
 
-    /// The editor's rows.
+    /// Shows the rows.
     pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale) {
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
         self.presets_row(ui, scale);
@@ -173,7 +170,7 @@ impl TransferEditor {
         self.file_rows(ui, scale);
     }
 
-    /// Replaces the function in one step, from which the view starts anew.
+    /// Replaces the function in one step, and resets the view.
     fn take(&mut self, transfer: TransferFunction, scale: &ValueScale) {
         self.begin();
         self.preset = transfer.clone();
@@ -187,7 +184,7 @@ impl TransferEditor {
         self.curve = Curve { transfer, domain };
     }
 
-    /// A part of a movement, or a step of its own.
+    /// Continues a movement, or makes a step of its own.
     fn change(&mut self, curve: Curve) {
         self.begin();
         self.curve = curve;
@@ -199,11 +196,11 @@ impl TransferEditor {
         }
     }
 
-    fn present(&self) -> Step {
-        Step { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
+    fn present(&self) -> Snapshot {
+        Snapshot { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
     }
 
-    /// What follows comes from elsewhere, a saved state say, and can be undone.
+    /// Makes a change from elsewhere, such as a saved state, undoable.
     pub(crate) fn note_present(&mut self) {
         if self.known.is_some() {
             let present = self.present();
@@ -211,8 +208,8 @@ impl TransferEditor {
         }
     }
 
-    /// A step of the history; with another preset the view starts anew, as when it was taken.
-    fn go_to(&mut self, step: Step, scale: &ValueScale) {
+    /// Goes to a state of the history; another preset resets the view.
+    fn go_to(&mut self, step: Snapshot, scale: &ValueScale) {
         if step.preset != self.preset {
             self.preset = step.preset;
             self.fit();
@@ -220,7 +217,7 @@ impl TransferEditor {
         self.set(step.transfer, scale);
     }
 
-    /// The values across the plot: at first those of the function that the volume has.
+    /// The values across the plot: at first the part of the function inside the volume's range.
     fn view(&mut self, scale: &ValueScale) -> (f32, f32) {
         let (lo, hi) = self.curve.domain;
         let margin = (hi - lo) * 0.06;
@@ -229,12 +226,12 @@ impl TransferEditor {
         *self.view.get_or_insert(if lo < hi { (lo, hi) } else { wide })
     }
 
-    /// The volume's values and the function's.
+    /// The range of the volume and the function together.
     fn widest_view(&self, scale: &ValueScale) -> (f32, f32) {
         (scale.range.0.min(self.curve.domain.0), scale.range.1.max(self.curve.domain.1))
     }
 
-    /// The view shows the function again, whatever it is then.
+    /// Resets the view to the function.
     fn fit(&mut self) {
         self.view = None;
     }
@@ -276,10 +273,10 @@ impl TransferEditor {
         }
     }
 
-    /// The selected point in numbers.
+    /// The numbers of the selected point.
     fn point_row(&mut self, ui: &mut Ui) {
         let Some(index) = self.selected else {
-            // The same height, so that nothing jumps.
+            // The same height, so that the rows below stay.
             ui.horizontal(|ui| ui.label(RichText::new("no point selected").weak()));
             return;
         };
@@ -468,7 +465,7 @@ impl TransferEditor {
     }
 }
 
-/// A number to drag or write, with its name before it. It is told from others of a range that is `span` wide.
+/// A named number field, with figures for a range that is `span` wide.
 fn number(
     ui: &mut Ui,
     name: &str,
@@ -488,10 +485,10 @@ fn number(
     response
 }
 
-/// Lists of presets and colour maps are seen whole.
+/// Lists of presets and colour maps need no scrolling, points.
 const LIST_HEIGHT: f32 = 460.0;
 
-/// A colour map with its colours; whether it was chosen.
+/// A colour map with its colours; returns whether it is chosen.
 fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
     let is_clicked = ui.horizontal(|ui| {
         let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), egui::Sense::hover());

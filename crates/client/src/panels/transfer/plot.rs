@@ -1,4 +1,4 @@
-//! The curve over the histogram, and under it the strip of its colours, which is taken hold of for window and level.
+//! The curve over the histogram, and below it the strip of its colours, which sets window and level.
 
 use egui::{
     Color32, Event, EventFilter, Key, Mesh, Modifiers, PointerButton, Pos2, Rect, Response, Role, Sense,
@@ -11,7 +11,7 @@ use crate::input::pointer::notches_of;
 use crate::panels::text::{format_in, format_value};
 use crate::panels::value_scale::ValueScale;
 
-/// What the pointer holds, and the curve when it took hold.
+/// What the pointer drags, and the curve when the drag began.
 #[derive(Clone, Debug)]
 pub(super) struct Grip {
     kind: GripKind,
@@ -38,7 +38,7 @@ struct Axes {
 impl Axes {
     fn x(&self, value: f32) -> f32 {
         let t = (value - self.view.0) / (self.view.1 - self.view.0);
-        // Far outside is as good as just outside, and keeps the numbers small.
+        // Values far outside are clamped to keep the numbers small.
         self.rect.left() + self.rect.width() * t.clamp(-10.0, 10.0)
     }
 
@@ -115,7 +115,7 @@ impl TransferEditor {
                     self.drag(pos, scale, plot);
                     self.grip = None;
                 }
-                // The release of the button may never be told.
+                // The system may never report the release.
                 Event::WindowFocused(false) => self.grip = None,
                 _ => {}
             }
@@ -184,7 +184,7 @@ impl TransferEditor {
             }
             GripKind::Window => {
                 let (level, window) = before.level_and_window();
-                // Up is narrower: more contrast. Over the height of the plot about ten times.
+                // Dragging up narrows the window: about ten times over the height of the plot.
                 let narrower = (moved.y / plot.rect.height() * 2.3).exp();
                 before.with_level_and_window(level + moved.x * values_per_pixel, window * narrower, least)
             }
@@ -217,7 +217,7 @@ impl TransferEditor {
             if hi - lo > scale.span() * LEAST_WINDOW {
                 self.view = Some((lo, hi));
             } else if plot.view.0 < least || plot.view.1 > most {
-                // The curve has become narrower than what was looked at, which is of no use then.
+                // The curve is narrower than the view, which is useless then.
                 self.fit();
             }
         }
@@ -267,7 +267,7 @@ impl TransferEditor {
         }
     }
 
-    /// A point on the curve, half-way between the chosen one and the next; in the middle of the view if none is chosen.
+    /// Adds a point on the curve, half-way between the selected one and the next, or in the middle of the view.
     fn add_point(&mut self, plot: Axes) {
         let last = self.curve.transfer.points.len() - 1;
         let value = match self.selected {
@@ -284,7 +284,7 @@ impl TransferEditor {
         }
     }
 
-    /// Left and right are the level, up and down the window: as the strip is dragged.
+    /// Left and right change the level, up and down the window.
     fn strip_keyboard(&mut self, ui: &Ui, scale: &ValueScale, plot: Axes, response: &Response) {
         if !response.has_focus() {
             return;
@@ -325,7 +325,7 @@ impl TransferEditor {
     fn point_near(&self, pos: Pos2, plot: Axes) -> Option<usize> {
         let distance = |i: usize| plot.point(&self.curve, i).distance(pos);
         let points = 0..self.curve.transfer.points.len();
-        // Of two in one place the selected one, else the last, which is drawn on top.
+        // Of two points in one place the selected one, else the last, which is drawn on top.
         let nearest = points.min_by(|&a, &b| {
             let own = |i| (distance(i), self.selected != Some(i), std::cmp::Reverse(i));
             own(a).partial_cmp(&own(b)).unwrap_or(std::cmp::Ordering::Equal)
@@ -358,7 +358,7 @@ impl TransferEditor {
             let font = egui::FontId::proportional(9.0);
             painter.text(at, egui::Align2::LEFT_BOTTOM, format!("{opacity}"), font, ink.quiet);
         }
-        // What lies beyond the domain has the colour and opacity of its end.
+        // Outside the domain, colour and opacity of its end hold.
         for (from, to) in
             [(outer.left(), plot.x(self.curve.domain.0)), (plot.x(self.curve.domain.1), outer.right())]
         {
@@ -431,7 +431,7 @@ impl TransferEditor {
         }
     }
 
-    /// Three values under the strip.
+    /// Draws three values under the strip.
     fn draw_axis(&self, ui: &mut Ui, plot: Axes) {
         let (row, _) = ui.allocate_exact_size(vec2(ui.available_width(), 12.0), Sense::hover());
         let ink = Ink::of(ui);
@@ -444,7 +444,7 @@ impl TransferEditor {
         }
     }
 
-    /// Names for screen readers and tests: the plot, the strip, and each point.
+    /// Names the plot, the strip and each point for screen readers and tests.
     fn describe(&self, ui: &Ui, plot: Axes, response: &Response, strip: &Response) {
         response.widget_info(|| WidgetInfo::labeled(Role::Canvas, true, "opacity over values"));
         let (level, window) = self.curve.level_and_window();
@@ -477,7 +477,7 @@ impl TransferEditor {
         }
     }
 
-    /// What lies under the pointer, or what can be done.
+    /// The values under the pointer, or what the mouse does.
     fn hover_text(&self, ui: &mut Ui, scale: &ValueScale, plot: Axes, outer: Rect) {
         let pointer = ui.input(|i| i.pointer.latest_pos()).filter(|at| outer.contains(*at));
         let text = match pointer {
@@ -534,7 +534,7 @@ impl Ink {
     }
 }
 
-/// Three numbers from 0 to 1 as bytes of sRGB.
+/// A colour of numbers from 0 to 1.
 pub(super) fn color32(color: [f32; 3]) -> Color32 {
     let [r, g, b] = color.map(|c| (c * 255.0).round() as u8);
     Color32::from_rgb(r, g, b)
@@ -543,13 +543,13 @@ pub(super) fn color32(color: [f32; 3]) -> Color32 {
 const PLOT_HEIGHT: f32 = 148.0;
 const STRIP_HEIGHT: f32 = 15.0;
 const POINT_RADIUS: f32 = 6.0;
-/// So near the pointer takes hold of a point or an end.
+/// Reach of a point or an end, points.
 const GRIP_RADIUS: f32 = 9.0;
 /// Opacities with a line of their own.
 const OPACITY_LINES: [f32; 3] = [0.01, 0.1, 0.5];
-/// The narrowest window and view, of the volume's whole range.
+/// The narrowest window and view, as a share of the volume's range.
 pub(super) const LEAST_WINDOW: f32 = 1e-4;
-/// A press of an arrow key, of the width of the view.
+/// Step of an arrow key, as a share of the view.
 const KEY_STEP: f32 = 0.005;
-/// What a press of an arrow key makes of a window, as an exponent.
+/// Change of the window by an arrow key, as an exponent.
 const WINDOW_KEY_STEP: f32 = 0.02;

@@ -310,14 +310,14 @@ fn files_are_saved_asked_about_before_they_are_replaced_and_opened_again() {
     let slicer = r#"<P><VolumeProperty name="one" shade="0" scalarOpacity="4 0 0 100 1" colorTransfer="4 0 1 0 0"/>
         <VolumeProperty name="two" shade="1" scalarOpacity="4 5 0 50 1" colorTransfer="4 0 0 1 0"/></P>"#;
     std::fs::write(folder.join("presets.xml"), slicer).unwrap();
-    let ctx = h.ctx.clone();
-    h.state_mut().editor.open(folder.join("presets.xml"), &ctx);
+    let wake = waker_of(&h.ctx);
+    h.state_mut().editor.open(folder.join("presets.xml"), &wake);
     wait(&mut h);
     assert_eq!((h.state().given.name.as_str(), h.state().shaded), ("one", Some(false)));
     choose(&mut h, "presets in the file", "two");
     assert_eq!((h.state().given.domain, h.state().shaded), (Domain::Values(0.0, 50.0), Some(true)));
 
-    h.state_mut().editor.open(folder.join("nothing.toml"), &ctx);
+    h.state_mut().editor.open(folder.join("nothing.toml"), &wake);
     wait(&mut h);
     assert!(h.query_by_label_contains("nothing.toml").is_some(), "what went wrong is said");
     std::fs::remove_dir_all(&folder).unwrap();
