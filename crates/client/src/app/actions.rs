@@ -7,9 +7,10 @@ use isinglass_core::clip::Clip;
 use isinglass_core::look::Look;
 
 use super::picture::picture_id;
-use super::{ViewerApp, is_free};
+use super::{AppWish, ViewerApp, is_free};
 use crate::input::bindings::{Action, Focus, Step};
 use crate::input::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
+use crate::paint::stereo;
 use crate::panels::state_files::StateWish;
 use crate::view::frame_source::FrameSource;
 
@@ -41,7 +42,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Clip => self.toggle_clip(now),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
-                Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
+                Action::Stereo => self.stereo.mode = stereo::next(self.stereo.mode),
                 Action::Probe => self.probe.toggle(),
                 Action::Picture => self.wants_picture = true,
                 Action::PictureDialog => self.screenshots.toggle_dialog(),
@@ -53,7 +54,7 @@ impl<S: FrameSource> ViewerApp<S> {
                         _ => self.editor.redo(&scale),
                     }
                 }
-                Action::Start => self.wants_start = true,
+                Action::Start => self.wish = Some(AppWish::StartPage),
                 Action::StepTime(by) => {
                     let source = self.viewing.source();
                     let (parts, load) = (source.parts(), source.load());
@@ -76,7 +77,6 @@ impl<S: FrameSource> ViewerApp<S> {
         input
     }
 
-    /// Drops a clip that leaves nothing of another volume.
     pub(super) fn drop_empty_clip(&mut self, now: Duration) {
         let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
         if self.clip_bounds.replace(*bounds) != Some(*bounds) && look.clip.region(bounds).is_empty() {

@@ -60,6 +60,16 @@ pub(crate) struct Origin {
     pub(crate) state: Option<ReadState>,
 }
 
+/// What the viewer leaves to the window around it.
+pub(crate) enum AppWish {
+    /// Show the start page.
+    StartPage,
+    /// Open a volume.
+    Volume(LoadRequest),
+    /// Open the volume of a state.
+    State(Box<ReadState>),
+}
+
 pub(crate) struct ViewerApp<S> {
     options: WindowOptions,
     viewing: Viewing<S>,
@@ -91,14 +101,9 @@ pub(crate) struct ViewerApp<S> {
     editor: TransferEditor,
     state_files: StateFiles,
     open_dialog: OpenDialog,
-    /// A volume from the dialog that opens files.
-    wanted_volume: Option<LoadRequest>,
     coming: Option<ComingState>,
     /// Whether other volumes can be opened in this window.
     opens_volumes: bool,
-    /// A state of another volume.
-    wanted_state: Option<Box<ReadState>>,
-    /// The picture of the whole window at the last refresh.
     window: Option<Intrinsics>,
     shows_help: bool,
     is_look_open: bool,
@@ -110,8 +115,7 @@ pub(crate) struct ViewerApp<S> {
     notice: Option<(String, Duration)>,
     reported_at: Duration,
     parts_bar: PartsBar,
-    /// Whether the person asked for the start page.
-    wants_start: bool,
+    wish: Option<AppWish>,
     waits: Waits,
 }
 
@@ -156,8 +160,6 @@ impl<S: FrameSource> ViewerApp<S> {
             open_dialog: OpenDialog::default(),
             coming: None,
             opens_volumes: false,
-            wanted_state: None,
-            wanted_volume: None,
             window: None,
             shows_help: false,
             is_look_open: false,
@@ -169,7 +171,7 @@ impl<S: FrameSource> ViewerApp<S> {
             notice: None,
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
-            wants_start: false,
+            wish: None,
             waits: Waits::default(),
         }
     }
@@ -186,7 +188,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.controls, self.center_chosen_at) = (None, None);
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
-        (self.coming, self.wanted_state) = (state.map(ComingState::new), None);
+        (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);
         self.title.clear();
@@ -198,9 +200,9 @@ impl<S: FrameSource> ViewerApp<S> {
         self.opens_volumes = true;
     }
 
-    /// Whether the person asked for the start page; once.
-    pub(crate) fn take_start_wish(&mut self) -> bool {
-        std::mem::take(&mut self.wants_start)
+    /// What the person asked for since the last call.
+    pub(crate) fn take_wish(&mut self) -> Option<AppWish> {
+        self.wish.take()
     }
 
     /// Lets the file dialog offer volumes. `servers` open them; `held` is the size of the volume shown, bytes. The
@@ -209,18 +211,12 @@ impl<S: FrameSource> ViewerApp<S> {
         self.open_dialog.offer_volumes(servers, held, folder);
     }
 
-    /// A volume chosen in the file dialog; once.
-    pub(crate) fn take_volume_wish(&mut self) -> Option<LoadRequest> {
-        self.wanted_volume.take()
-    }
-
     /// Whether a key closes the window. Where nothing is shown, no other key does anything.
     pub(crate) fn take_quit(&self, ctx: &egui::Context) -> bool {
         let take = |i: &mut egui::InputState| self.options.bindings.take_actions(&mut i.events, Focus::Text);
         ctx.input_mut(take).contains(&Action::Quit)
     }
 
-    /// Continues the draws before the first picture.
     pub(crate) fn warm_up(&self) {
         self.picture_status.submit_warm_up();
     }
@@ -255,6 +251,11 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn value_scale(&self) -> Option<ValueScale> {
         Some(ValueScale::of(&self.viewing.source().description()?.volume))
+    }
+
+    /// Shows news for a while.
+    fn tell(&mut self, now: Duration, text: impl Into<String>) {
+        self.notice = Some((text.into(), now));
     }
 
     /// Whether waits of the display loop are counted.

@@ -12,11 +12,9 @@ use crate::view::waker_of;
 #[derive(Default)]
 pub(crate) struct OpenDialog {
     is_open: bool,
-    /// Made when the dialog opens for the first time.
     browser: Option<Browser>,
     /// What opens volumes in this window, and the size of the volume shown, bytes; none: volumes do not open here.
     volumes: Option<(Arc<dyn LocalServers>, u64)>,
-    /// Where the list starts.
     folder: Option<PathBuf>,
 }
 
@@ -27,7 +25,6 @@ impl OpenDialog {
         self.folder.get_or_insert_with(|| folder.to_owned());
     }
 
-    /// Whether the dialog has the keyboard.
     pub(crate) fn is_open(&self) -> bool {
         self.is_open
     }

@@ -20,7 +20,6 @@ use crate::view::frame_source::FrameSource;
 use crate::view::viewing::{Refresh, Standing};
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// Refreshes the whole window.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         self.warm_up();
         let ctx = ui.ctx().clone();
@@ -276,13 +275,10 @@ fn picture_intrinsics(rect: egui::Rect, pixels_per_point: f32, fov_y: f32) -> In
 const OVERLAY_PERIOD: Duration = Duration::from_millis(100);
 /// The same when the picture is the server's own, or no better one can come.
 const SETTLED_PERIOD: Duration = Duration::from_millis(500);
-/// Period of reports to the server.
 const REPORT_PERIOD: Duration = Duration::from_secs(1);
-/// How long news stays on the screen.
 const NOTICE_TIME: Duration = Duration::from_secs(8);
 /// The delay before a picture of the look before is labelled; a fast server needs less.
 const OLDER_LOOK_DELAY: Duration = Duration::from_millis(250);
-/// Period of calls of a script.
 const SCRIPT_REFRESH: Duration = Duration::from_millis(30);
 /// The largest texture, and so window, of egui's device.
 const MAX_PICTURE_SIDE: f32 = 8192.0;

@@ -8,7 +8,7 @@ use isinglass_core::look::Look;
 use isinglass_net::State;
 
 use super::side_panel::{self, LookSettings};
-use super::{ViewerApp, is_free};
+use super::{AppWish, ViewerApp, is_free};
 use crate::paint::view_aids::{self, pixel_at};
 use crate::panels::browser::Chosen;
 use crate::panels::parts_bar::PartsWish;
@@ -77,7 +77,6 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Continues screenshots, and shows their dialog and progress.
     pub(super) fn show_screenshots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
         let is_connected = self.viewing.source().state() == State::Connected;
@@ -87,7 +86,7 @@ impl<S: FrameSource> ViewerApp<S> {
             match is_connected {
                 true => self.screenshots.take(subject),
                 false => {
-                    self.notice = Some((NO_SERVER_FOR_PICTURE.into(), now));
+                    self.tell(now, NO_SERVER_FOR_PICTURE);
                     ctx.request_repaint();
                 }
             }
@@ -101,12 +100,11 @@ impl<S: FrameSource> ViewerApp<S> {
             _ => self.screenshots.poll(source, is_ready, ctx),
         };
         if let Some(notice) = self.screenshots.show(ctx, subject, source, taken).or(done) {
-            self.notice = Some((notice, now));
+            self.tell(now, notice);
             ctx.request_repaint();
         }
     }
 
-    /// Requests the value under the pointer, and shows it.
     pub(super) fn show_probe(
         &mut self,
         ctx: &egui::Context,
@@ -142,11 +140,14 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
     }
 
-    /// Moves the light by a drag over the picture.
     pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
         let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
         let lighting = light::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
         self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
+    }
+
+    fn shown_settings(&self) -> impl PartialEq + use<S> {
+        (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids, self.is_orthographic)
     }
 
     pub(super) fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
@@ -157,14 +158,15 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let world_from_view = self.world_from_view();
         let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
+        let before = self.shown_settings();
         let mut settings = LookSettings {
             look: (*look).clone(),
-            frame_size: self.viewing.frame_size,
+            frame_size: &mut self.viewing.frame_size,
             methods: &self.novel_views.names,
-            method: self.novel_views.selected,
-            stereo: self.stereo,
-            aids: self.aids,
-            is_orthographic: self.is_orthographic,
+            method: &mut self.novel_views.selected,
+            stereo: &mut self.stereo,
+            aids: &mut self.aids,
+            is_orthographic: &mut self.is_orthographic,
             clip_editor: &mut self.clip_editor,
             bounds,
             unit: unit.as_deref(),
@@ -175,22 +177,11 @@ impl<S: FrameSource> ViewerApp<S> {
         let files = &mut self.state_files;
         let wish =
             side_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
-        let LookSettings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } =
-            settings;
-        let shown = (
-            self.novel_views.selected,
-            self.viewing.frame_size,
-            self.stereo,
-            self.aids,
-            self.is_orthographic,
-        );
-        if (method, frame_size, stereo, aids, is_orthographic) != shown {
+        let mut wanted = settings.look;
+        if self.shown_settings() != before {
             // The picture beneath is drawn already.
             ctx.request_repaint();
         }
-        self.novel_views.selected = method;
-        self.viewing.frame_size = frame_size;
-        (self.stereo, self.aids, self.is_orthographic) = (stereo, aids, is_orthographic);
         let edit = self.editor.take_edit(ctx);
         if let Some(transfer) = edit.transfer {
             wanted.transfer = transfer;
@@ -199,7 +190,7 @@ impl<S: FrameSource> ViewerApp<S> {
         for _ in 0..std::mem::take(&mut self.next_modes) {
             let next = wanted.mode.next();
             mode::set_mode(&mut wanted, next, &scale);
-            self.notice = Some((mode::text(next).into(), now));
+            self.tell(now, mode::text(next));
         }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
@@ -211,10 +202,9 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// Shows the file dialog and opens the chosen file.
     pub(super) fn show_open_dialog(&mut self, ctx: &egui::Context) {
         match self.open_dialog.show(ctx) {
-            Some(Chosen::Volume(request)) => self.wanted_volume = Some(request),
+            Some(Chosen::Volume(request)) => self.wish = Some(AppWish::Volume(request)),
             Some(Chosen::Text(path)) => self.state_files.open_any(path, &waker_of(ctx)),
             None => return,
         }
@@ -235,7 +225,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn do_part(&mut self, now: Duration, wish: Option<PartsWish>) {
         let Some(wish) = wish else { return };
         if self.viewing.source().state() != State::Connected {
-            self.notice = Some((NO_SERVER_FOR_PART.into(), now));
+            self.tell(now, NO_SERVER_FOR_PART);
             return;
         }
         self.viewing.source_mut().open_part(match wish {

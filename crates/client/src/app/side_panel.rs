@@ -9,7 +9,7 @@ use isinglass_core::space::Aabb;
 
 use crate::input::bindings::{Action, Bindings};
 use crate::paint::clip_editor::ClipEditor;
-use crate::paint::stereo::{MAX_EYE_ANGLE_DEGREES, Stereo, StereoMode};
+use crate::paint::stereo::{self, MAX_EYE_ANGLE_DEGREES, Stereo};
 use crate::paint::view_aids::ViewAids;
 use crate::panels::controls::{self, percent, row};
 use crate::panels::state_files::{StateFiles, StateWish};
@@ -22,13 +22,12 @@ use crate::view::viewing::FrameSize;
 /// What the panel shows and changes beside the transfer function.
 pub(crate) struct LookSettings<'a> {
     pub(crate) look: Look,
-    pub(crate) frame_size: FrameSize,
+    pub(crate) frame_size: &'a mut FrameSize,
     pub(crate) methods: &'a [&'static str],
-    /// Index in `methods`.
-    pub(crate) method: usize,
-    pub(crate) stereo: Stereo,
-    pub(crate) aids: ViewAids,
-    pub(crate) is_orthographic: bool,
+    pub(crate) method: &'a mut usize,
+    pub(crate) stereo: &'a mut Stereo,
+    pub(crate) aids: &'a mut ViewAids,
+    pub(crate) is_orthographic: &'a mut bool,
     pub(crate) clip_editor: &'a mut ClipEditor,
     pub(crate) bounds: Aabb,
     /// Unit of length, if known.
@@ -116,10 +115,10 @@ fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
         });
         if methods.len() > 1 {
             row(ui, "picture by", "how the server's frames become pictures here", |ui| {
-                let combo = egui::ComboBox::from_id_salt("method").selected_text(methods[*method]);
+                let combo = egui::ComboBox::from_id_salt("method").selected_text(methods[**method]);
                 let choices = |ui: &mut Ui| {
                     for (number, name) in methods.iter().enumerate() {
-                        ui.selectable_value(method, number, *name);
+                        ui.selectable_value(*method, number, *name);
                     }
                 };
                 combo.show_ui(ui, choices).response
@@ -128,7 +127,7 @@ fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
         row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
             percent(ui, &mut frame_size.scale, 25.0..=100.0)
         });
-        if *method == 0 {
+        if **method == 0 {
             stereo_rows(ui, stereo);
         }
     });
@@ -136,10 +135,11 @@ fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
 
 fn stereo_rows(ui: &mut Ui, stereo: &mut Stereo) {
     row(ui, "stereo", "two eyes, side by side or for red-cyan glasses", |ui| {
-        let combo = egui::ComboBox::from_id_salt("stereo").selected_text(stereo.mode.name());
+        let name = stereo::MODES[stereo.mode as usize].1;
+        let combo = egui::ComboBox::from_id_salt("stereo").selected_text(name);
         let choices = |ui: &mut Ui| {
-            for mode in StereoMode::ALL {
-                ui.selectable_value(&mut stereo.mode, mode, mode.name());
+            for (mode, name) in stereo::MODES {
+                ui.selectable_value(&mut stereo.mode, mode, name);
             }
         };
         combo.show_ui(ui, choices).response
@@ -157,12 +157,12 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     ui.horizontal(|ui| {
         ui.label(projection);
         for (name, is_orthographic) in [("perspective", false), ("orthographic", true)] {
-            ui.selectable_value(&mut settings.is_orthographic, is_orthographic, name);
+            ui.selectable_value(settings.is_orthographic, is_orthographic, name);
         }
     });
     let axes = settings.bindings.with_key("axes and scale", Action::Axes);
     let volume_box = settings.bindings.with_key("box", Action::Box);
-    let aids = &mut settings.aids;
+    let aids = &mut *settings.aids;
     ui.horizontal(|ui| {
         ui.checkbox(&mut aids.shows_axes, axes);
         ui.checkbox(&mut aids.shows_box, volume_box);

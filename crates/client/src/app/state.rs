@@ -7,21 +7,18 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part};
 use isinglass_formats::{
-    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, state_from_link,
-    state_to_link,
+    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link, state_to_link,
 };
 use isinglass_net::{Link, State, state_of_link};
 
-use super::ViewerApp;
 use super::state_part::{StatePart, names_part, save_part};
-use crate::paint::stereo::StereoMode;
+use super::{AppWish, ViewerApp};
 use crate::panels::background::Written;
 use crate::panels::file_field::FileOutcome;
 use crate::panels::state_files::{FileContent, StateWish};
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
 
-/// A state that is to be shown.
 pub(super) struct ComingState {
     read: ReadState,
     /// Whether it is shown already, as far as the present volume allows.
@@ -121,16 +118,11 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_axes: Some(self.aids.shows_axes),
             shows_numbers: Some(self.shows_overlay),
             background: Some(Srgb(self.aids.background)),
-            theme: Some(match ctx.options(|o| o.theme_preference) {
-                ThemePreference::Dark => Theme::Dark,
-                ThemePreference::Light => Theme::Light,
-                ThemePreference::System => Theme::System,
-            }),
-            stereo: Some(match self.stereo.mode {
-                StereoMode::Off => StereoPicture::Off,
-                StereoMode::SideBySide => StereoPicture::SideBySide,
-                StereoMode::Anaglyph => StereoPicture::RedCyan,
-            }),
+            theme: THEMES
+                .iter()
+                .find(|(_, t)| *t == ctx.options(|o| o.theme_preference))
+                .map(|(theme, _)| *theme),
+            stereo: Some(self.stereo.mode),
             orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
@@ -167,12 +159,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if let Some(theme) = view.theme {
             ctx.set_theme(theme_preference(theme));
         }
-        self.stereo.mode = match view.stereo {
-            Some(StereoPicture::Off) => StereoMode::Off,
-            Some(StereoPicture::SideBySide) => StereoMode::SideBySide,
-            Some(StereoPicture::RedCyan) => StereoMode::Anaglyph,
-            None => self.stereo.mode,
-        };
+        self.stereo.mode = view.stereo.unwrap_or(self.stereo.mode);
         self.stereo.eye_angle_degrees = view.eye_angle_degrees.unwrap_or(self.stereo.eye_angle_degrees);
         self.viewing.frame_size.scale = view.frame_scale.unwrap_or(self.viewing.frame_size.scale);
         if let Some(method) = &view.method {
@@ -220,7 +207,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let text = match self.state_files.take() {
             Some(Ok(FileOutcome::Read(FileContent::State(read)))) => {
                 match self.is_of_other_volume(&read.state) {
-                    true => self.wanted_state = Some(read),
+                    true => self.wish = Some(AppWish::State(read)),
                     false => self.turn_to_state(*read),
                 }
                 None
@@ -239,7 +226,7 @@ impl<S: FrameSource> ViewerApp<S> {
             None => None,
         };
         if let Some(text) = text {
-            self.notice = Some((text, now));
+            self.tell(now, text);
         }
         if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
             self.state_files.open_any(file.path().to_owned(), &waker_of(ctx));
@@ -262,8 +249,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let read = state_of_link(link).map_err(|e| e.to_string());
         match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
             Ok(read) => self.turn_to_state(read),
-            Err(_) if link.trim().parse::<Link>().is_ok() => self.notice = Some((SERVER_LINK.into(), now)),
-            Err(problem) => self.notice = Some((problem, now)),
+            Err(_) if link.trim().parse::<Link>().is_ok() => self.tell(now, SERVER_LINK),
+            Err(problem) => self.tell(now, problem),
         }
     }
 
@@ -278,7 +265,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let source = self.viewing.source();
         if source.state() != State::Connected {
             if !coming.is_told {
-                self.notice = Some((STATE_WAITS.into(), now));
+                self.tell(now, STATE_WAITS);
             }
             // The request may be lost, and another server may come next.
             self.coming = Some(ComingState { asked: None, until: None, is_told: true, ..coming });
@@ -318,7 +305,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     });
                 }
                 Err(problem) => {
-                    self.notice = Some((format!("the state is not shown: {problem}"), now));
+                    self.tell(now, format!("the state is not shown: {problem}"));
                     return;
                 }
             },
@@ -351,7 +338,7 @@ impl<S: FrameSource> ViewerApp<S> {
     ) {
         let unlike = self.restore(ctx, now, window, &read.state);
         if let Some(note) = problem.or(unlike).or_else(|| read.note.clone()) {
-            self.notice = Some((note, now));
+            self.tell(now, note);
         }
     }
 
@@ -381,12 +368,6 @@ impl<S: FrameSource> ViewerApp<S> {
         Some(((*self.viewing.look()?).clone(), self.controls.as_ref()?.1.pose()))
     }
 
-    /// A state of another volume of this machine; once.
-    pub(crate) fn take_state_wish(&mut self) -> Option<Box<ReadState>> {
-        self.wanted_state.take()
-    }
-
-    /// Does what a key or the panel asks for.
     pub(super) fn do_state(&mut self, ctx: &egui::Context, now: Duration, wish: StateWish) {
         if wish == StateWish::Open {
             if !self.state_files.open(&waker_of(ctx)) {
@@ -406,7 +387,7 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             None => "there is no server that a link could name",
         };
-        self.notice = Some((text.into(), now));
+        self.tell(now, text);
     }
 
     /// A link to the view for people who have access to the server.
@@ -418,12 +399,14 @@ impl<S: FrameSource> ViewerApp<S> {
 }
 
 pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
-    match theme {
-        Theme::Dark => ThemePreference::Dark,
-        Theme::Light => ThemePreference::Light,
-        Theme::System => ThemePreference::System,
-    }
+    THEMES.iter().find(|(t, _)| *t == theme).map_or(ThemePreference::Dark, |(_, preference)| *preference)
 }
+
+const THEMES: [(Theme, ThemePreference); 3] = [
+    (Theme::Dark, ThemePreference::Dark),
+    (Theme::Light, ThemePreference::Light),
+    (Theme::System, ThemePreference::System),
+];
 
 const STATE_WAITS: &str = "there is no connection to the server: the state is shown when there is one again";
 const SERVER_LINK: &str = "this link leads to a server: paste it on the page for another server or volume";

@@ -69,7 +69,6 @@ impl StatePart {
     }
 }
 
-/// Whether a state names a part of a file.
 pub(crate) fn names_part(saved: &SavedVolume) -> bool {
     let SavedVolume { channel, time, level, series, region, .. } = saved;
     [channel, time, level, series].into_iter().any(Option::is_some) || region.is_some()

@@ -8,16 +8,13 @@ use egui::{Event, MouseWheelUnit, PointerButton, Pos2, Rect};
 use crate::input::bindings::{Bindings, Gesture};
 use crate::input::camera_controls::{ControlInput, ZOOM_PER_HEIGHT, ZOOM_PER_NOTCH};
 
-/// The pointer from refresh to refresh.
 #[derive(Debug, Default)]
 pub(crate) struct Pointer {
     position: Option<Pos2>,
     drag: Option<PointerDrag>,
-    /// Drag of the light, pixels.
     light: [f32; 2],
 }
 
-/// A button that was pressed over the picture and is held down.
 #[derive(Debug)]
 struct PointerDrag {
     button: PointerButton,
@@ -63,7 +60,6 @@ impl Pointer {
         input
     }
 
-    /// Ends a drag whose release was not seen.
     pub(crate) fn end_drag(&mut self) {
         self.drag = None;
     }

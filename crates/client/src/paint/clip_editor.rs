@@ -22,7 +22,6 @@ pub(crate) struct ClipEditor {
     drag: Option<HandleDrag>,
 }
 
-/// The picture that contains the handles.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ClipView {
     pub(crate) rect: Rect,
@@ -78,12 +77,10 @@ impl ClipEditor {
         }
     }
 
-    /// Ends a drag whose release was not seen.
     pub(crate) fn end_drag(&mut self) {
         self.drag = None;
     }
 
-    /// Whether the pointer is on a handle or drags one.
     pub(crate) fn is_busy(&self) -> bool {
         self.hovered.is_some() || self.drag.is_some()
     }
@@ -130,7 +127,6 @@ impl ClipEditor {
         changed.filter(|changed| changed != clip)
     }
 
-    /// Draws box, plane and handles.
     pub(crate) fn paint(&self, pen: &Pen<'_>, view: &ClipView, clip: &Clip) {
         if !self.is_shown {
             return;
@@ -261,7 +257,6 @@ fn tip_of(view: &ClipView, middle: Vec3, plane: &Plane) -> Vec3 {
     middle + plane.normal * (TIP_IN_RADII * view.bounds.radius())
 }
 
-/// Every visible handle and its position on the screen.
 fn handles(view: &ClipView, clip: &Clip) -> Vec<(Handle, Pos2)> {
     let basis = view.camera.basis();
     let on_screen = |p: Vec3| projected(&basis, view.rect, p, p).map(|[at, _]| at);

@@ -97,7 +97,6 @@ pub(crate) enum Shown {
 
 #[derive(Clone)]
 struct Wish {
-    /// Index of the method.
     view: usize,
     frame: Arc<ReceivedFrame>,
     bounds: Aabb,
@@ -113,7 +112,6 @@ impl Wish {
     }
 }
 
-/// The thread that draws.
 struct Worker {
     shared: Arc<Shared>,
     thread: Thread,
@@ -153,7 +151,6 @@ impl Worker {
         }
     }
 
-    /// The newest result; once.
     fn take(&self) -> Option<Result<Picture, String>> {
         Arc::into_inner(self.shared.drawn.swap(None)?)
     }

@@ -17,15 +17,12 @@ use crate::paint::picture_cache::{DrawPath, PictureCache};
 use crate::paint::stereo::{Stereo, StereoMode};
 use crate::view::quality_control::Quality;
 
-/// What one refresh draws.
 pub(crate) struct PicturePaint {
-    /// Points.
     pub(crate) rect: egui::Rect,
     pub(crate) frame: Arc<ReceivedFrame>,
     /// Older frames for what `frame` does not see.
     pub(crate) kept: Vec<Arc<ReceivedFrame>>,
     pub(crate) camera: Camera,
-    /// The box of the volume.
     pub(crate) bounds: Aabb,
     pub(crate) clip: Clip,
     pub(crate) stereo: Stereo,
@@ -38,9 +35,7 @@ pub(crate) struct PicturePaint {
 /// What painting reports to the application.
 #[derive(Debug, Default)]
 pub(crate) struct PictureStatus {
-    /// Time of the newest novel view.
     pub(crate) time: Arc<GpuTime>,
-    /// Whether the adapter measures times.
     pub(crate) has_timer: bool,
     problem: Mutex<Option<String>>,
     /// What else the device complained of since the last frame, such as a lack of memory.
@@ -321,7 +316,7 @@ impl PicturePaint {
                     view.paint_eye(pass, eye, Channels::All);
                 }
             }
-            StereoMode::Anaglyph => {
+            StereoMode::RedCyan => {
                 view.paint_eye(pass, Eye::Left, Channels::Red);
                 view.paint_eye(pass, Eye::Right, Channels::Cyan);
             }

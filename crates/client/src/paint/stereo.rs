@@ -6,36 +6,15 @@
 use isinglass_core::camera::{Camera, Intrinsics, Projection};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::space::Aabb;
+pub use isinglass_formats::StereoPicture as StereoMode;
 
-/// How each eye gets its picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum StereoMode {
-    /// One picture for both.
-    #[default]
-    Off,
-    /// The left eye's picture in the left half.
-    SideBySide,
-    /// Red from the left eye, green and blue from the right.
-    Anaglyph,
-}
+/// All modes and their names in the panel.
+pub(crate) const MODES: [(StereoMode, &str); 3] =
+    [(StereoMode::Off, "off"), (StereoMode::SideBySide, "side by side"), (StereoMode::RedCyan, "red-cyan")];
 
-impl StereoMode {
-    /// All modes.
-    pub const ALL: [Self; 3] = [Self::Off, Self::SideBySide, Self::Anaglyph];
-
-    /// The name in the panel.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Off => "off",
-            Self::SideBySide => "side by side",
-            Self::Anaglyph => "red-cyan",
-        }
-    }
-
-    /// The next mode; the first follows the last.
-    pub(crate) fn next(self) -> Self {
-        Self::ALL[(self as usize + 1) % Self::ALL.len()]
-    }
+/// The mode after this one; the first follows the last.
+pub(crate) fn next(mode: StereoMode) -> StereoMode {
+    MODES[(mode as usize + 1) % MODES.len()].0
 }
 
 /// The picture for two eyes.
@@ -120,7 +99,7 @@ mod tests {
     #[test]
     fn half_a_window_shows_as_much_as_the_whole() {
         let with = |mode| Stereo { mode, ..Stereo::default() };
-        for mode in [StereoMode::Off, StereoMode::Anaglyph] {
+        for mode in [StereoMode::Off, StereoMode::RedCyan] {
             assert_eq!(with(mode).eye_intrinsics(WINDOW), WINDOW);
         }
         let side_by_side = with(StereoMode::SideBySide);
@@ -142,7 +121,7 @@ mod tests {
         let bounds = Aabb { min: Vec3::splat(-1.0), max: Vec3::splat(3.0) };
         for distance in [0.5, 5.0, 50.0] {
             let camera = Camera::new(Pose::orbit(bounds.center(), 0.4, 0.2, distance), WINDOW, &bounds);
-            let stereo = Stereo { mode: StereoMode::Anaglyph, eye_angle_degrees: 3.0 };
+            let stereo = Stereo { mode: StereoMode::RedCyan, eye_angle_degrees: 3.0 };
             let [left, right] = stereo.eyes(&camera, &bounds);
             let [to_left, to_right] = [left, right].map(|v| v.basis.eye - bounds.center());
             assert!((to_left.angle_between(to_right).to_degrees() - 3.0).abs() < 0.02);
@@ -163,8 +142,8 @@ mod tests {
     #[test]
     fn modes_go_around() {
         let mut mode = StereoMode::Off;
-        for expected in [StereoMode::SideBySide, StereoMode::Anaglyph, StereoMode::Off] {
-            mode = mode.next();
+        for expected in [StereoMode::SideBySide, StereoMode::RedCyan, StereoMode::Off] {
+            mode = next(mode);
             assert_eq!(mode, expected);
         }
     }

@@ -8,7 +8,6 @@ use isinglass_core::space::Aabb;
 
 use crate::input::orientation::Orientation;
 
-/// Which aids are drawn, and on which background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ViewAids {
     pub(crate) shows_box: bool,
@@ -24,7 +23,6 @@ impl Default for ViewAids {
     }
 }
 
-/// What the aids are drawn around.
 pub(crate) struct AidsScene<'a> {
     pub(crate) rect: Rect,
     pub(crate) camera: &'a Camera,
@@ -33,9 +31,7 @@ pub(crate) struct AidsScene<'a> {
     pub(crate) orientation: &'a Orientation,
     /// Unit of length, if known.
     pub(crate) unit: Option<&'a str>,
-    /// The centre of rotation.
     pub(crate) center: Vec3,
-    /// Whether to mark the centre.
     pub(crate) shows_center: bool,
     /// Height of axes and scale above the picture's lower edge, where that is covered, points.
     pub(crate) lift: f32,
@@ -85,7 +81,6 @@ impl ViewAids {
         Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } }
     }
 
-    /// Draws all aids that are on.
     pub(crate) fn paint(&self, painter: &Painter, scene: &AidsScene<'_>) {
         let pen = self.pen(painter);
         if self.shows_box {

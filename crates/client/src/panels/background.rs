@@ -36,7 +36,6 @@ impl<T: Send + 'static> Background<T> {
         Self(Some(receiver))
     }
 
-    /// Whether there is work whose outcome has not been taken.
     pub(crate) fn is_busy(&self) -> bool {
         self.0.is_some()
     }
@@ -53,7 +52,6 @@ impl<T: Send + 'static> Background<T> {
     }
 }
 
-/// What has become of a file that was to be written.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Written {
     /// It is at this absolute path.

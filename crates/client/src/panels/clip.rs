@@ -65,25 +65,21 @@ pub(crate) fn show(
 
 /// Six ends, each bounded by the opposite one.
 fn box_rows(ui: &mut Ui, inner: &mut Aabb, bounds: &Aabb, suffix: &str) {
-    for (axis, names) in [["x from", "x to"], ["y from", "y to"], ["z from", "z to"]].into_iter().enumerate()
-    {
+    let names = ["x from", "x to", "y from", "y to", "z from", "z to"];
+    for (i, name) in names.into_iter().enumerate() {
+        let (axis, is_high) = (i / 2, i % 2 == 1);
         let (least, most) = (bounds.min[axis], bounds.max[axis]);
-        let gap = (most - least) * LEAST_SIDE;
-        let format = |v: f32| format_in(v, most - least);
-        row(ui, names[0], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = slider(ui, &mut inner.min[axis], least..=most, format);
+        row(ui, name, "in the unit of the spacing, from the middle of the volume", |ui| {
+            let mut end = if is_high { inner.max[axis] } else { inner.min[axis] };
+            let slider = slider(ui, &mut end, least..=most, |v| format_in(v, most - least));
             let slider = ui.add(slider.suffix(suffix));
             // A thinner box came from elsewhere, and stays.
             if slider.changed() {
-                inner.min[axis] = inner.min[axis].min(inner.max[axis] - gap);
-            }
-            slider
-        });
-        row(ui, names[1], "in the unit of the spacing, from the middle of the volume", |ui| {
-            let slider = slider(ui, &mut inner.max[axis], least..=most, format);
-            let slider = ui.add(slider.suffix(suffix));
-            if slider.changed() {
-                inner.max[axis] = inner.max[axis].max(inner.min[axis] + gap);
+                let gap = (most - least) * LEAST_SIDE;
+                match is_high {
+                    true => inner.max[axis] = end.max(inner.min[axis] + gap),
+                    false => inner.min[axis] = end.min(inner.max[axis] - gap),
+                }
             }
             slider
         });

@@ -8,11 +8,8 @@ use super::background::{Background, Written, path_from_text, write_text};
 use super::style::named;
 use crate::view::Waker;
 
-/// What has become of a file.
 pub(crate) enum FileOutcome<R> {
-    /// What it holds.
     Read(R),
-    /// It was written, or not.
     Written(Written),
 }
 
@@ -33,22 +30,18 @@ impl<R> Default for FileField<R> {
 }
 
 impl<R: Send + 'static> FileField<R> {
-    /// The path in the field.
     pub(crate) fn path(&self) -> Option<PathBuf> {
         path_from_text(&self.path)
     }
 
-    /// Puts another path into the field.
     pub(crate) fn set_path(&mut self, path: &std::path::Path) {
         self.path = path.display().to_string();
     }
 
-    /// Whether a file is being read or written.
     pub(crate) fn is_busy(&self) -> bool {
         self.running.is_busy()
     }
 
-    /// Whether writing replaces a file that exists.
     pub(crate) fn is_replacing(&self) -> bool {
         self.replaces.is_some()
     }

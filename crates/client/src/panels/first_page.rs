@@ -1,8 +1,9 @@
 //! The page before the first picture.
 
-use egui::{Color32, Stroke, Ui, vec2};
+use egui::{Color32, Ui, vec2};
 use isinglass_net::State;
 
+use super::style::emblem;
 use super::text::sentence;
 
 pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help: &str) {
@@ -10,18 +11,7 @@ pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help:
     let painter = ui.painter();
     painter.rect_filled(rect, 0.0, PAGE);
     let center = rect.center();
-    // The emblem: sheets of mica, one behind the other.
-    for i in 0..4u8 {
-        let shift = f32::from(i) * 9.0 - 13.5;
-        let sheet = egui::Rect::from_center_size(center + vec2(shift, -86.0 - shift * 0.6), vec2(54.0, 40.0));
-        painter.rect_filled(sheet, 4.0, Color32::from_rgba_unmultiplied(150, 190, 225, 38));
-        painter.rect_stroke(
-            sheet,
-            4.0,
-            Stroke::new(1.0, Color32::from_rgba_unmultiplied(190, 215, 240, 80)),
-            egui::StrokeKind::Inside,
-        );
-    }
+    emblem(painter, center + vec2(0.0, -86.0), 1.0, true);
     let text = |y: f32, s: &str, size: f32, color: Color32| {
         let wrapped =
             painter.layout(s.to_owned(), egui::FontId::proportional(size), color, rect.width() - 80.0);
@@ -46,5 +36,4 @@ pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help:
     }
 }
 
-/// Colour of the page.
 const PAGE: Color32 = Color32::from_rgb(23, 27, 33);

@@ -6,7 +6,7 @@ use egui::{Color32, Rect, Response, Sense, Stroke, Ui, Vec2, pos2, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
 
-use super::controls::{percent, reader, row};
+use super::controls::{self, percent, row};
 use super::style::named;
 
 /// Shows the section and changes the light. `world_from_view` is the rotation of the camera.
@@ -55,24 +55,15 @@ pub(crate) fn turned(lighting: Lighting, [x, y]: [f32; 2], height: f32, world_fr
     lighting.towards(turn * lighting.direction())
 }
 
-/// A slider that changes nothing until it moves, as it shows fewer figures than there are.
 fn slider(
     ui: &mut Ui,
     is_on: bool,
     number: &mut f32,
     range: RangeInclusive<f32>,
-    (decimals, unit): (u8, &str),
+    (decimals, unit): (usize, &str),
 ) -> Response {
-    let power = 10f32.powi(decimals.into());
-    let shown = (*number * power).round() / power;
-    let mut moved = shown;
-    let slider = egui::Slider::new(&mut moved, range).fixed_decimals(decimals.into()).suffix(unit);
-    let response = ui.add_enabled(is_on, slider.update_while_editing(false).custom_parser(reader(ui)));
-    // Rounding also counts as a change for egui.
-    if (moved - shown).abs() > 0.25 / power {
-        *number = moved;
-    }
-    response
+    let slider = controls::slider(ui, number, range, move |v| format!("{v:.decimals$}"));
+    ui.add_enabled(is_on, slider.fixed_decimals(decimals).suffix(unit))
 }
 
 /// A ball that is lit as in the picture, with a mark for the light.

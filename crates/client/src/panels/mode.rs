@@ -8,7 +8,6 @@ use super::controls::{self, named_number};
 use super::text::format_in;
 use super::value_scale::ValueScale;
 
-/// Shows the rows.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     ui.horizontal(|ui| {
         let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
@@ -94,7 +93,6 @@ fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
     }
 }
 
-/// The name of a mode for people.
 pub(crate) fn text(mode: Mode) -> &'static str {
     match mode {
         Mode::Composite => "composite",

@@ -5,7 +5,6 @@ use egui::{ComboBox, Response, RichText, Role, Ui};
 use super::controls::whole;
 use super::style::{named, quiet};
 
-/// A field for a time from 0 to `last`.
 pub(crate) fn time_field(ui: &mut Ui, time: &mut u32, last: u32) -> Response {
     let field = whole(ui, time, 0..=last);
     let field = ui.add(field);
@@ -33,7 +32,6 @@ pub(crate) fn list(
     *chosen != before
 }
 
-/// A quiet word before a control.
 pub(crate) fn label(ui: &mut Ui, text: &str) {
     let color = quiet(ui.ctx());
     ui.label(RichText::new(text).size(12.0).color(color));
@@ -50,4 +48,4 @@ pub(crate) fn numbered(i: u32, name: Option<&String>) -> String {
 /// Width of a list, points.
 const LIST_WIDTH: f32 = 130.0;
 /// Entries of a list, at most.
-pub(crate) const MAX_ENTRIES: usize = 4096;
+const MAX_ENTRIES: usize = 4096;

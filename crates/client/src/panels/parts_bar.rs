@@ -8,15 +8,13 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use super::part_pickers::{label, list, numbered, time_field};
-use super::style::{named, pane, warning};
+use super::style::{named, pane_at, warning};
 use super::text::format_bytes;
 use crate::input::bindings::{Action, Bindings};
 
-/// What the person asks for in the bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PartsWish {
     Open(Part),
-    /// Stop the reading.
     Cancel,
 }
 
@@ -90,25 +88,22 @@ impl PartsBar {
         let mut chosen = self.chosen(parts, load);
         let before = chosen;
         let mut wish = None;
-        let area = egui::Area::new(egui::Id::unique("parts"));
         let room = (ctx.content_rect().width() - right - 44.0).max(160.0);
-        let shown = area.anchor(Align2::CENTER_BOTTOM, vec2(-0.5 * right, -10.0)).show(ctx, |ui| {
-            pane(ctx).show(ui, |ui| {
-                ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
-                ui.set_max_width(room);
-                if self.row_width > room {
-                    ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
-                } else {
-                    let row =
-                        ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
-                    self.row_width = row.response.rect.width();
-                }
-                if let Some(load) = load
-                    && self.status_row(ui, load)
-                {
-                    wish = Some(PartsWish::Cancel);
-                }
-            });
+        let place = (Align2::CENTER_BOTTOM, [-0.5 * right, -10.0]);
+        let shown = pane_at(ctx, "parts", place, |ui| {
+            ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
+            ui.set_max_width(room);
+            if self.row_width > room {
+                ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
+            } else {
+                let row = ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
+                self.row_width = row.response.rect.width();
+            }
+            if let Some(load) = load
+                && self.status_row(ui, load)
+            {
+                wish = Some(PartsWish::Cancel);
+            }
         });
         let rect = shown.response.rect;
         (self.height, self.left) = (rect.height() + 10.0, rect.left() - ctx.content_rect().left());
@@ -121,7 +116,6 @@ impl PartsBar {
         wish
     }
 
-    /// Follows what the server reports.
     fn follow(&mut self, now: Duration, load: Option<&LoadStatus>) {
         let Some(load) = load else { return };
         let is_over = !matches!(load.state, LoadState::Reading { .. });
@@ -224,7 +218,6 @@ fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u
     }
 }
 
-/// A part in words.
 fn in_words(part: &Part) -> String {
     let named =
         [("series", part.series), ("level", part.level), ("channel", part.channel), ("time", part.time)];
@@ -247,7 +240,6 @@ fn whole(part: Part, parts: &Parts) -> Part {
     }
 }
 
-/// How long a failure is shown.
 const FAILURE_TIME: Duration = Duration::from_secs(12);
 
 #[cfg(test)]

@@ -14,9 +14,7 @@ use crate::view::pace::Pace;
 pub(crate) struct ValueProbe {
     is_on: bool,
     pace: Pace<Vec3>,
-    /// The point of the last request.
     asked: Option<Vec3>,
-    /// The volume of the last request.
     volume: Option<Arc<Welcome>>,
 }
 

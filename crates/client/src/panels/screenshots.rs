@@ -17,11 +17,10 @@ use time::OffsetDateTime;
 
 use super::background::Background;
 use super::controls::whole;
-use super::style::{Taken, pane};
+use super::style::{Taken, pane_at};
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
 
-/// What the pictures show.
 #[derive(Clone, Debug)]
 pub(crate) struct Subject {
     /// Name of the volume, from which the files get theirs.
@@ -46,7 +45,6 @@ pub(crate) struct Screenshots {
     series: Option<Series>,
 }
 
-/// Pictures in progress.
 struct Series {
     subject: Subject,
     total: u32,
@@ -262,7 +260,6 @@ impl Screenshots {
 }
 
 impl Series {
-    /// News for the person when no more pictures are made.
     fn stopped(&self) -> String {
         // A picture that is being written will be there.
         let done = self.done + u32::from(matches!(self.stage, PictureStage::Writing(_)));
@@ -299,32 +296,26 @@ impl Series {
 
 /// Shows the progress of a series; returns whether to cancel it.
 fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
-    let mut is_cancelled = false;
-    let area = egui::Area::new(egui::Id::unique("pictures"));
-    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 46.0 + taken.edge));
-    area.show(ctx, |ui| {
-        pane(ctx).show(ui, |ui| {
-            ui.horizontal(|ui| {
-                let text = match series.total {
-                    1 if is_connected => "the server renders the picture".to_owned(),
-                    1 => "the picture".to_owned(),
-                    total => format!("picture {} of {total}", series.done + 1),
-                };
-                if is_connected {
-                    ui.spinner();
-                    ui.label(text);
-                } else {
-                    ui.label(format!("{text} waits until connected again"));
-                }
-                if series.total > 1 {
-                    let share = series.done as f32 / series.total as f32;
-                    ui.add(egui::ProgressBar::new(share).desired_width(120.0));
-                }
-                is_cancelled = ui.button("Cancel").clicked();
-            });
-        });
-    });
-    is_cancelled
+    let place = (Align2::CENTER_TOP, [taken.shift(), 46.0 + taken.edge]);
+    let row = |ui: &mut egui::Ui| {
+        let text = match series.total {
+            1 if is_connected => "the server renders the picture".to_owned(),
+            1 => "the picture".to_owned(),
+            total => format!("picture {} of {total}", series.done + 1),
+        };
+        if is_connected {
+            ui.spinner();
+            ui.label(text);
+        } else {
+            ui.label(format!("{text} waits until connected again"));
+        }
+        if series.total > 1 {
+            let share = series.done as f32 / series.total as f32;
+            ui.add(egui::ProgressBar::new(share).desired_width(120.0));
+        }
+        ui.button("Cancel").clicked()
+    };
+    pane_at(ctx, "pictures", place, |ui| ui.horizontal(row).inner).inner
 }
 
 /// A minute at 60 pictures a second.

@@ -14,14 +14,10 @@ pub(crate) enum FileContent {
     Other(PathBuf),
 }
 
-/// What the person asks for in the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StateWish {
-    /// Write a file.
     Save,
-    /// Read a file.
     Open,
-    /// Copy a link to the view.
     CopyLink,
 }
 
@@ -63,7 +59,6 @@ impl StateFiles {
         Some(outcome)
     }
 
-    /// Shows the rows.
     pub(crate) fn show(&mut self, ui: &mut Ui) -> Option<StateWish> {
         let mut wish = None;
         let hint = "file of a state; saved under a new name if empty";

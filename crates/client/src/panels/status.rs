@@ -5,7 +5,7 @@ use std::time::Duration;
 use egui::{Align2, Color32, RichText, Ui, vec2};
 use isinglass_net::State;
 
-use super::style::{bright, pane, quiet};
+use super::style::{bright, pane_at, quiet};
 use super::text::{format_duration, format_rate, sentence};
 use crate::view::viewing::Standing;
 
@@ -138,28 +138,22 @@ pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
 /// points are taken on the right.
 pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
     let has_numbers = has_room_for_numbers(ctx, right);
-    egui::Area::new(egui::Id::unique("overlay"))
-        .anchor(Align2::LEFT_TOP, vec2(10.0, 10.0))
-        .interactable(true)
-        .show(ctx, |ui| {
-            pane(ctx).show(ui, |ui| {
-                // A fixed width: the pane must not change its size with the digits.
-                ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
-                ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
-                ui.spacing_mut().interact_size.y = 0.0;
-                if has_numbers && !title.is_empty() {
-                    ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
-                }
-                badge(ui, model.standing);
-                if !has_numbers {
-                    return;
-                }
-                ui.add_space(3.0);
-                for (name, value) in model.rows() {
-                    row(ui, name, &value);
-                }
-            });
-        });
+    pane_at(ctx, "overlay", (Align2::LEFT_TOP, [10.0, 10.0]), |ui| {
+        // A fixed width: the pane must not change its size with the digits.
+        ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
+        ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
+        ui.spacing_mut().interact_size.y = 0.0;
+        if has_numbers && !title.is_empty() {
+            ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
+        }
+        badge(ui, model.standing);
+        if has_numbers {
+            ui.add_space(3.0);
+            for (name, value) in model.rows() {
+                row(ui, name, &value);
+            }
+        }
+    });
 }
 
 fn badge(ui: &mut Ui, standing: Standing) {

@@ -39,6 +39,17 @@ pub(crate) fn pane(ctx: &egui::Context) -> Frame {
         .inner_margin(Margin::symmetric(10, 8))
 }
 
+/// Shows a pane at an edge or corner of the window, `offset` points from there.
+pub(crate) fn pane_at<R>(
+    ctx: &egui::Context,
+    id: &str,
+    (align, offset): (egui::Align2, [f32; 2]),
+    content: impl FnOnce(&mut Ui) -> R,
+) -> egui::InnerResponse<R> {
+    let area = egui::Area::new(egui::Id::unique(id)).anchor(align, offset);
+    area.show(ctx, |ui| pane(ctx).show(ui, content).inner)
+}
+
 fn is_dark(ctx: &egui::Context) -> bool {
     ctx.theme() == egui::Theme::Dark
 }
@@ -65,8 +76,35 @@ pub(crate) fn name_window(ctx: &egui::Context, name: &str) {
     ctx.accesskit_node_builder(egui::accesskit_root_id(), |node| node.set_label(name));
 }
 
+/// Shows what went wrong.
+pub(crate) fn problem(ui: &mut Ui, text: &str) {
+    let text = egui::RichText::new(text).color(warning(ui));
+    ui.add(egui::Label::new(text).wrap());
+}
+
 /// Names something painted for screen readers.
 pub(crate) fn image(ui: &Ui, rect: egui::Rect, id: &str, name: &str) {
     let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
+}
+
+/// Draws the emblem: sheets of mica, one behind the other.
+pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is_dark: bool) {
+    let (fill, line) = match is_dark {
+        true => (
+            Color32::from_rgba_unmultiplied(150, 190, 225, 38),
+            Color32::from_rgba_unmultiplied(190, 215, 240, 85),
+        ),
+        false => (
+            Color32::from_rgba_unmultiplied(40, 90, 140, 30),
+            Color32::from_rgba_unmultiplied(30, 70, 110, 110),
+        ),
+    };
+    for i in 0..4u8 {
+        let shift = (f32::from(i) * 9.0 - 13.5) * scale;
+        let size = egui::vec2(54.0, 40.0) * scale;
+        let sheet = egui::Rect::from_center_size(center + egui::vec2(shift, -shift * 0.6), size);
+        painter.rect_filled(sheet, 4.0 * scale, fill);
+        painter.rect_stroke(sheet, 4.0 * scale, Stroke::new(1.0, line), egui::StrokeKind::Inside);
+    }
 }

@@ -11,7 +11,7 @@ mod tests;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use egui::{Align2, RichText, vec2};
+use egui::{Align2, RichText};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::{FrameId, LookVersion};
 use isinglass_core::look::Look;
@@ -24,18 +24,16 @@ use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
 use self::recent_list::RecentList;
 pub use self::services::{First, Services};
 use crate::app::side_panel::FOLDED_WIDTH;
-use crate::app::{Origin, ViewerApp};
+use crate::app::{AppWish, Origin, ViewerApp};
 use crate::input::bindings::Action;
 use crate::panels::background::Background;
-use crate::panels::style::{name_window, named, pane, warning};
+use crate::panels::style::{self, name_window, named, pane_at};
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
-/// What dropped files mean to the window.
 enum Dropped {
     Volume(PathBuf),
     State(Box<ReadState>),
-    /// Files for the viewer.
     Others(Vec<egui::DroppedFileHandle>),
 }
 
@@ -51,7 +49,6 @@ pub(crate) struct StartWindow {
     opening: Option<Opening>,
     problem: Option<String>,
     dropped: Background<Dropped>,
-    /// A state that was chosen in the list of files.
     chosen: Background<Box<ReadState>>,
     /// Whether the list shows the folder of the recent list, or one that the person chose.
     has_folder: bool,
@@ -104,7 +101,6 @@ impl StartWindow {
         window
     }
 
-    /// Refreshes the whole window.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         if self.recent.poll(&ctx) && !self.has_folder {
@@ -135,16 +131,12 @@ impl StartWindow {
             self.page.show(ui, &scene)
         } else {
             self.app.show(ui);
-            if let Some(request) = self.app.take_volume_wish() {
-                self.open(request);
-                ctx.request_repaint();
-            }
-            if self.app.take_start_wish() {
-                self.show_page();
-                ctx.request_repaint();
-            }
-            if let Some(read) = self.app.take_state_wish() {
-                self.open_state(Ok(read));
+            if let Some(wish) = self.app.take_wish() {
+                match wish {
+                    AppWish::StartPage => self.show_page(),
+                    AppWish::Volume(request) => self.open(request),
+                    AppWish::State(read) => self.open_state(Ok(read)),
+                }
                 ctx.request_repaint();
             }
             self.show_around(&ctx)
@@ -172,7 +164,6 @@ impl StartWindow {
         }
     }
 
-    /// Begins to open a volume.
     fn open(&mut self, request: LoadRequest) {
         let held = self.held();
         let servers = self.services.servers.clone();
@@ -216,14 +207,12 @@ impl StartWindow {
         }
     }
 
-    /// Takes the state that was chosen in the list of files.
     fn take_chosen(&mut self) {
         if let Some(read) = self.chosen.take() {
             self.open_state(read);
         }
     }
 
-    /// Continues what is being opened.
     fn go_on(&mut self, ctx: &egui::Context) {
         let Some(opening) = &mut self.opening else { return };
         if let Some(ended) = opening.poll() {
@@ -307,14 +296,10 @@ impl StartWindow {
     /// Shows the button to the page, and the progress of an opening.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
         let right = self.app.right_width().max(FOLDED_WIDTH);
-        let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
-        let is_clicked = area.show(ctx, |ui| {
-            let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
-            let shown = pane(ctx).show(ui, |ui| ui.add(button));
-            let hint = self.app.bindings().with_key("another volume or server", Action::Start);
-            shown.inner.on_hover_text(hint).clicked()
-        });
-        if is_clicked.inner {
+        let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
+        let shown = pane_at(ctx, "open", (Align2::RIGHT_TOP, [-right, 10.0]), |ui| ui.add(button));
+        let hint = self.app.bindings().with_key("another volume or server", Action::Start);
+        if shown.inner.on_hover_text(hint).clicked() {
             self.show_page();
         }
         if self.opening.is_none() && self.problem.is_none() {
@@ -322,23 +307,20 @@ impl StartWindow {
         }
         let mut wish = None;
         let taken = self.app.taken_at_bottom(ctx);
-        let area = egui::Area::new(egui::Id::unique("opening"));
-        area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge)).show(ctx, |ui| {
-            pane(ctx).show(ui, |ui| {
-                ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
-                if let Some(opening) = &self.opening {
-                    ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
-                    wish = opening_rows(ui, opening, false);
-                } else if let Some(problem) = self.problem.clone() {
-                    let color = warning(ui);
-                    ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
-                    let ok = ui.small_button("OK");
-                    named(&ok, egui::Role::Button, "OK");
-                    if ok.clicked() {
-                        self.problem = None;
-                    }
+        let place = (Align2::CENTER_BOTTOM, [taken.shift(), -12.0 - taken.edge]);
+        pane_at(ctx, "opening", place, |ui| {
+            ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
+            if let Some(opening) = &self.opening {
+                ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
+                wish = opening_rows(ui, opening, false);
+            } else if let Some(problem) = &self.problem {
+                style::problem(ui, problem);
+                let ok = ui.small_button("OK");
+                named(&ok, egui::Role::Button, "OK");
+                if ok.clicked() {
+                    self.problem = None;
                 }
-            });
+            }
         });
         wish
     }

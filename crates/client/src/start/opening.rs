@@ -17,7 +17,6 @@ use crate::view::{BoxedSource, Waker};
 
 /// Something that is being opened. Dropping it cancels.
 pub(crate) struct Opening {
-    /// The name for people.
     pub(crate) name: String,
     place: RecentPlace,
     origin: Origin,
@@ -42,17 +41,6 @@ struct Local {
     request: LoadRequest,
 }
 
-/// The stage of an opening.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Stage {
-    Looking,
-    /// The share of the voxels that are read.
-    Reading(f32),
-    /// Makes bricks and a histogram, and uploads the volume to the GPU.
-    Preparing,
-    Connecting,
-}
-
 pub(crate) struct Opened {
     pub(crate) source: BoxedSource,
     pub(crate) origin: Origin,
@@ -63,7 +51,6 @@ pub(crate) struct Opened {
 }
 
 impl Opening {
-    /// Connects to a server.
     pub(crate) fn connect(link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
@@ -124,15 +111,21 @@ impl Opening {
         self
     }
 
-    pub(crate) fn stage(&self) -> Stage {
-        match &self.step {
-            OpeningStep::Surveying(..) => Stage::Looking,
-            OpeningStep::Reading(_, loading) => Stage::Reading(loading.progress()),
-            OpeningStep::Starting(_) => Stage::Preparing,
+    /// The stage in words, and the share of the voxels that are read while they are.
+    pub(crate) fn progress(&self) -> (String, Option<f32>) {
+        let text = match &self.step {
+            OpeningStep::Surveying(..) => "reading the header…",
+            OpeningStep::Reading(_, loading) => return ("reading".into(), Some(loading.progress())),
+            OpeningStep::Starting(_) => "preparing the picture…",
             // The server in this process answers at once.
-            OpeningStep::Connecting(_) | OpeningStep::Over if self.server.is_some() => Stage::Preparing,
-            OpeningStep::Connecting(_) | OpeningStep::Over => Stage::Connecting,
-        }
+            OpeningStep::Connecting(_) | OpeningStep::Over if self.server.is_some() => {
+                "preparing the picture…"
+            }
+            OpeningStep::Connecting(_) | OpeningStep::Over => {
+                return (format!("connecting to {}…", self.name), None);
+            }
+        };
+        (text.into(), None)
     }
 
     /// What is known of the volume after its header is read.

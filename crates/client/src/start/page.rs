@@ -2,33 +2,25 @@
 
 use std::path::PathBuf;
 
-use egui::{Color32, Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
+use egui::{Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
 use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace, VolumeSource};
 use isinglass_net::{Link, place_of};
 
-use super::opening::{Opening, Stage};
+use super::opening::Opening;
 use super::recent_list::{RecentList, ago};
 use super::services::Services;
 use crate::panels::browser::{Browser, Chosen};
-use crate::panels::style::{bright, named, quiet, warning};
+use crate::panels::style::{self, bright, emblem, named, quiet, warning};
 use crate::panels::text::{format_bytes, sentence};
 use crate::view::Waker;
 
-/// What the person asks for.
 pub(crate) enum PageWish {
-    /// Connect to a server.
     Connect(Box<Link>),
-    /// Open a volume of this machine.
     Open(LoadRequest),
-    /// Open a state with its volume.
     OpenState(PathBuf),
-    /// Stop the opening.
     Cancel,
-    /// Return to the picture.
     Back,
-    /// Close what is shown.
     Close,
-    /// Remove an entry of the recent list.
     Forget(usize),
 }
 
@@ -64,7 +56,6 @@ impl StartPage {
         }
     }
 
-    /// Gives the link field the keyboard.
     pub(crate) fn focus(&mut self) {
         self.wants_link_focus = true;
     }
@@ -115,8 +106,8 @@ impl StartPage {
 
     fn header(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         ui.horizontal(|ui| {
-            let (emblem, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
-            sheets(ui, emblem);
+            let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
+            emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
             ui.label(RichText::new("isinglass").size(26.0).color(bright(ui.ctx())));
             if scene.has_session {
                 ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
@@ -134,12 +125,10 @@ impl StartPage {
             }
         });
         if let Some(problem) = scene.problem {
-            let color = warning(ui);
-            ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+            style::problem(ui, problem);
         }
     }
 
-    /// The link field and the recent list.
     fn left(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         title(ui, "Connect to a server");
         let has_link = !self.link_text.trim().is_empty();
@@ -199,7 +188,6 @@ impl StartPage {
         }
     }
 
-    /// Opens an entry of the recent list.
     fn choose(&mut self, ui: &Ui, entry: &RecentEntry, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         match &entry.place {
             RecentPlace::Volume(volume) => {
@@ -237,7 +225,6 @@ enum RowWish {
     Forget,
 }
 
-/// A row with name, content and time.
 fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     let (name, place) = match &entry.place {
         RecentPlace::Server { host, port } => {
@@ -307,8 +294,8 @@ fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<Pag
     let center = ui.max_rect().center();
     let card = egui::Rect::from_center_size(center, vec2(ui.max_rect().width().min(460.0) - 20.0, 210.0));
     let mut ui = ui.new_child(egui::UiBuilder::new().max_rect(card));
-    let (emblem, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
-    sheets(&ui, emblem);
+    let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
+    emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
     ui.add_space(6.0);
     ui.add(egui::Label::new(RichText::new(&opening.name).size(18.0)).truncate());
     let wish = opening_rows(&mut ui, opening, true);
@@ -327,15 +314,9 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
         let text = format!("{}, {x}×{y}×{z} {}, {needs} of memory", outline.format, outline.dtype);
         ui.add(egui::Label::new(RichText::new(text).size(12.0).color(color)).truncate());
     }
-    let stage = opening.stage();
-    let text = match &stage {
-        Stage::Looking => "reading the header…".to_owned(),
-        Stage::Reading(_) => "reading".to_owned(),
-        Stage::Preparing => "preparing the picture…".to_owned(),
-        Stage::Connecting => format!("connecting to {}…", opening.name),
-    };
+    let (text, share) = opening.progress();
     ui.label(RichText::new(text).size(12.5));
-    if let Stage::Reading(fraction) = stage {
+    if let Some(fraction) = share {
         let percent = RichText::new(format!("{:.0} %", fraction * 100.0)).size(11.0);
         let bar = ui.add(egui::ProgressBar::new(fraction).desired_height(14.0).text(percent));
         named(&bar, egui::Role::ProgressIndicator, "read");
@@ -351,26 +332,6 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
 fn title(ui: &mut Ui, text: &str) {
     ui.label(RichText::new(text).size(15.0).strong());
     ui.add_space(2.0);
-}
-
-/// Draws the emblem: sheets of mica, one behind the other.
-fn sheets(ui: &Ui, rect: egui::Rect) {
-    let (fill, line) = match ui.visuals().dark_mode {
-        true => (
-            Color32::from_rgba_unmultiplied(150, 190, 225, 38),
-            Color32::from_rgba_unmultiplied(190, 215, 240, 90),
-        ),
-        false => (
-            Color32::from_rgba_unmultiplied(40, 90, 140, 30),
-            Color32::from_rgba_unmultiplied(30, 70, 110, 110),
-        ),
-    };
-    for i in 0..4u8 {
-        let shift = f32::from(i) * 5.0 - 7.5;
-        let sheet = egui::Rect::from_center_size(rect.center() + vec2(shift, -shift * 0.6), vec2(27.0, 20.0));
-        ui.painter().rect_filled(sheet, 2.0, fill);
-        ui.painter().rect_stroke(sheet, 2.0, Stroke::new(1.0, line), egui::StrokeKind::Inside);
-    }
 }
 
 /// The link in a pasted text, which may be a whole command line.

@@ -20,7 +20,6 @@ pub(crate) struct RecentList {
 }
 
 impl RecentList {
-    /// Begins to read `file`.
     pub(crate) fn new(file: Option<PathBuf>, ctx: &egui::Context) -> Self {
         let mut reading = Background::default();
         if let Some(file) = file.clone() {
@@ -53,22 +52,18 @@ impl RecentList {
         is_read
     }
 
-    /// The entries, newest first.
     pub(crate) fn entries(&self) -> &[RecentEntry] {
         &self.list.entries
     }
 
-    /// The folder that was last shown.
     pub(crate) fn folder(&self) -> Option<&Path> {
         self.list.folder.as_deref()
     }
 
-    /// The newest problem with the file.
     pub(crate) fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
 
-    /// Puts an entry first.
     pub(crate) fn note(&mut self, entry: RecentEntry, folder: Option<PathBuf>, ctx: &egui::Context) {
         self.change(ctx, |list| {
             list.note(entry);
@@ -106,7 +101,6 @@ fn write(file: PathBuf, text: &str) -> Result<(), String> {
     write_text(file, text, true).map(drop)
 }
 
-/// A past time in words.
 pub(crate) fn ago(now: u64, then: u64) -> String {
     let seconds = now.saturating_sub(then);
     let plural = |n: u64, unit: &str| format!("{n} {unit}{} ago", if n == 1 { "" } else { "s" });

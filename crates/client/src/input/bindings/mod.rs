@@ -115,16 +115,13 @@ pub enum Gesture {
     Light,
 }
 
-/// Something that can be bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Deed {
     Act(Action),
     Drag(Gesture),
 }
 
-/// A line of the table.
 struct Line {
-    /// The text of the help.
     text: &'static str,
     /// Names, what they do, and their default chords.
     entries: &'static [(&'static str, Deed, &'static [&'static str])],

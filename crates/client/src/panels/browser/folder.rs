@@ -9,13 +9,11 @@ use isinglass_formats::{Content, content_of};
 
 use crate::view::Waker;
 
-/// A line of the list.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Entry {
     pub(crate) name: String,
     pub(crate) path: PathBuf,
     pub(crate) is_folder: bool,
-    /// Size of a file.
     pub(crate) bytes: u64,
     /// None until the file was read.
     pub(crate) content: Option<Content>,
@@ -46,7 +44,6 @@ pub(crate) struct Folder {
     pub(crate) path: PathBuf,
     pub(crate) entries: Vec<Entry>,
     pub(crate) problem: Option<String>,
-    /// Whether names may still come.
     pub(crate) is_listing: bool,
     news: Option<Receiver<News>>,
     is_left: Arc<AtomicBool>,
@@ -59,7 +56,6 @@ enum News {
 }
 
 impl Folder {
-    /// Begins to list `path`.
     pub(crate) fn open(path: PathBuf, wake: &Waker) -> Self {
         let (sender, news) = sync_channel(4);
         let is_left = Arc::new(AtomicBool::new(false));
@@ -70,7 +66,6 @@ impl Folder {
         Self { path, entries: Vec::new(), problem: None, is_listing: true, news: Some(news), is_left }
     }
 
-    /// Takes new entries.
     pub(crate) fn poll(&mut self) {
         while let Some(news) = &self.news {
             match news.try_recv() {

@@ -13,20 +13,17 @@ use isinglass_formats::{Content, LoadRequest, Outline, Selection};
 use self::folder::{Entry, Folder};
 use self::selection::SelectionForm;
 use super::background::{Background, path_from_text};
-use super::style::{bright, named, quiet, warning};
+use super::style::{self, bright, named, quiet};
 use super::text::format_bytes;
 use crate::view::Waker;
 use crate::view::local_servers::{LocalServers, survey};
 
 pub(crate) struct Browser {
     wake: Waker,
-    /// Whether volumes open here.
     takes_volumes: bool,
-    /// Whether texts open here.
     takes_texts: bool,
     folder: Folder,
     path_text: String,
-    /// Index of an entry.
     selected: Option<usize>,
     /// The name to select once the folder is listed.
     wanted_name: Option<String>,
@@ -41,7 +38,6 @@ pub(crate) struct Browser {
     takes_folder: bool,
 }
 
-/// What to open.
 pub(crate) enum Chosen {
     /// A volume, or a part of it.
     Volume(LoadRequest),
@@ -86,7 +82,6 @@ impl Browser {
         Self { takes_texts: true, ..Self::new(folder, wake) }
     }
 
-    /// Gives the list the keyboard.
     pub(crate) fn focus(&mut self) {
         self.wants_focus = true;
     }
@@ -95,7 +90,6 @@ impl Browser {
         &self.folder.path
     }
 
-    /// Shows another folder and selects the entry `select`.
     pub(crate) fn go_to(&mut self, folder: PathBuf, select: Option<String>) {
         self.path_text = folder.display().to_string();
         self.folder = Folder::open(folder, &self.wake);
@@ -212,8 +206,7 @@ impl Browser {
         );
         ui.set_clip_rect(outer.shrink(2.0).intersect(ui.clip_rect()));
         if let Some(problem) = &self.folder.problem {
-            let color = warning(&ui);
-            ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+            style::problem(&mut ui, problem);
             return false;
         }
         if self.folder.entries.is_empty() {
@@ -419,8 +412,7 @@ impl Browser {
         match &looked.found {
             None => drop(ui.label("reading the header…")),
             Some(Err(problem)) => {
-                let color = warning(ui);
-                ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+                style::problem(ui, problem);
                 looked.form.show(ui);
             }
             Some(Ok(outline)) => {
@@ -474,7 +466,6 @@ fn title(outline: &Outline, is_folder: bool) -> String {
     format!("{}{whole}", outline.name)
 }
 
-/// Format, size, type and spacing in one line.
 fn facts(outline: &Outline) -> String {
     let [x, y, z] = outline.dims;
     let spacing =
@@ -483,7 +474,6 @@ fn facts(outline: &Outline) -> String {
     format!("{}, {x}×{y}×{z} {}, voxels of {}{unit}", outline.format, outline.dtype, spacing.join("×"))
 }
 
-/// Draws a line of the list: name, kind and size.
 fn row(ui: &Ui, rect: Rect, entry: &Entry, opens: bool, is_selected: bool, is_hovered: bool) {
     let visuals = ui.visuals();
     if is_selected {

@@ -4,28 +4,19 @@ use egui::Ui;
 use isinglass_formats::{Outline, Region, Selection};
 
 use crate::panels::controls::whole;
-use crate::panels::part_pickers::{MAX_ENTRIES, label, list, numbered, time_field};
+use crate::panels::part_pickers::{label, list, numbered, time_field};
 use crate::panels::style::named;
 
 /// The person's choices, and what the file offers.
 #[derive(Default)]
 pub(crate) struct SelectionForm {
     chosen: Selection,
-    /// From the newest header.
-    choices: Option<Choices>,
+    /// The newest header.
+    outline: Option<Outline>,
     region: [[u32; 2]; 3],
     takes_region: bool,
     /// Whether to open the volume as soon as its header is read.
     pub(crate) opens_when_read: bool,
-}
-
-struct Choices {
-    shown: Selection,
-    whole_dims: [u32; 3],
-    channels: Vec<String>,
-    num_times: u32,
-    levels: Vec<String>,
-    series: Vec<String>,
 }
 
 impl SelectionForm {
@@ -35,49 +26,40 @@ impl SelectionForm {
         Selection { region: self.takes_region.then_some(region), ..self.chosen }
     }
 
-    /// Takes over what the file offers.
     pub(crate) fn learn(&mut self, outline: &Outline) {
-        let dims = outline.whole_dims.map(|n| u32::try_from(n).unwrap_or(u32::MAX));
-        if self.choices.as_ref().is_none_or(|c| c.whole_dims != dims) {
-            self.region = dims.map(|n| [0, n]);
+        if self.outline.as_ref().is_none_or(|o| o.whole_dims != outline.whole_dims) {
+            self.region = outline.whole_dims.map(|n| [0, u32::try_from(n).unwrap_or(u32::MAX)]);
         }
-        let channels = match outline.num_channels {
-            0 | 1 => Vec::new(),
-            n => (0..n.min(MAX_ENTRIES as u64) as u32)
-                .map(|i| numbered(i, outline.channels.get(i as usize)))
-                .collect(),
-        };
-        let level = |(i, l): (usize, &isinglass_formats::Level)| {
-            format!("{i}: {}×{}×{}", l.dims[0], l.dims[1], l.dims[2])
-        };
-        self.choices = Some(Choices {
-            shown: outline.shown,
-            whole_dims: dims,
-            channels,
-            num_times: u32::try_from(outline.num_times).unwrap_or(u32::MAX),
-            levels: outline.levels.iter().enumerate().map(level).collect(),
-            series: (0..).zip(&outline.series).map(|(i, s)| numbered(i, Some(s))).collect(),
-        });
+        self.outline = Some(outline.clone());
     }
 
-    /// Shows the choices.
     pub(crate) fn show(&mut self, ui: &mut Ui) {
-        let Some(choices) = &self.choices else { return };
+        let Some(Outline { shown, channels, num_channels, num_times, levels, series, whole_dims, .. }) =
+            &self.outline
+        else {
+            return;
+        };
         let chosen = &mut self.chosen;
+        let level = |i: u32| match levels.get(i as usize) {
+            Some(isinglass_formats::Level { dims: [x, y, z], .. }) => format!("{i}: {x}×{y}×{z}"),
+            None => String::new(),
+        };
+        let channel = |i: u32| numbered(i, channels.get(i as usize));
+        let one_series = |i: u32| numbered(i, series.get(i as usize));
         ui.horizontal_wrapped(|ui| {
-            if choose(ui, "series", &choices.series, &mut chosen.series, choices.shown.series) {
+            if choose(ui, "series", series.len(), &mut chosen.series, shown.series, one_series) {
                 // Another series has its own channels, times and levels.
                 *chosen = Selection { series: chosen.series, ..Selection::default() };
                 self.takes_region = false;
             }
-            if choose(ui, "level", &choices.levels, &mut chosen.level, choices.shown.level) {
+            if choose(ui, "level", levels.len(), &mut chosen.level, shown.level, level) {
                 self.takes_region = false;
             }
-            choose(ui, "channel", &choices.channels, &mut chosen.channel, choices.shown.channel);
-            if choices.num_times > 1 {
+            choose(ui, "channel", *num_channels as usize, &mut chosen.channel, shown.channel, channel);
+            if *num_times > 1 {
                 label(ui, "time");
-                let mut time = chosen.time.or(choices.shown.time).unwrap_or(0);
-                let last = choices.num_times - 1;
+                let mut time = chosen.time.or(shown.time).unwrap_or(0);
+                let last = u32::try_from(num_times - 1).unwrap_or(u32::MAX);
                 if time_field(ui, &mut time, last).changed() {
                     chosen.time = Some(time);
                 }
@@ -90,7 +72,7 @@ impl SelectionForm {
                 return;
             }
             for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                let most = choices.whole_dims[axis];
+                let most = u32::try_from(whole_dims[axis]).unwrap_or(u32::MAX);
                 let [from, to] = &mut self.region[axis];
                 label(ui, name);
                 let first = whole(ui, from, 0..=to.saturating_sub(1));
@@ -105,11 +87,17 @@ impl SelectionForm {
     }
 }
 
-/// A list of `names`, if there are several. Returns whether the person chooses another entry.
-fn choose(ui: &mut Ui, what: &str, names: &[String], chosen: &mut Option<u32>, shown: Option<u32>) -> bool {
+/// A list of `number` entries, if there are several. Returns whether the person chooses another entry.
+fn choose(
+    ui: &mut Ui,
+    what: &str,
+    number: usize,
+    chosen: &mut Option<u32>,
+    shown: Option<u32>,
+    name: impl Fn(u32) -> String,
+) -> bool {
     let mut index = chosen.or(shown).unwrap_or(0);
-    let name = |i: u32| names.get(i as usize).cloned().unwrap_or_default();
-    let is_other = names.len() > 1 && list(ui, what, names.len(), &mut index, name);
+    let is_other = number > 1 && list(ui, what, number, &mut index, name);
     if is_other {
         *chosen = Some(index);
     }

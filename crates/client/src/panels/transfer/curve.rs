@@ -17,7 +17,6 @@ impl Curve {
         self.value_at(self.transfer.points[index].x)
     }
 
-    /// The value at a position.
     pub(crate) fn value_at(&self, x: f32) -> f32 {
         self.domain.0 + (self.domain.1 - self.domain.0) * x
     }

@@ -37,7 +37,6 @@ impl<T> History<T> {
         Some(after)
     }
 
-    /// Whether undo and redo are possible.
     pub(crate) fn has(&self) -> (bool, bool) {
         (!self.past.is_empty(), !self.future.is_empty())
     }

@@ -44,7 +44,6 @@ pub(crate) struct TransferEditor {
     shaded: Option<bool>,
 }
 
-/// A state of the history.
 #[derive(Clone, Debug, PartialEq)]
 struct Snapshot {
     transfer: TransferFunction,
@@ -52,11 +51,9 @@ struct Snapshot {
     preset: TransferFunction,
 }
 
-/// The edits of a refresh.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Edit {
     pub(crate) transfer: Option<TransferFunction>,
-    /// Shading of an imported preset.
     pub(crate) shaded: Option<bool>,
 }
 
@@ -147,7 +144,6 @@ impl TransferEditor {
         }
     }
 
-    /// Reads a file of presets, and takes the first.
     pub(crate) fn open(&mut self, path: PathBuf, wake: &Waker) {
         self.files.set_path(&path);
         self.read(path, wake);
@@ -157,7 +153,6 @@ impl TransferEditor {
         self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
     }
 
-    /// Shows the rows.
     pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale) {
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
         self.presets_row(ui, scale);
@@ -231,7 +226,6 @@ impl TransferEditor {
         (scale.range.0.min(self.curve.domain.0), scale.range.1.max(self.curve.domain.1))
     }
 
-    /// Resets the view to the function.
     fn fit(&mut self) {
         self.view = None;
     }
@@ -273,7 +267,6 @@ impl TransferEditor {
         }
     }
 
-    /// The numbers of the selected point.
     fn point_row(&mut self, ui: &mut Ui) {
         let Some(index) = self.selected else {
             // The same height, so that the rows below stay.
@@ -488,7 +481,6 @@ fn number(
 /// Lists of presets and colour maps need no scrolling, points.
 const LIST_HEIGHT: f32 = 460.0;
 
-/// A colour map with its colours; returns whether it is chosen.
 fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
     let is_clicked = ui.horizontal(|ui| {
         let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), egui::Sense::hover());

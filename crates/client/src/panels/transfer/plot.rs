@@ -11,7 +11,6 @@ use crate::input::pointer::notches_of;
 use crate::panels::text::{format_in, format_value};
 use crate::panels::value_scale::ValueScale;
 
-/// What the pointer drags, and the curve when the drag began.
 #[derive(Clone, Debug)]
 pub(super) struct Grip {
     kind: GripKind,
@@ -321,7 +320,6 @@ impl TransferEditor {
         }
     }
 
-    /// The nearest point within reach.
     fn point_near(&self, pos: Pos2, plot: Axes) -> Option<usize> {
         let distance = |i: usize| plot.point(&self.curve, i).distance(pos);
         let points = 0..self.curve.transfer.points.len();
@@ -431,7 +429,6 @@ impl TransferEditor {
         }
     }
 
-    /// Draws three values under the strip.
     fn draw_axis(&self, ui: &mut Ui, plot: Axes) {
         let (row, _) = ui.allocate_exact_size(vec2(ui.available_width(), 12.0), Sense::hover());
         let ink = Ink::of(ui);
@@ -497,7 +494,6 @@ impl TransferEditor {
     }
 }
 
-/// The colours of the plot in a theme.
 struct Ink {
     ground: Color32,
     line: Color32,
@@ -534,7 +530,6 @@ impl Ink {
     }
 }
 
-/// A colour of numbers from 0 to 1.
 pub(super) fn color32(color: [f32; 3]) -> Color32 {
     let [r, g, b] = color.map(|c| (c * 255.0).round() as u8);
     Color32::from_rgb(r, g, b)

@@ -22,8 +22,8 @@ mod recents;
 mod states;
 
 use super::*;
-use crate::app::tests::window_walk::assert_all_named;
 use crate::app::options::WindowOptions;
+use crate::app::tests::window_walk::assert_all_named;
 use crate::paint::novel_view::{LAYERS, NovelViews};
 use crate::view::local_servers::{LocalServer, LocalServers};
 
