@@ -14,7 +14,6 @@ use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::{Layering, Representative};
 use isinglass_core::kernels::march::render;
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
-use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::procedural::Builtin;
