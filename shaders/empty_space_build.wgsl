@@ -6,17 +6,14 @@
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
 @group(0) @binding(3) var<storage, read_write> occupied: array<u32>;
-// DEPTH_CELLS counts a tile.
-@group(0) @binding(4) var<storage, read_write> counts: array<u32>;
 
 // Of each list its range of depth as the word of a segment, the cells of it that hold a segment, those that one ends in, and
 // the index of its first segment. A list without any has a range that nothing is in.
-@group(0) @binding(5) var<storage, read_write> summaries: array<vec4u>;
+@group(0) @binding(4) var<storage, read_write> summaries: array<vec4u>;
 // C before, E after.
-@group(0) @binding(6) var<storage, read_write> rg: array<u32>;
-@group(0) @binding(7) var<storage, read_write> b_tau: array<u32>;
+@group(0) @binding(5) var<storage, read_write> rg: array<u32>;
+@group(0) @binding(6) var<storage, read_write> b_tau: array<u32>;
 
-var<workgroup> tile_counts: array<atomic<u32>, DEPTH_CELLS>;
 var<workgroup> tile_occupied: atomic<u32>;
 
 @compute @workgroup_size(8, 8)
@@ -34,21 +31,14 @@ fn empty_space(
             let word = depth_plane[i];
             let first = (word & 0xffffu) / CELL_UNITS;
             let last = (max(word >> 16u, 1u) - 1u) / CELL_UNITS;
-            for (var cell = first; cell <= last; cell++) {
-                atomicAdd(&tile_counts[cell], 1u);
-            }
             list_occupied |= cell_bits(first, last);
         }
         atomicOr(&tile_occupied, list_occupied);
         summarize(list);
     }
     workgroupBarrier();
-    let index = tile.y * tiles.x + tile.x;
-    if (lane < DEPTH_CELLS) {
-        counts[index * DEPTH_CELLS + lane] = atomicLoad(&tile_counts[lane]);
-    }
     if (lane == 0u) {
-        occupied[index] = atomicLoad(&tile_occupied);
+        occupied[tile.y * tiles.x + tile.x] = atomicLoad(&tile_occupied);
     }
 }
 

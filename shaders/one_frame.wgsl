@@ -1,8 +1,5 @@
 // Novel views from one layered frame: its planes, and the function cast of crates/core/src/kernels/raycast.rs.
 
-// Whether rays are sampled (subsample.wgsl).
-override IS_SAMPLED: bool;
-
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
 // E of red and green; E of blue and τ (empty_space_build.wgsl).
@@ -10,8 +7,6 @@ override IS_SAMPLED: bool;
 @group(0) @binding(4) var<storage, read> e_b_tau: array<u32>;
 // One word a tile: the cells of it that hold a segment (empty_space.wgsl).
 @group(0) @binding(5) var<storage, read> occupied: array<u32>;
-// DEPTH_CELLS counts a tile (empty_space_build.wgsl).
-@group(0) @binding(6) var<storage, read> counts: array<u32>;
 // One a list (empty_space.wgsl).
 @group(0) @binding(1) var<storage, read> summaries: array<vec4u>;
 
@@ -35,20 +30,12 @@ fn summary_at(list: u32) -> vec4u {
     return summaries[list];
 }
 
-fn count_at(i: u32) -> u32 {
-    return counts[i];
-}
-
 // Premultiplied colour and opacity seen along a ray of world space (`cast` in the twin: a reserved word here).
 fn cast_ray(ray: Ray) -> Over {
     var acc = identity();
     let line = clip(ray, vec2f(0.0, NEVER));
     if (line.hit) {
-        if (IS_SAMPLED) {
-            sample_line(line, &acc);
-        } else {
-            walk(line, &acc);
-        }
+        walk(line, &acc);
     }
     return shown(acc, ray);
 }

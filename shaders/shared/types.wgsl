@@ -75,8 +75,7 @@ struct Raycaster {
     bounds_min: vec3f,
     units_per_depth: f32,
     bounds_max: vec3f,
-    // Samples a ray, where it is sampled.
-    num_samples: u32,
+    padding_0: u32,
     clip_normal: vec3f,
     clip_offset: f32,
     // The volume's box, whatever is left of it.
@@ -84,7 +83,7 @@ struct Raycaster {
     // How segments become one colour: core::mode::Compositing.
     compositing: u32,
     volume_max: vec3f,
-    padding_0: u32,
+    padding_1: u32,
 }
 
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).

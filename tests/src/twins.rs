@@ -79,12 +79,6 @@ impl Difference {
         self.share_beyond_2 <= 0.005 && self.mean < 0.1
     }
 
-    /// Of rays that take 40 samples. Rounding moves a position by up to 1e-4 lists, so that as many samples in ten thousand, on
-    /// either side, fall to the other list of a border: .8 % of the rays have one. Twice as many may differ.
-    pub fn is_sampled_alike(self) -> bool {
-        self.share_beyond_2 <= 0.016 && self.mean < 0.1
-    }
-
     /// Panics unless within the tolerance of all pictures.
     #[track_caller]
     pub fn assert_tolerable(self, what: &str) {

@@ -46,7 +46,7 @@ fn main() {
     println!("ok: the window shows what the CPU twin casts");
     window_shows_what_kept_frames_saw();
     println!("ok: the window shows what the CPU twin combines of two frames");
-    for mode in [StereoMode::SideBySide, StereoMode::Anaglyph] {
+    for mode in [StereoMode::SideBySide, StereoMode::RedCyan] {
         window_shows_each_eye_its_view(mode);
     }
     println!("ok: each eye is shown what the CPU twin casts for it");
@@ -233,7 +233,7 @@ fn window_shows_each_eye_its_view(mode: StereoMode) {
     let [left, right] = eyes.map(|eye| raycast_mean(frame, &refresh.bounds, &[eye]).to_srgb8(BACKGROUND));
     let width = refresh.camera.intrinsics.width as usize;
     let expected = |left: &[u8], right: &[u8]| -> Vec<u8> {
-        if mode == StereoMode::Anaglyph {
+        if mode == StereoMode::RedCyan {
             assert_eq!(width, shot.width);
             return left.chunks(3).zip(right.chunks(3)).flat_map(|(l, r)| [l[0], r[1], r[2]]).collect();
         }

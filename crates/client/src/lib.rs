@@ -1,78 +1,50 @@
 //! The viewer: ray-casts the newest layered frame from the camera under the user's hand at every refresh, and never
 //! waits for the network.
 //!
-//! [`run`] opens the window on a server's link, [`run_window`] on any [`FrameSource`], [`run_window_with_start`] also without one
-//! and with a page to choose one; [`HeadlessViewer`] is the same
-//! without a window. [`camera_controls`] is pure. This crate renders no volume and knows nothing of the wire: frames
-//! come from `isinglass-net`, the ray caster from `isinglass-gpu`.
+//! [`run`] opens the window on a server's link, [`run_window`] on any [`FrameSource`]. [`run_window_with_start`] also
+//! opens it without a source, with a page to choose one. [`HeadlessViewer`] is the same without a window. This crate
+//! renders no volume and knows nothing of the wire: frames come from `isinglass-net`, the ray caster from
+//! `isinglass-gpu`.
+//!
+//! A folder uses only those above it; `tests/tests/module_order.rs` checks that.
+//!
+//! | folder | responsibility |
+//! |---|---|
+//! | `input` | from keys and mouse to actions and a camera |
+//! | `view` | where frames come from, what is requested, and which frame is shown |
+//! | `paint` | the ray cast inside egui's pass; lines and handles over the picture |
+//! | `panels` | panels that show what they are given; they do not know each other |
+//! | `app` | one viewer in a window: at each refresh input, view, paint, panels |
+//! | `start` | the page that chooses what the viewer shows, and the way there |
+//! | `window` | opens the window of the system, and closes it |
 
 mod app;
-mod background;
-mod bell;
-mod bindings;
-pub mod camera_controls;
-mod camera_path;
-mod clip_editor;
-mod clip_panel;
-mod display;
-mod display_loss;
-mod foresight;
-mod frame_source;
-mod gpu_timer;
-mod headless;
-mod kept;
-mod light_panel;
-mod look_panel;
-mod meters;
-mod mode_panel;
-mod novel_view;
-mod number;
-mod open_dialog;
-mod orientation;
-mod overlay;
+mod input;
+mod paint;
 mod panels;
-mod parts_bar;
-mod pick;
-mod picture;
-mod pointer;
-mod probe;
-mod quality_control;
-mod run;
-mod shots;
-mod slots;
 mod start;
-mod state_files;
-mod state_part;
-mod stereo;
-mod stills;
-mod transfer_editor;
-mod view_aids;
-mod viewing;
-mod waits;
+mod view;
 mod window;
-#[cfg(test)]
-mod window_walk;
 
-pub use bindings::{Action, BindingError, Bindings, Gesture, Opposite, REVERSE_WHEEL, Side, Step};
-pub use camera_controls::InitialOrbit;
-pub use camera_path::{CameraPath, CameraPathError};
-pub use display::display_available;
-pub use foresight::Foresight;
-pub use frame_source::FrameSource;
-pub use headless::{DisplayRecord, HeadlessViewer};
-pub use novel_view::{LAYERS, NovelView};
-pub use overlay::{OverlayModel, Row, ViewTime, format_bytes, format_duration, format_rate};
-pub use picture::BACKGROUND;
-pub use quality_control::{Quality, QualityControl};
-pub use run::{ViewerOptions, run};
-pub use start::{First, LocalServer, LocalServers, Services};
-pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
-pub use viewing::{FrameSize, Refresh, Standing, Viewing};
-pub use waits::{Waits, excuse_wait};
-pub use window::{
-    DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowContents,
-    WindowOptions, run_window, run_window_with_start,
-};
-
-/// Whoever brings the frames of a window that may turn to others.
-pub type BoxedSource = Box<dyn FrameSource + Send>;
+pub use app::options::{DEFAULT_FOV_Y_DEGREES, WindowOptions};
+pub use app::script::{Probe, Script, ScriptStep, Shot};
+pub use input::bindings::{Action, BindingError, Bindings, Gesture, Opposite, REVERSE_WHEEL, Side, Step};
+pub use input::camera_controls::{self, InitialOrbit};
+pub use input::camera_path::{CameraPath, CameraPathError};
+pub use paint::novel_view::{LAYERS, NovelView};
+pub use paint::picture::BACKGROUND;
+pub use paint::stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
+pub use panels::status::{OverlayModel, Row, ViewTime};
+pub use panels::text::{format_bytes, format_duration, format_rate};
+pub use start::{First, Services};
+pub use view::foresight::Foresight;
+pub use view::frame_source::FrameSource;
+pub use view::headless::{DisplayRecord, HeadlessViewer};
+pub use view::local_servers::{LocalServer, LocalServers};
+pub use view::quality_control::{Quality, QualityControl};
+pub use view::viewing::{FrameSize, Refresh, Standing, Viewing};
+pub use view::waits::{Waits, excuse_wait};
+pub use view::{BoxedSource, Waker};
+pub use window::display::display_available;
+pub use window::run::{ViewerOptions, run};
+pub use window::{ViewerError, WindowContents, run_window, run_window_with_start};

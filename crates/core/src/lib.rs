@@ -4,8 +4,7 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`wanted`], `width`, [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
-//! [`mode`], [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
+//! A module uses only those above it in the table of docs/ARCHITECTURE.md; `tests/tests/module_order.rs` checks that.
 
 #[macro_use]
 mod width;

@@ -9,7 +9,6 @@
 use serde::{Deserialize, Serialize};
 
 use crate::picture::{linear_from_srgb, srgb_from_linear};
-use crate::volume::{Histogram, Volume};
 
 /// One control point. Between points, colour and opacity vary linearly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -157,56 +156,6 @@ impl TransferFunction {
         color.map(|c| linear_from_srgb(srgb_from_linear(c) * (opacity / greatest)))
     }
 
-    /// The table for one volume. `histogram` must be the volume's own.
-    pub fn table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
-        let unit_length = match self.unit_length {
-            UnitLength::Voxel => volume.spacing().to_array().iter().product::<f32>().cbrt(),
-            UnitLength::World(l) => l,
-            UnitLength::Radius(r) => r * volume.bounds().radius(),
-        };
-        self.tabulate(unit_length, self.x_map(volume, histogram))
-    }
-
-    /// The table of [`Self::shown`] for one volume, in place of extinction its greatest channel.
-    pub fn shown_table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
-        let shown = |x: f32| {
-            let c = self.shown(x);
-            [c[0], c[1], c[2], c[0].max(c[1]).max(c[2])].map(f64::from)
-        };
-        integrated(shown, self.x_map(volume, histogram))
-    }
-
-    /// The same function over the values that its domain stands for in one volume, for others to be seen alike.
-    pub fn at_values(&self, volume: &Volume, histogram: &Histogram) -> Self {
-        let (lo, hi) = self.domain_in(volume, histogram);
-        let domain = if hi > lo { Domain::Values(lo, hi) } else { self.domain };
-        Self { domain, ..self.clone() }
-    }
-
-    /// The values that the domain stands for in a volume.
-    fn domain_in(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
-        match self.domain {
-            Domain::Full => volume.value_range(),
-            Domain::Values(a, b) => (a, b),
-            // What few voxels far away from all others have is no end of a domain.
-            Domain::Percentiles(a, b) => match (histogram.bulk_percentile(a), histogram.bulk_percentile(b)) {
-                // Nearly all voxels are the same: the others are what there is to see.
-                (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
-                between => between,
-            },
-        }
-    }
-
-    /// From stored numbers s to positions: s·`.0` + `.1`.
-    fn x_map(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
-        let (lo, hi) = self.domain_in(volume, histogram);
-        let (scale, offset) = volume.value_map();
-        // In double precision: the span may be shorter than the inverse of the greatest float.
-        let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });
-        let finite = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
-        (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span))
-    }
-
     /// The table for stored numbers s at position x = s·`x_map.0` + `x_map.1`, `unit_length` in world units.
     pub fn tabulate(&self, unit_length: f32, x_map: (f32, f32)) -> TransferTable {
         let medium = |x: f32| -> [f64; 4] {
@@ -221,7 +170,7 @@ impl TransferFunction {
 }
 
 /// The table of a medium, over positions.
-fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) -> TransferTable {
+pub(crate) fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) -> TransferTable {
     let to_f32 = |v: [f64; 4]| v.map(|x| x as f32);
     let mut density = Vec::with_capacity(TABLE_BINS + 1);
     let mut integral = Vec::with_capacity(TABLE_BINS + 1);

@@ -226,14 +226,6 @@ fn cut_rays_match_brute_force_and_empty_space_changes_nothing() {
                     assert!(max_difference(&found, &truth) <= 1, "{reconstruction:?} {clip:?}");
                     let whole = CastOptions { skips_empty_space: false, ..options };
                     assert_eq!(caster.picture(&new, &whole), found);
-                    // Samples stay inside, too.
-                    let sampled = CastOptions { num_samples: 64, ..options };
-                    let sampled = caster.picture(&new, &sampled);
-                    let region = clip.region(&bounds).grown(1e-3 * bounds.radius());
-                    for (i, pixel) in sampled.pixels.iter().enumerate() {
-                        let (ray, _) = new.ray((i % 17) as f32 + 0.5, (i / 17) as f32 + 0.5);
-                        assert!(region.clip(&ray).is_some() || *pixel == [0.0; 4]);
-                    }
                 }
             }
         }

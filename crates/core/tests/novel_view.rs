@@ -14,7 +14,6 @@ use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::budget;
 use isinglass_core::kernels::march::{TRANSMITTANCE_MIN, render};
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
-use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::procedural::Builtin;
@@ -159,83 +158,9 @@ fn a_wrong_grid_is_noticed() {
     assert!(max_difference(&caster.picture(&new, &CastOptions::default()), &right) > 1);
 }
 
-/// Samples of the nearest list stand for ever shorter pieces of the same media. Samples of two lists mix before they
-/// composite along a column, so they have a limit of their own, which differs by the square of a column's optical depth.
+/// A cell is occupied if a segment reaches into it, by another way to find out.
 #[test]
-fn samples_converge_to_the_full_cast() {
-    let scene = scene(Builtin::Cloud);
-    let bounds = scene.volume.bounds();
-    let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 60, &bounds);
-    let frame = frame_of(&scene, old, 6);
-    let caster = Raycaster::new(&frame, &bounds);
-    let mut num_improved = 0;
-    for (name, pose) in poses_from_anywhere() {
-        let new = camera(pose, 40, &bounds);
-        for (reconstruction, limit) in [(Reconstruction::Nearest, 0), (Reconstruction::Mixed, 8192)] {
-            let error = |num_samples| {
-                let options = CastOptions { reconstruction, num_samples, ..Default::default() };
-                let full = CastOptions { num_samples: limit, ..options };
-                let (a, b) = (caster.picture(&new, &options), caster.picture(&new, &full));
-                let (a, b) = (a.to_srgb8([0.0; 3]), b.to_srgb8([0.0; 3]));
-                a.iter().zip(&b).map(|(x, y)| f64::from(x.abs_diff(*y))).sum::<f64>() / a.len() as f64
-            };
-            let errors = [4, 32, 2048].map(error);
-            // Mean over all channels in 1/255; a sample more or less at a segment's end remains, and segments may be
-            // thinner than the distance of 2048 samples where the ray runs along them.
-            assert!(errors[2] < f64::max(0.1, 0.05 * errors[0]), "{name}, {reconstruction:?}: {errors:?}");
-            // Some see nothing.
-            num_improved += usize::from(errors[0] > 5.0 * errors[2]);
-        }
-    }
-    // Negative control: few samples are seen to be few.
-    assert!(num_improved > 10, "{num_improved}");
-}
-
-/// A homogeneous box has its exact opacity with any number of samples: they share the length among them.
-#[test]
-fn samples_see_a_homogeneous_medium_exactly() {
-    let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-    let old = camera(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), 64, &bounds);
-    let mut frame = LayeredFrame::empty(FrameHeader::alone(old, 3));
-    // Three segments a list from near to far, of one extinction along every list's own direction.
-    let sigma = 0.35;
-    let depth = old.far - old.near;
-    for (i, end) in frame.offsets.clone().iter().enumerate().skip(1).map(|(i, _)| (i - 1, 3 * i as u32)) {
-        let (x, y) = (i as u32 % 64, i as u32 / 64);
-        let (_, per_depth) = old.ray(x as f32 + 0.5, y as f32 + 0.5);
-        for (front, back) in [(0, 20000), (20000, 21000), (21000, 65535)] {
-            let tau = sigma * per_depth * depth * f32::from(back - front) / DEPTH_UNITS;
-            let c = Vec3::new(0.8, 0.5, 0.2) * (1.0 - (-tau).exp());
-            frame.push(&isinglass_core::layer::Segment { front, back, c, tau });
-        }
-        frame.offsets[i + 1] = end;
-    }
-    frame.validate().unwrap();
-    let caster = Raycaster::new(&frame, &bounds);
-    let new = camera(Pose::orbit(Vec3::ZERO, 0.2, 0.1, 5.0), 40, &bounds);
-    let (mut num_seen, mut num_wrong) = (0, 0);
-    for (x, y) in (12..28).flat_map(|x| (12..25).map(move |y| (x, y))) {
-        let (ray, _) = new.ray(x as f32 + 0.5, y as f32 + 0.5);
-        let Some((s0, s1)) = bounds.clip(&ray) else { continue };
-        let expected = (-sigma * (s1 - s0)).exp();
-        for num_samples in [1, 2, 3, 7, 50] {
-            for reconstruction in [Reconstruction::Nearest, Reconstruction::Mixed] {
-                let options = CastOptions { reconstruction, num_samples, ..Default::default() };
-                let found = caster.cast(&ray, &options).transmittance;
-                // Half floats carry τ to 2^−11; the box is cast with a margin of two depth units on each side.
-                assert!((found - expected).abs() < 2e-3, "{x} {y} {num_samples}: {found}, not {expected}");
-                // Negative control: the opacity of a tenth more matter is another.
-                num_wrong += usize::from((found - expected.powf(1.1)).abs() < 2e-3);
-                num_seen += 1;
-            }
-        }
-    }
-    assert!(num_seen > 1000 && num_wrong < num_seen / 10, "{num_wrong} of {num_seen}");
-}
-
-/// Every segment counts in each cell that it reaches into, by another way to count.
-#[test]
-fn cells_count_their_segments() {
+fn cells_hold_their_segments() {
     let scene = scene(Builtin::Shells);
     let bounds = scene.volume.bounds();
     let old = camera(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), 28, &bounds);
@@ -250,9 +175,7 @@ fn cells_count_their_segments() {
                 let segment = frame.segment(*i);
                 f64::from(segment.front) < far && f64::from(segment.back) > near
             };
-            let expected = lists.flat_map(|i| frame.list(i)).filter(reaches).count();
-            assert_eq!(grid.counts[tile * DEPTH_CELLS as usize + cell as usize], expected as u32);
-            assert_eq!(occupied >> cell & 1 == 1, expected > 0);
+            assert_eq!(occupied >> cell & 1 == 1, lists.flat_map(|i| frame.list(i)).any(|i| reaches(&i)));
         }
     }
 }

@@ -105,11 +105,9 @@ impl Casts {
 
 /// All that a viewer casts for, the soonest needed first.
 pub(crate) fn purposes_of_viewers() -> impl Iterator<Item = Purpose> {
-    let whole = CastOptions::default();
-    let sampled = CastOptions { num_samples: 1, ..whole };
-    let of = move |compositing| {
-        [(Frames::One, whole), (Frames::Several, whole), (Frames::One, sampled)]
-            .map(|(frames, options)| Purpose::new(frames, compositing, &options))
+    let of = |compositing| {
+        [Frames::One, Frames::Several]
+            .map(|frames| Purpose::new(frames, compositing, &CastOptions::default()))
     };
     [Compositing::Over, Compositing::Greatest, Compositing::Mean].into_iter().flat_map(of)
 }

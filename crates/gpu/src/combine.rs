@@ -107,7 +107,7 @@ impl FramesOnGpu {
 
     /// For pictures of these views.
     pub(crate) fn prepare(&self, queue: &wgpu::Queue, views: &[View]) {
-        let Some((slots, _)) = self.combined() else { return };
+        let Some((slots, _)) = &self.several else { return };
         let mut combination: Combination = bytemuck::Zeroable::zeroed();
         let layers: Vec<&FrameOnGpu> = slots.iter().map(|&slot| &self.slots[slot]).collect();
         for (n, layer) in layers.iter().enumerate() {
@@ -139,29 +139,19 @@ impl FramesOnGpu {
 
     /// What casts what is shown, and its group 0.
     pub(crate) fn cast(&self) -> (Purpose, &wgpu::BindGroup) {
-        match self.combined() {
-            Some((_, group)) => (self.purpose(Frames::Several, &self.options), group),
-            None => self.cast_newest(&self.options),
+        match &self.several {
+            Some((_, group)) => (self.purpose(Frames::Several), group),
+            None => self.cast_newest(),
         }
     }
 
-    /// What can stand in for that as long as there is no pipeline for it: all frames have theirs, or the newest alone, and
-    /// all crossings in place of samples.
-    pub(crate) fn cast_instead(&self) -> (Purpose, &wgpu::BindGroup) {
-        self.cast_newest(&CastOptions { num_samples: 0, ..self.options })
+    /// What stands in for that while there is no pipeline for several frames: the newest alone.
+    pub(crate) fn cast_newest(&self) -> (Purpose, &wgpu::BindGroup) {
+        (self.purpose(Frames::One), &self.slots[self.shown[0]].bind_group)
     }
 
-    fn cast_newest(&self, options: &CastOptions) -> (Purpose, &wgpu::BindGroup) {
-        (self.purpose(Frames::One, options), &self.slots[self.shown[0]].bind_group)
-    }
-
-    fn purpose(&self, frames: Frames, options: &CastOptions) -> Purpose {
-        Purpose::new(frames, self.slots[self.shown[0]].compositing(), options)
-    }
-
-    /// Samples are for devices that cannot cast one frame whole in time, let alone several.
-    fn combined(&self) -> Option<&(Vec<usize>, wgpu::BindGroup)> {
-        self.several.as_ref().filter(|_| self.options.num_samples == 0)
+    fn purpose(&self, frames: Frames) -> Purpose {
+        Purpose::new(frames, self.slots[self.shown[0]].compositing(), &self.options)
     }
 
     fn bind(&mut self, device: &wgpu::Device) {

@@ -500,10 +500,10 @@ const LEAST_DISPATCH: u32 = 1 << 14;
 /// A plane of a frame of 3840×2160 lists of 32 segments.
 const LARGEST_BUFFER: u64 = 1 << 30;
 /// Group 0 of `one_frame.wgsl`.
-const ONE_FRAME: [BindingType; 7] = [UNIFORM, READ, READ, READ, READ, READ, READ];
+const ONE_FRAME: [BindingType; 6] = [UNIFORM, READ, READ, READ, READ, READ];
 /// Storage buffers of `combine.wgsl`: two a frame, as many as every device can bind.
 const NUM_BUFFERS_OF_FRAMES: u32 = 2 * MAX_FRAMES as u32;
 /// Group 0 of `combine.wgsl`.
 const SEVERAL_FRAMES: [BindingType; 9] = [UNIFORM, READ, READ, READ, READ, READ, READ, READ, READ];
 /// Group 0 of `empty_space_build.wgsl`.
-pub(crate) const EMPTY_SPACE: [BindingType; 8] = [UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE];
+pub(crate) const EMPTY_SPACE: [BindingType; 7] = [UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE];

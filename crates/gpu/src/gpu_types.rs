@@ -114,13 +114,13 @@ pub(crate) struct Raycaster {
     pub(crate) bounds_min: [f32; 3],
     pub(crate) units_per_depth: f32,
     pub(crate) bounds_max: [f32; 3],
-    pub(crate) num_samples: u32,
+    pub(crate) padding_0: u32,
     pub(crate) clip_normal: [f32; 3],
     pub(crate) clip_offset: f32,
     pub(crate) volume_min: [f32; 3],
     pub(crate) compositing: u32,
     pub(crate) volume_max: [f32; 3],
-    pub(crate) padding_0: u32,
+    pub(crate) padding_1: u32,
 }
 
 impl Raycaster {
@@ -139,13 +139,13 @@ impl Raycaster {
             bounds_min: region.bounds.min.into(),
             units_per_depth: depth_per_unit.recip(),
             bounds_max: region.bounds.max.into(),
-            num_samples: options.num_samples,
+            padding_0: 0,
             clip_normal: region.normal.into(),
             clip_offset: region.offset,
             volume_min: bounds.min.into(),
             compositing: compositing as u32,
             volume_max: bounds.max.into(),
-            padding_0: 0,
+            padding_1: 0,
         }
     }
 }

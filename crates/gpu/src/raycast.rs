@@ -3,7 +3,7 @@
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::combine::MAX_FRAMES;
-use isinglass_core::kernels::empty_space::{DEPTH_CELLS, TILE};
+use isinglass_core::kernels::empty_space::TILE;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
@@ -41,10 +41,10 @@ pub(crate) struct FrameOnGpu {
     build_group: wgpu::BindGroup,
 }
 
-/// Two buffers for seven planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
+/// Two buffers for six planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
 /// that its kernel reads.
 struct Buffers {
-    /// Offsets and depth; occupied cells, colours, summaries of the lists and counts.
+    /// Offsets and depth; occupied cells, colours and summaries of the lists.
     buffers: [wgpu::Buffer; 2],
     planes: [Plane; NUM_PLANES],
 }
@@ -105,7 +105,6 @@ impl FrameOnGpu {
         }
         bytes[OCCUPIED] = num_tiles * 4;
         bytes[SUMMARIES] = size.num_pixels() as u64 * SUMMARY_BYTES;
-        bytes[COUNTS] = num_tiles * u64::from(DEPTH_CELLS) * 4;
         for bytes in bytes {
             check_binding(device, "plane of a layered frame in bytes", bytes)?;
         }
@@ -217,19 +216,17 @@ impl Buffers {
         };
         let caster = || caster.as_entire_binding();
         let [offsets, depth] = [plane(OFFSETS), plane(DEPTH)];
-        let [occupied, counts] = [plane(OCCUPIED), plane(COUNTS)];
-        let [rg, b_tau, summaries] = [plane(C_RG), plane(C_B_TAU), plane(SUMMARIES)];
+        let [occupied, rg, b_tau, summaries] = [OCCUPIED, C_RG, C_B_TAU, SUMMARIES].map(plane);
         let build = [
             caster(),
             offsets,
             depth.clone(),
             occupied.clone(),
-            counts.clone(),
             summaries.clone(),
             rg.clone(),
             b_tau.clone(),
         ];
-        let cast = [caster(), summaries, depth, rg, b_tau, occupied, counts];
+        let cast = [caster(), summaries, depth, rg, b_tau, occupied];
         (bind(device, "frame", layout, &cast), bind(device, "grid", &builder.layout, &build))
     }
 }
@@ -377,14 +374,12 @@ fn check_indices(frame: &LayeredFrame) -> Result<(), GpuError> {
 }
 
 const LABELS: [&str; 2] = ["lists", "matter"];
-const NUM_PLANES: usize = 7;
+const NUM_PLANES: usize = 6;
 const OFFSETS: usize = 0;
 const DEPTH: usize = 1;
 const OCCUPIED: usize = 2;
 const C_RG: usize = 3;
 const C_B_TAU: usize = 4;
 const SUMMARIES: usize = 5;
-/// Behind the others: several frames are cast without.
-const COUNTS: usize = 6;
 /// Of one list: four words (`shaders/empty_space_build.wgsl`).
 const SUMMARY_BYTES: u64 = 16;

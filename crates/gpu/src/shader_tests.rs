@@ -66,13 +66,13 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             bounds_min,
             units_per_depth,
             bounds_max,
-            num_samples,
+            padding_0,
             clip_normal,
             clip_offset,
             volume_min,
             compositing,
             volume_max,
-            padding_0
+            padding_1
         }),
         layout!(Combination {
             casters,
@@ -97,7 +97,6 @@ fn all_purposes() -> Vec<Purpose> {
         let one = Purpose { compositing, ..Purpose::default() };
         purposes.extend([
             one,
-            Purpose { is_sampled: true, ..one },
             Purpose { reconstruction: Reconstruction::Nearest, ..one },
             Purpose { skips_empty_space: false, ..one },
             Purpose { frames: Frames::Several, ..one },
@@ -194,7 +193,6 @@ const TWINS: [&str; 22] = [
     include_str!("../../core/src/kernels/raycast/line.rs"),
     include_str!("../../core/src/kernels/raycast/pieces.rs"),
     include_str!("../../core/src/kernels/raycast/projected.rs"),
-    include_str!("../../core/src/kernels/subsample.rs"),
     include_str!("../../core/src/kernels/combine.rs"),
     include_str!("../../core/src/kernels/layering/mod.rs"),
     include_str!("../../core/src/kernels/layering/close.rs"),

@@ -39,7 +39,6 @@ pub(crate) struct Purpose {
     pub(crate) compositing: Compositing,
     pub(crate) reconstruction: Reconstruction,
     pub(crate) skips_empty_space: bool,
-    pub(crate) is_sampled: bool,
 }
 
 impl Default for Purpose {
@@ -56,21 +55,16 @@ impl Purpose {
             compositing,
             reconstruction: options.reconstruction,
             skips_empty_space: options.skips_empty_space,
-            is_sampled: options.num_samples > 0,
         }
     }
 
     fn constants(self) -> Vec<(&'static str, f64)> {
         let is = |condition: bool| f64::from(u8::from(condition));
-        let mut constants = vec![
+        vec![
             ("COMPOSITING", f64::from(self.compositing as u32)),
             ("IS_NEAREST", is(self.reconstruction == Reconstruction::Nearest)),
             ("SKIPS_EMPTY_SPACE", is(self.skips_empty_space)),
-        ];
-        if self.frames == Frames::One {
-            constants.push(("IS_SAMPLED", is(self.is_sampled)));
-        }
-        constants
+        ]
     }
 }
 
@@ -136,20 +130,11 @@ impl Kernel {
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, EMPTY_SPACE_BUILD],
-            Self::RaycastCompute(Purpose { frames, .. }) => &[
-                TYPES,
-                SPACE,
-                LAYER,
-                EMPTY_SPACE,
-                WAY,
-                RAYCAST,
-                frames.part(),
-                frames.sampling(),
-                RAYCAST_COMPUTE,
-            ],
+            Self::RaycastCompute(Purpose { frames, .. }) => {
+                &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, RAYCAST, frames.part(), RAYCAST_COMPUTE]
+            }
             Self::RaycastView(Purpose { frames, .. }, _) => {
-                let [part, sampling] = [frames.part(), frames.sampling()];
-                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, WAY, RAYCAST, part, sampling, RAYCAST_VIEW]
+                &[TYPES, SPACE, LAYER, PICTURE, EMPTY_SPACE, WAY, RAYCAST, frames.part(), RAYCAST_VIEW]
             }
         };
         parts.concat()
@@ -172,14 +157,6 @@ impl Frames {
         match self {
             Self::One => ONE_FRAME,
             Self::Several => COMBINE,
-        }
-    }
-
-    /// Several frames are cast whole.
-    fn sampling(self) -> &'static str {
-        match self {
-            Self::One => SUBSAMPLE,
-            Self::Several => "",
         }
     }
 }
@@ -234,7 +211,6 @@ const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build
 const RAYCAST: &str = include_str!("../../../shaders/raycast.wgsl");
 const ONE_FRAME: &str = include_str!("../../../shaders/one_frame.wgsl");
 const COMBINE: &str = include_str!("../../../shaders/combine.wgsl");
-const SUBSAMPLE: &str = include_str!("../../../shaders/subsample.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
 const UPSCALE: &str = include_str!("../../../shaders/upscale.wgsl");
 const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");

@@ -107,7 +107,7 @@ impl ViewPass {
 
     /// All that the pictures of one eye are drawn with, to be made and drawn with ahead of need. Call it before anything else
     /// is prepared; it can be run at any time. Until it is dropped, pictures wait for nothing that it is still to make: they are
-    /// of the newest frame alone, are not sampled, or nothing is painted.
+    /// of the newest frame alone, or nothing is painted.
     ///
     /// # Errors
     /// If the device has no room for it.
@@ -147,8 +147,7 @@ impl ViewPass {
 
     /// Shows the frames of these slots from now on: the newest, and older ones of the same volume and look for what it does
     /// not see (see [`isinglass_core::kernels::combine`]). With the newest alone a picture costs no more than if there were
-    /// no slots. An older frame too large to be bound along with the newest is left out, and all of them are as long as
-    /// rays are sampled.
+    /// no slots. An older frame too large to be bound along with the newest is left out.
     pub fn show(&mut self, device: &wgpu::Device, slots: &[usize]) -> Result<(), GpuError> {
         let frames = &mut self.frames;
         scoped(device, "binding layered frames", || {
@@ -214,7 +213,7 @@ impl ViewPass {
             return Some(found);
         }
         if channels == Channels::All && self.casts.are_coming() {
-            return made(self.frames.cast_instead());
+            return made(self.frames.cast_newest());
         }
         let (purpose, group) = wanted;
         Some((self.casts.get_or_make(purpose, channels), group.clone()))

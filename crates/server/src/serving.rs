@@ -191,7 +191,7 @@ impl Viewer {
         {
             let mut talk = self.session.talk();
             if let Some(look) = talk.look.poll_wanted() {
-                tracing::info!(transfer = look.transfer.name, layering = %look.layering, k = look.k, "new look");
+                tracing::info!(transfer = look.transfer.name, k = look.k, "new look");
                 let is_whole = self.present.lights.is_fine(&look);
                 talk.look.begin(now, look, is_whole);
             }

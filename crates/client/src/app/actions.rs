@@ -1,4 +1,4 @@
-//! What keys, and drags of the handles on the volume, do to the window.
+//! What keys do to the window, and what dragged clip handles do.
 
 use std::time::Duration;
 
@@ -6,21 +6,22 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::look::Look;
 
-use super::{ViewerApp, is_free};
-use crate::bindings::{Action, Focus, Step};
-use crate::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
-use crate::frame_source::FrameSource;
-use crate::panels;
-use crate::state_files::StateWish;
+use super::picture::picture_id;
+use super::{AppWish, ViewerApp, is_free};
+use crate::input::bindings::{Action, Focus, Step};
+use crate::input::camera_controls::{ControlInput, ZOOM_PER_NOTCH};
+use crate::paint::stereo;
+use crate::panels::state_files::StateWish;
+use crate::view::frame_source::FrameSource;
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// Does what the keys say; what they are to the camera.
+    /// Does what the keys say, and returns their movement of the camera.
     pub(super) fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
         let focus = match ctx.memory(|m| m.focused()) {
             _ if ctx.text_edit_focused() => Focus::Text,
             // Letters find files in its list.
             Some(_) if self.open_dialog.is_open() => Focus::Text,
-            Some(id) if id != panels::picture_id() => Focus::Widget,
+            Some(id) if id != picture_id() => Focus::Widget,
             _ => Focus::Picture,
         };
         let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
@@ -41,10 +42,10 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Clip => self.toggle_clip(now),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
-                Action::Stereo => self.stereo.mode = self.stereo.mode.next(),
+                Action::Stereo => self.stereo.mode = stereo::next(self.stereo.mode),
                 Action::Probe => self.probe.toggle(),
                 Action::Picture => self.wants_picture = true,
-                Action::PictureDialog => self.shots.toggle_dialog(),
+                Action::PictureDialog => self.screenshots.toggle_dialog(),
                 Action::Mode => self.next_modes += 1,
                 Action::Undo | Action::Redo => {
                     let Some(scale) = self.value_scale() else { continue };
@@ -53,7 +54,7 @@ impl<S: FrameSource> ViewerApp<S> {
                         _ => self.editor.redo(&scale),
                     }
                 }
-                Action::Start => self.wants_start = true,
+                Action::Start => self.wish = Some(AppWish::StartPage),
                 Action::StepTime(by) => {
                     let source = self.viewing.source();
                     let (parts, load) = {
@@ -69,9 +70,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Help => self.shows_help = !self.shows_help,
                 Action::CloseHelp => {
                     self.shows_help = false;
-                    // A list that is open closes first.
                     if !egui::Popup::is_any_open(ctx) {
-                        self.shots.close_dialog();
+                        self.screenshots.close_dialog();
                     }
                 }
                 Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
@@ -80,7 +80,6 @@ impl<S: FrameSource> ViewerApp<S> {
         input
     }
 
-    /// A clip that leaves nothing of another volume is no longer wished for.
     pub(super) fn drop_empty_clip(&mut self, now: Duration) {
         let (Some(look), Some((bounds, _))) = (self.viewing.look(), &self.controls) else { return };
         if self.clip_bounds.replace(*bounds) != Some(*bounds) && look.clip.region(bounds).is_empty() {
@@ -101,7 +100,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// Handles take what is meant for them, before the camera does.
+    /// Gives the clip handles their events before the camera gets the rest.
     pub(super) fn drag_clip(&mut self, ctx: &egui::Context, now: Duration, events: &mut Vec<egui::Event>) {
         let (Some(view), Some(look)) = (self.clip_view, self.viewing.look()) else { return };
         if let Some(clip) = self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, at)) {
@@ -114,7 +113,7 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
-/// A step of the camera by a key, as a drag over a small part of the picture.
+/// A key moves the camera as a short drag would.
 fn add_step(input: &mut ControlInput, step: Step, picture: &Intrinsics) {
     let side = picture.width.min(picture.height) as f32;
     let pixels = |parts: i8| f32::from(parts) * side * KEY_STEP;
@@ -126,5 +125,5 @@ fn add_step(input: &mut ControlInput, step: Step, picture: &Intrinsics) {
     }
 }
 
-/// A step by a key, in parts of the picture's shorter side: five degrees of a turn.
+/// A key's step, as a share of the picture's shorter side: a turn by five degrees.
 const KEY_STEP: f32 = 5.0 / 180.0;

@@ -1,4 +1,4 @@
-//! The panes of the window that ask for something: look, parts of the file, pictures to keep, the value under the pointer.
+//! Places the panels that ask for something: look, parts of the file, screenshots and the probe.
 
 use std::time::Duration;
 
@@ -7,44 +7,45 @@ use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
 use isinglass_net::State;
 
-use super::{ViewerApp, is_free};
-use crate::frame_source::FrameSource;
-use crate::look_panel::{self, Settings};
-use crate::panels::{self, Taken};
-use crate::parts_bar::PartsWish;
-use crate::pick::visible_point;
-use crate::probe;
-use crate::shots::Subject;
-use crate::start::browser::Chosen;
-use crate::view_aids::{self, pixel_at};
-use crate::viewing::Refresh;
-use crate::{light_panel, mode_panel};
+use super::side_panel::{self, LookSettings};
+use super::{AppWish, ViewerApp, is_free};
+use crate::paint::view_aids::{self, pixel_at};
+use crate::panels::browser::Chosen;
+use crate::panels::parts_bar::PartsWish;
+use crate::panels::screenshots::Subject;
+use crate::panels::style::Taken;
+use crate::panels::{light, mode, probe, status};
+use crate::view::frame_source::FrameSource;
+use crate::view::pick::visible_point;
+use crate::view::viewing::Refresh;
+use crate::view::waker_of;
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// How much of the window's right is taken by the look panel, points.
+    /// What the side panel takes of the window's right, points.
     pub(crate) fn right_width(&self) -> f32 {
-        if self.is_look_open { look_panel::OPEN_WIDTH } else { 0.0 }
+        if self.is_look_open { side_panel::OPEN_WIDTH } else { 0.0 }
     }
 
     /// The same with the buttons beside it.
     pub(crate) fn right_width_at_top(&self) -> f32 {
-        self.right_width().max(look_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
+        self.right_width().max(side_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
     }
 
-    /// What is taken at the top: panes lie between the numbers and the buttons, or below these where there is too little room.
+    /// The room taken at the top. Panes lie between the numbers and the buttons, or below these if there is too
+    /// little room.
     pub(crate) fn taken_at_top(&self, ctx: &egui::Context) -> Taken {
         let right = self.right_width_at_top();
-        let left = if self.shows_overlay { panels::overlay_taken(ctx, right) } else { 0.0 };
+        let left = if self.shows_overlay { status::width_taken(ctx, right) } else { 0.0 };
         let between = Taken { left, right, edge: 0.0 };
         if between.width(ctx) >= LEAST_ROOM_AT_TOP {
             return between;
         }
         // The badge alone is no higher than the buttons.
-        let left = if panels::has_room_for_numbers(ctx, right) { left } else { 0.0 };
+        let left = if status::has_room_for_numbers(ctx, right) { left } else { 0.0 };
         Taken { left, right: self.right_width(), edge: BUTTONS_HEIGHT }
     }
 
-    /// What is taken at the bottom: panes lie beside axes and scale bar, or above them where there is too little room.
+    /// The room taken at the bottom. Panes lie beside axes and scale bar, or above them if there is too little room.
     pub(crate) fn taken_at_bottom(&self, ctx: &egui::Context) -> Taken {
         let corner = if self.aids.shows_axes { view_aids::CORNER } else { Vec2::ZERO };
         let (right, edge) = (self.right_width(), self.parts_bar.height());
@@ -56,10 +57,10 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// What a picture to keep shows: what is seen, whatever the projection.
+    /// What a screenshot shows: the present view.
     fn subject(&self, camera: &Camera) -> Option<Subject> {
         let (bounds, controls) = self.controls.as_ref()?;
-        // Of two eyes that each have half of the window, what one has in all of it.
+        // In stereo with half a window for each eye, a screenshot shows the view of one eye in the whole window.
         let camera = match self.window.filter(|_| !self.stereo().is_mono()) {
             Some(window) if self.is_orthographic => controls.parallel_camera(window, bounds),
             Some(window) => controls.camera(window, bounds),
@@ -76,17 +77,16 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Goes on with pictures to keep, and shows their dialog and progress.
-    pub(super) fn show_shots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
+    pub(super) fn show_screenshots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
         let is_connected = self.viewing.source().state() == State::Connected;
         if std::mem::take(&mut self.wants_picture)
             && let Some(subject) = subject.clone()
         {
             match is_connected {
-                true => self.shots.take(subject),
+                true => self.screenshots.take(subject),
                 false => {
-                    self.notice = Some((NO_SERVER_FOR_PICTURE.into(), now));
+                    self.tell(now, NO_SERVER_FOR_PICTURE);
                     ctx.request_repaint();
                 }
             }
@@ -94,20 +94,20 @@ impl<S: FrameSource> ViewerApp<S> {
         let taken = self.taken_at_top(ctx);
         let source = self.viewing.source_mut();
         let done = match source.state() {
-            // None will come any more.
-            State::Refused(_) => self.shots.end(source, ctx),
-            _ => self.shots.poll(source, ctx),
+            // No picture can come any more.
+            State::Refused(_) => self.screenshots.end(source, ctx),
+            _ => self.screenshots.poll(source, ctx),
         };
-        if let Some(notice) = self.shots.show(ctx, subject, source, taken).or(done) {
-            self.notice = Some((notice, now));
+        if let Some(notice) = self.screenshots.show(ctx, subject, source, taken).or(done) {
+            self.tell(now, notice);
             ctx.request_repaint();
         }
     }
 
-    /// Asks for the value under the pointer, and shows what is known of it.
+    /// Requests the value under the pointer, and shows what is known of it.
     pub(super) fn show_probe(&mut self, ctx: &egui::Context, rect: egui::Rect, refresh: &Refresh) {
-        // A dialog is not to be covered, whoever opens it while the pointer rests.
-        let has_dialog = self.shows_help || self.shots.is_dialog_open() || self.open_dialog.is_open();
+        // The probe must not cover a dialog.
+        let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
         if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
         }
@@ -132,12 +132,14 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls.as_ref().map_or(glam::Quat::IDENTITY, |(_, controls)| controls.pose().world_from_view)
     }
 
-    /// A drag over the picture moves the light.
     pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
         let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
-        let lighting =
-            light_panel::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
+        let lighting = light::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
         self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
+    }
+
+    fn shown_settings(&self) -> impl PartialEq + use<S> {
+        (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids, self.is_orthographic)
     }
 
     pub(super) fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
@@ -148,14 +150,15 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let world_from_view = self.world_from_view();
         let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
-        let mut settings = Settings {
+        let before = self.shown_settings();
+        let mut settings = LookSettings {
             look: (*look).clone(),
-            frame_size: self.viewing.frame_size,
+            frame_size: &mut self.viewing.frame_size,
             methods: &self.novel_views.names,
-            method: self.novel_views.selected,
-            stereo: self.stereo,
-            aids: self.aids,
-            is_orthographic: self.is_orthographic,
+            method: &mut self.novel_views.selected,
+            stereo: &mut self.stereo,
+            aids: &mut self.aids,
+            is_orthographic: &mut self.is_orthographic,
             clip_editor: &mut self.clip_editor,
             bounds,
             unit: unit.as_deref(),
@@ -165,22 +168,12 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let files = &mut self.state_files;
         let wish =
-            look_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
-        let Settings { look: mut wanted, frame_size, method, stereo, aids, is_orthographic, .. } = settings;
-        let shown = (
-            self.novel_views.selected,
-            self.viewing.frame_size,
-            self.stereo,
-            self.aids,
-            self.is_orthographic,
-        );
-        if (method, frame_size, stereo, aids, is_orthographic) != shown {
-            // The picture beneath has been drawn already.
+            side_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
+        let mut wanted = settings.look;
+        if self.shown_settings() != before {
+            // The picture beneath is drawn already.
             ctx.request_repaint();
         }
-        self.novel_views.selected = method;
-        self.viewing.frame_size = frame_size;
-        (self.stereo, self.aids, self.is_orthographic) = (stereo, aids, is_orthographic);
         let edit = self.editor.take_edit(ctx);
         if let Some(transfer) = edit.transfer {
             wanted.transfer = transfer;
@@ -188,12 +181,12 @@ impl<S: FrameSource> ViewerApp<S> {
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
         for _ in 0..std::mem::take(&mut self.next_modes) {
             let next = wanted.mode.next();
-            mode_panel::set_mode(&mut wanted, next, &scale);
-            self.notice = Some((mode_panel::text(next).into(), now));
+            mode::set_mode(&mut wanted, next, &scale);
+            self.tell(now, mode::text(next));
         }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
-            // The picture is to say that it is older, and the pace may hold the look back.
+            // The picture has to be labelled as older.
             ctx.request_repaint();
         }
         if let Some(wish) = wish {
@@ -201,11 +194,10 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// The dialog that opens files, and what comes of it.
     pub(super) fn show_open_dialog(&mut self, ctx: &egui::Context) {
         match self.open_dialog.show(ctx) {
-            Some(Chosen::Volume(request)) => self.wanted_volume = Some(request),
-            Some(Chosen::Text(path)) => self.state_files.open_any(path, ctx),
+            Some(Chosen::Volume(request)) => self.wish = Some(AppWish::Volume(request)),
+            Some(Chosen::Text(path)) => self.state_files.open_any(path, &waker_of(ctx)),
             None => return,
         }
         ctx.request_repaint();
@@ -228,7 +220,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn do_part(&mut self, now: Duration, wish: Option<PartsWish>) {
         let Some(wish) = wish else { return };
         if self.viewing.source().state() != State::Connected {
-            self.notice = Some((NO_SERVER_FOR_PART.into(), now));
+            self.tell(now, NO_SERVER_FOR_PART);
             return;
         }
         self.viewing.source().talk().selection.open(match wish {
@@ -238,15 +230,13 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
-/// The button to the page of volumes and servers, with a gap beside it.
+/// Width of the button that leads to the start page, with a gap, points.
 const OPEN_BUTTON_WIDTH: f32 = 64.0;
-/// From the window's upper edge, with a gap below, less that of a pane.
+/// Height of the buttons from the window's upper edge, with a gap below, less that of a pane, points.
 const BUTTONS_HEIGHT: f32 = 42.0;
-/// Of a pane at the top.
+/// Least width of a pane at the top, points.
 const LEAST_ROOM_AT_TOP: f32 = 180.0;
-/// Of a pane at the bottom.
+/// Least width of a pane at the bottom, points.
 const LEAST_ROOM: f32 = 280.0;
-/// Files are the server's.
 const NO_SERVER_FOR_PART: &str = "Nothing else can be opened: there is no connection to the server";
-/// Pictures to keep are the server's work.
 const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";

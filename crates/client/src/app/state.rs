@@ -1,4 +1,4 @@
-//! What is seen as a saved state, and back: from a file, a link, or the command line.
+//! From the view to a saved state, and back from a file, a link or the command line.
 
 use std::time::Duration;
 
@@ -7,37 +7,37 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part};
 use isinglass_formats::{
-    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, state_from_link,
-    state_to_link,
+    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link, state_to_link,
 };
 use isinglass_net::{Link, State, state_of_link};
 
-use super::ViewerApp;
-use crate::frame_source::FrameSource;
-use crate::state_files::{Outcome, StateWish};
-use crate::state_part::{StatePart, names_part, save_part};
-use crate::stereo::StereoMode;
+use super::state_part::{StatePart, names_part, save_part};
+use super::{AppWish, ViewerApp};
+use crate::panels::background::Written;
+use crate::panels::file_field::FileOutcome;
+use crate::panels::state_files::{FileContent, StateWish};
+use crate::view::frame_source::FrameSource;
+use crate::view::waker_of;
 
-/// A state that is to be shown.
 pub(super) struct ComingState {
     read: ReadState,
-    /// Whether it was shown already, of what was there.
+    /// Whether it is shown already, as far as the present volume allows.
     is_shown: bool,
-    /// Whether it was told that it waits for a connection.
+    /// Whether the person knows that it waits for a connection.
     is_told: bool,
     asked: Option<AskedPart>,
-    /// Until then the server may say what its file holds.
+    /// The server may list the parts of its file until then.
     until: Option<Duration>,
 }
 
-/// The part of the file that the server was asked for.
+/// The part of the file that was requested from the server.
 #[derive(Clone, Copy)]
 struct AskedPart {
     part: Part,
-    /// The server's newest load then.
+    /// The server's newest load when the part was requested.
     before: LoadId,
     step: AskedStep,
-    /// Until then the next step is to come. What the server told last stays told, so it is a step only once.
+    /// The next step must come before then. The server's last message stays visible, so a step counts once.
     until: Duration,
 }
 
@@ -47,7 +47,7 @@ enum AskedStep {
     Reading {
         permille: u16,
     },
-    /// Its description is on the way, or was not what was expected.
+    /// The description is on the way, or is not the expected one.
     Read,
 }
 
@@ -62,7 +62,10 @@ impl AskedPart {
         Self { part, before, step: AskedStep::Asked, until: now + PART_PATIENCE }
     }
 
-    /// Learns how the server's newest load stands. Whether the part is still to come; or why it does not.
+    /// Follows the server's newest load. Returns whether the part may still come.
+    ///
+    /// # Errors
+    /// Why the part does not come.
     fn follow(&mut self, now: Duration, load: Option<LoadStatus>) -> Result<bool, String> {
         let step = match load.filter(|l| l.load > self.before) {
             Some(load) if load.part == self.part => match load.state {
@@ -74,7 +77,7 @@ impl AskedPart {
             Some(_) if self.step != AskedStep::Asked => {
                 return Err("another part of the file was asked for than it is of".into());
             }
-            // What others have asked for before.
+            // A load that was requested before.
             Some(_) | None => self.step,
         };
         if step != self.step {
@@ -96,7 +99,7 @@ impl AskedPart {
 }
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// All that is seen, and how, in a window whose picture is `picture`. None before the volume is known.
+    /// Everything that is seen, in a window whose picture is `picture`. None before the volume is known.
     pub(super) fn saved_state(&self, ctx: &egui::Context, picture: Intrinsics) -> Option<SavedState> {
         let description = self.viewing.source().description()?;
         let (_, controls) = self.controls.as_ref()?;
@@ -107,7 +110,7 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let parts = self.viewing.source().talk().selection.choices();
         let volume = match parts {
-            // The part may have been changed since.
+            // The part may have changed since the server opened the file.
             Some(parts) => save_part(volume, &parts.shown),
             None => volume,
         };
@@ -116,16 +119,11 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_axes: Some(self.aids.shows_axes),
             shows_numbers: Some(self.shows_overlay),
             background: Some(Srgb(self.aids.background)),
-            theme: Some(match ctx.options(|o| o.theme_preference) {
-                ThemePreference::Dark => Theme::Dark,
-                ThemePreference::Light => Theme::Light,
-                ThemePreference::System => Theme::System,
-            }),
-            stereo: Some(match self.stereo.mode {
-                StereoMode::Off => StereoPicture::Off,
-                StereoMode::SideBySide => StereoPicture::SideBySide,
-                StereoMode::Anaglyph => StereoPicture::RedCyan,
-            }),
+            theme: THEMES
+                .iter()
+                .find(|(_, t)| *t == ctx.options(|o| o.theme_preference))
+                .map(|(theme, _)| *theme),
+            stereo: Some(self.stereo.mode),
             orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
@@ -139,7 +137,7 @@ impl<S: FrameSource> ViewerApp<S> {
         })
     }
 
-    /// Shows what a state says of the volume that is there. What cannot be as it says is the answer, in one line.
+    /// Shows what a state says of the present volume. Returns one line about what cannot be shown as it says.
     fn restore(
         &mut self,
         ctx: &egui::Context,
@@ -162,12 +160,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if let Some(theme) = view.theme {
             ctx.set_theme(theme_preference(theme));
         }
-        self.stereo.mode = match view.stereo {
-            Some(StereoPicture::Off) => StereoMode::Off,
-            Some(StereoPicture::SideBySide) => StereoMode::SideBySide,
-            Some(StereoPicture::RedCyan) => StereoMode::Anaglyph,
-            None => self.stereo.mode,
-        };
+        self.stereo.mode = view.stereo.unwrap_or(self.stereo.mode);
         self.stereo.eye_angle_degrees = view.eye_angle_degrees.unwrap_or(self.stereo.eye_angle_degrees);
         self.viewing.frame_size.scale = view.frame_scale.unwrap_or(self.viewing.frame_size.scale);
         if let Some(method) = &view.method {
@@ -195,8 +188,8 @@ impl<S: FrameSource> ViewerApp<S> {
         note
     }
 
-    /// Takes the states that have arrived since the last refresh: from the command line, as soon as there is a volume to show;
-    /// from files; from a drop; or from a link in the clipboard.
+    /// Takes states that arrived since the last refresh: from the command line, files, drops, or links in the
+    /// clipboard.
     pub(super) fn take_states(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics) {
         if self.viewing.source().description().is_none() || self.viewing.look().is_none() {
             return;
@@ -206,33 +199,38 @@ impl<S: FrameSource> ViewerApp<S> {
                 && ctx.pixels_per_point() != 1.0
                 && self.options.state_sets_size
             {
-                // The window was opened before it was known how many pixels a point has.
+                // The number of pixels a point was not known when the window opened.
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
                 ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height)));
             }
             self.turn_to_state(ReadState { state, note: None });
         }
-        if let Some(outcome) = self.state_files.take() {
-            match outcome {
-                Outcome::Read(read) => match self.is_of_other_volume(&read.state) {
-                    true => self.wanted_state = Some(read),
+        let text = match self.state_files.take() {
+            Some(Ok(FileOutcome::Read(FileContent::State(read)))) => {
+                match self.is_of_other_volume(&read.state) {
+                    true => self.wish = Some(AppWish::State(read)),
                     false => self.turn_to_state(*read),
-                },
-                Outcome::NoState(path) => {
-                    // What the file holds, or what is wrong with it, is said there.
-                    self.is_look_open = true;
-                    self.editor.open(path, ctx);
                 }
-                Outcome::Written(path) => self.notice = Some((format!("saved as {}", path.display()), now)),
-                Outcome::Exists(path) => {
-                    let text = format!("{} is there; save again to replace it", path.display());
-                    self.notice = Some((text, now));
-                }
-                Outcome::Failed(problem) => self.notice = Some((problem, now)),
+                None
             }
+            Some(Ok(FileOutcome::Read(FileContent::Other(path)))) => {
+                // The editor reads the file, and says what is wrong with it.
+                self.is_look_open = true;
+                self.editor.open(path, &waker_of(ctx));
+                None
+            }
+            Some(Ok(FileOutcome::Written(Written::At(path)))) => Some(format!("saved as {}", path.display())),
+            Some(Ok(FileOutcome::Written(Written::Exists(path)))) => {
+                Some(format!("{} is there; save again to replace it", path.display()))
+            }
+            Some(Err(problem)) => Some(problem),
+            None => None,
+        };
+        if let Some(text) = text {
+            self.tell(now, text);
         }
         if let Some(file) = ctx.input(|i| i.raw.dropped_files.first().cloned()) {
-            self.state_files.open_any(file.path().to_owned(), ctx);
+            self.state_files.open_any(file.path().to_owned(), &waker_of(ctx));
         }
         if !ctx.text_edit_focused() {
             let is_link = |text: &String| text.trim_start().starts_with("isinglass://");
@@ -252,25 +250,25 @@ impl<S: FrameSource> ViewerApp<S> {
         let read = state_of_link(link).map_err(|e| e.to_string());
         match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
             Ok(read) => self.turn_to_state(read),
-            Err(_) if link.trim().parse::<Link>().is_ok() => self.notice = Some((SERVER_LINK.into(), now)),
-            Err(problem) => self.notice = Some((problem, now)),
+            Err(_) if link.trim().parse::<Link>().is_ok() => self.tell(now, SERVER_LINK),
+            Err(problem) => self.tell(now, problem),
         }
     }
 
-    /// A state to be shown, in place of one that is waited for.
+    /// Shows a state, in place of one that still waits.
     fn turn_to_state(&mut self, read: ReadState) {
         self.coming = Some(ComingState::new(read));
     }
 
-    /// Goes on with the state that is to be shown: first the server is asked for the part of its file that it is of.
+    /// Continues to show a state. The server is first asked for the state's part of its file.
     fn follow_state(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics) {
         let Some(mut coming) = self.coming.take() else { return };
         let source = self.viewing.source();
         if source.state() != State::Connected {
             if !coming.is_told {
-                self.notice = Some((STATE_WAITS.into(), now));
+                self.tell(now, STATE_WAITS);
             }
-            // What was asked for may be lost. Another server may be there next.
+            // The request may be lost, and another server may come next.
             self.coming = Some(ComingState { asked: None, until: None, is_told: true, ..coming });
             return;
         }
@@ -311,11 +309,11 @@ impl<S: FrameSource> ViewerApp<S> {
                     });
                 }
                 Err(problem) => {
-                    self.notice = Some((format!("the state is not shown: {problem}"), now));
+                    self.tell(now, format!("the state is not shown: {problem}"));
                     return;
                 }
             },
-            // The server says what its file holds as soon as it has let the viewer in, if it offers any of it.
+            // A server lists the parts of its file as soon as it lets the viewer in, if it offers any.
             (None, _) if saved.is_some_and(names_part) && now < until => {
                 if !std::mem::replace(&mut coming.is_shown, true) {
                     self.restore_with_note(ctx, now, window, &coming.read, None);
@@ -326,7 +324,7 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             (None, _) => {}
         }
-        // What a hand has changed since stays.
+        // Changes by hand since then stay.
         match (coming.is_shown, problem) {
             (true, None) => {}
             (true, problem) => self.notice = problem.map(|problem| (problem, now)),
@@ -344,11 +342,11 @@ impl<S: FrameSource> ViewerApp<S> {
     ) {
         let unlike = self.restore(ctx, now, window, &read.state);
         if let Some(note) = problem.or(unlike).or_else(|| read.note.clone()) {
-            self.notice = Some((note, now));
+            self.tell(now, note);
         }
     }
 
-    /// Whether a state is of another volume of this machine than the one that is shown, and that can be opened here.
+    /// Whether a state names another volume of this machine that can be opened in this window.
     fn is_of_other_volume(&self, state: &SavedState) -> bool {
         let named = |source: &str| match source.starts_with("builtin:") {
             true => source.into(),
@@ -358,33 +356,25 @@ impl<S: FrameSource> ViewerApp<S> {
         let wanted = state.volume.as_ref().and_then(|v| v.volume_source().ok()?);
         present.zip(wanted).is_some_and(|(present, wanted)| {
             named(&present.source) != named(&wanted.source)
-                // Of a raw file the same bytes, read otherwise. Without a shape there is no other way to read them.
+                // A raw file holds other volumes if it is read in another way. Without a shape there is no other way.
                 || (wanted.raw.is_some() && wanted.raw != present.raw)
                 || wanted.spacing != present.spacing
         })
     }
 
-    /// The line for the person at the viewer.
     #[cfg(test)]
     pub(crate) fn notice(&self) -> &str {
         self.notice.as_ref().map_or("", |(text, _)| text)
     }
 
-    /// The look that is wished for, and where the camera is.
     #[cfg(test)]
     pub(crate) fn seen(&self) -> Option<(isinglass_core::look::Look, isinglass_core::camera::Pose)> {
         Some(((*self.viewing.look()?).clone(), self.controls.as_ref()?.1.pose()))
     }
 
-    /// A state of another volume of this machine than the one that is shown; once.
-    pub(crate) fn take_state_wish(&mut self) -> Option<Box<ReadState>> {
-        self.wanted_state.take()
-    }
-
-    /// Does what was asked for by key or in the panel.
     pub(super) fn do_state(&mut self, ctx: &egui::Context, now: Duration, wish: StateWish) {
         if wish == StateWish::Open {
-            if !self.state_files.open(ctx) {
+            if !self.state_files.open(&waker_of(ctx)) {
                 self.open_dialog.open(ctx);
             }
             return;
@@ -392,7 +382,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(state) = self.window.and_then(|window| self.saved_state(ctx, window)) else { return };
         if wish == StateWish::Save {
             let name = state.volume.as_ref().map_or("", |v| &v.name);
-            return self.state_files.save(state.to_toml(), name, ctx);
+            return self.state_files.save(state.to_toml(), name, &waker_of(ctx));
         }
         let text = match self.link_to(state) {
             Some(link) => {
@@ -401,34 +391,35 @@ impl<S: FrameSource> ViewerApp<S> {
             }
             None => "there is no server that a link could name",
         };
-        self.notice = Some((text.into(), now));
+        self.tell(now, text);
     }
 
-    /// A link to what is seen, for those who have a link of their own.
+    /// A link to the view for people who have access to the server.
     pub(super) fn link_to(&self, state: SavedState) -> Option<String> {
-        // Where the volume lies on a disk is not for whoever gets the link.
+        // The path on a disk is no business of the recipient.
         let volume = state.volume.map(SavedVolume::without_place);
         Some(self.options.link.as_ref()?.of_state(&state_to_link(&SavedState { volume, ..state })))
     }
 }
 
-/// In egui's terms.
 pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
-    match theme {
-        Theme::Dark => ThemePreference::Dark,
-        Theme::Light => ThemePreference::Light,
-        Theme::System => ThemePreference::System,
-    }
+    THEMES.iter().find(|(t, _)| *t == theme).map_or(ThemePreference::Dark, |(_, preference)| *preference)
 }
+
+const THEMES: [(Theme, ThemePreference); 3] = [
+    (Theme::Dark, ThemePreference::Dark),
+    (Theme::Light, ThemePreference::Light),
+    (Theme::System, ThemePreference::System),
+];
 
 const STATE_WAITS: &str = "there is no connection to the server: the state is shown when there is one again";
 const SERVER_LINK: &str = "this link leads to a server: paste it on the page for another server or volume";
-/// How long a server that has let a viewer in may take to say what its file holds: it does so at once.
+/// How long a server may take to list the parts of its file after it lets a viewer in. It does so at once.
 const PARTS_PATIENCE: Duration = Duration::from_secs(3);
-/// How long it may take to begin to read a part, and to describe it once it is read: it does both at once, whatever it was doing.
+/// How long a server may take to begin to read a part, and to describe it afterwards. It does both at once.
 const PART_PATIENCE: Duration = Duration::from_secs(10);
-/// How long reading may stay where it is. A server tells whole percents, and the last of them before it has made ready what it
-/// read: a file of 100 GB that comes at 10 MB/s, slower than any disk, takes 100 s for one.
+/// How long reading may show no progress. A server reports whole percents: of 100 GB at 10 MB/s, slower than any
+/// disk, one takes 100 s.
 const READING_PATIENCE: Duration = Duration::from_secs(600);
 
 #[cfg(test)]

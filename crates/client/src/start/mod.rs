@@ -1,13 +1,9 @@
-//! The window around the viewer: a start page where nothing is shown yet, and whatever is opened from it, from the list of what
-//! was opened lately, or from files that are dropped. What is shown stays until the next is there, and no refresh waits for any
-//! of it.
+//! The window around the viewer: the start page, and whatever opens from it, from the recent list, or by dropping
+//! files. The present picture stays until the next one is ready, and no refresh waits.
 
-pub(crate) mod browser;
-mod folder;
 mod opening;
 mod page;
 mod recent_list;
-mod selection;
 mod services;
 #[cfg(test)]
 mod tests;
@@ -15,7 +11,7 @@ mod tests;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use egui::{Align2, RichText, vec2};
+use egui::{Align2, RichText};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
 use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
@@ -24,26 +20,21 @@ use isinglass_net::{Clock, LinkStats, ReceivedFrame, State, Talking};
 use self::opening::{Opened, Opening, later};
 use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
 use self::recent_list::RecentList;
-pub use self::services::{First, LocalServer, LocalServers, Services};
-use crate::BoxedSource;
-use crate::app::{Origin, ViewerApp};
-use crate::background::Background;
-use crate::bindings::Action;
-use crate::frame_source::FrameSource;
-use crate::look_panel::FOLDED_WIDTH;
-use crate::panels::{name_window, named, pane};
-use crate::parts_bar::warning;
-use crate::window::Waker;
+pub use self::services::{First, Services};
+use crate::app::side_panel::FOLDED_WIDTH;
+use crate::app::{AppWish, Origin, ViewerApp};
+use crate::input::bindings::Action;
+use crate::panels::background::Background;
+use crate::panels::style::{self, name_window, named, pane_at};
+use crate::view::frame_source::FrameSource;
+use crate::view::{BoxedSource, Waker};
 
-/// What dropped files are to the window.
 enum Dropped {
     Volume(PathBuf),
-    State(Result<Box<ReadState>, String>),
-    /// For the viewer to look at.
+    State(Box<ReadState>),
     Others(Vec<egui::DroppedFileHandle>),
 }
 
-/// See the module.
 pub(crate) struct StartWindow {
     app: ViewerApp<BoxedSource>,
     services: Services,
@@ -51,14 +42,13 @@ pub(crate) struct StartWindow {
     page: StartPage,
     is_page_shown: bool,
     has_session: bool,
-    /// The server in this process whose volume is shown, and the bytes of that.
+    /// The server in this process whose volume is shown, and the size of that volume, bytes.
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
     problem: Option<String>,
     dropped: Background<Dropped>,
-    /// A state that was chosen in the list of files.
-    chosen: Background<Result<Box<ReadState>, String>>,
-    /// Whether the list has led to a folder, or a person has gone to one.
+    chosen: Background<Box<ReadState>>,
+    /// Whether the list shows the folder of the recent list, or one that the person chose.
     has_folder: bool,
     clock: Clock,
     wake: Waker,
@@ -109,7 +99,6 @@ impl StartWindow {
         window
     }
 
-    /// A refresh of the whole window.
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         if self.recent.poll(&ctx) && !self.has_folder {
@@ -125,7 +114,7 @@ impl StartWindow {
         let wish = if self.is_page_shown {
             self.app.warm_up();
             name_window(&ctx, "isinglass");
-            // Of the viewer's keys only this one.
+            // Of the viewer's keys only this one works here.
             if self.app.take_quit(&ctx) {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
             }
@@ -140,16 +129,12 @@ impl StartWindow {
             self.page.show(ui, &scene)
         } else {
             self.app.show(ui);
-            if let Some(request) = self.app.take_volume_wish() {
-                self.open(request);
-                ctx.request_repaint();
-            }
-            if self.app.take_start_wish() {
-                self.show_page();
-                ctx.request_repaint();
-            }
-            if let Some(read) = self.app.take_state_wish() {
-                self.open_state(Ok(read));
+            if let Some(wish) = self.app.take_wish() {
+                match wish {
+                    AppWish::StartPage => self.show_page(),
+                    AppWish::Volume(request) => self.open(request),
+                    AppWish::State(read) => self.open_state(Ok(read)),
+                }
                 ctx.request_repaint();
             }
             self.show_around(&ctx)
@@ -169,7 +154,7 @@ impl StartWindow {
                 Err(problem) => self.problem = Some(problem),
             },
             PageWish::Open(request) => self.open(request),
-            PageWish::OpenState(path) => self.chosen.start(ctx, move || state_in(&path)),
+            PageWish::OpenState(path) => self.chosen = Background::run(&self.wake, move || state_in(&path)),
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
             PageWish::Close => self.close(),
@@ -177,7 +162,6 @@ impl StartWindow {
         }
     }
 
-    /// Begins to open a volume; what is shown stays.
     fn open(&mut self, request: LoadRequest) {
         let held = self.held();
         let servers = self.services.servers.clone();
@@ -185,7 +169,7 @@ impl StartWindow {
         self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
     }
 
-    /// Begins to open the volume that a state names, to be seen as the state says. What is shown stays.
+    /// Begins to open a state's volume, to show it as the state says.
     fn open_state(&mut self, read: Result<Box<ReadState>, String>) {
         self.problem = None;
         let opening = read.and_then(|read| {
@@ -221,15 +205,12 @@ impl StartWindow {
         }
     }
 
-    /// Takes the state that was chosen in the list of files.
     fn take_chosen(&mut self) {
-        let lost = |_| Err("the file could not be used".into());
         if let Some(read) = self.chosen.take() {
-            self.open_state(read.unwrap_or_else(lost));
+            self.open_state(read);
         }
     }
 
-    /// Takes the next step of what is being opened.
     fn go_on(&mut self, ctx: &egui::Context) {
         let Some(opening) = &mut self.opening else { return };
         if let Some(ended) = opening.poll() {
@@ -242,12 +223,12 @@ impl StartWindow {
                 }
             }
         } else {
-            // Its progress is not told, but asked for.
+            // Progress is polled.
             ctx.request_repaint_after(PROGRESS_PERIOD);
         }
     }
 
-    /// Bytes of the volume that a server of this window holds: of what it shows now, if it has said so.
+    /// Size of the volume that a server of this window holds, bytes.
     fn held(&self) -> u64 {
         let Some((_, bytes)) = self.server else { return 0 };
         self.app.source().talk().selection.choices().map_or(bytes, |parts| parts.bytes_in_memory)
@@ -264,7 +245,6 @@ impl StartWindow {
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
 
-    /// Ends what is shown.
     fn close(&mut self) {
         later((self.app.turn_to(Box::<Nothing>::default(), Origin::default()), self.server.take()));
         (self.has_session, self.is_page_shown) = (false, true);
@@ -275,22 +255,22 @@ impl StartWindow {
         self.page.focus();
     }
 
-    /// Files that were dropped on the window are told apart by what they hold: volumes are opened here, and where nothing is
-    /// shown states with the volumes that they name; everything else goes on to the viewer, which knows presets and states.
+    /// Dropped files are distinguished by their content. Volumes open here. States open here with their volumes while
+    /// the page is shown. The viewer gets everything else: it knows presets and states.
     fn take_dropped(&mut self, ctx: &egui::Context) {
         let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
         if !files.is_empty() {
             let takes_states = self.is_page_shown;
-            self.dropped.start(ctx, move || {
+            self.dropped = Background::run(&self.wake, move || {
                 let content = |path: &Path| content_of(path).ok();
                 let paths: Vec<_> = files.iter().map(|file| file.path().to_owned()).collect();
                 if let Some(volume) = paths.iter().find(|path| content(path).is_some_and(is_volume)) {
-                    return Dropped::Volume(volume.clone());
+                    return Ok(Dropped::Volume(volume.clone()));
                 }
                 let is_state = |path: &&PathBuf| takes_states && content(path) == Some(Content::State);
                 match paths.iter().find(is_state) {
-                    Some(path) => Dropped::State(state_in(path)),
-                    None => Dropped::Others(files),
+                    Some(path) => state_in(path).map(Dropped::State),
+                    None => Ok(Dropped::Others(files)),
                 }
             });
         }
@@ -300,27 +280,24 @@ impl StartWindow {
                 let max_bytes = self.services.servers.max_bytes();
                 self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
-            Some(Ok(Dropped::State(read))) => self.open_state(read),
+            Some(Ok(Dropped::State(read))) => self.open_state(Ok(read)),
             Some(Ok(Dropped::Others(files))) if self.is_page_shown => {
                 let name = files.first().map(|f| f.path().display().to_string()).unwrap_or_default();
                 self.problem = Some(format!("{name}: found no volume or state that opens here."));
             }
             Some(Ok(Dropped::Others(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
-            Some(Err(_)) | None => {}
+            Some(Err(problem)) => self.problem = Some(problem),
+            None => {}
         }
     }
 
-    /// What lies over the picture: the way to the page, and how far an opening is.
+    /// Shows the button to the page, and the progress of an opening.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
         let right = self.app.right_width().max(FOLDED_WIDTH);
-        let area = egui::Area::new(egui::Id::unique("open")).anchor(Align2::RIGHT_TOP, vec2(-right, 10.0));
-        let is_clicked = area.show(ctx, |ui| {
-            let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
-            let shown = pane(ctx).show(ui, |ui| ui.add(button));
-            let hint = self.app.bindings().with_key("another volume or server", Action::Start);
-            shown.inner.on_hover_text(hint).clicked()
-        });
-        if is_clicked.inner {
+        let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
+        let shown = pane_at(ctx, "open", (Align2::RIGHT_TOP, [-right, 10.0]), |ui| ui.add(button));
+        let hint = self.app.bindings().with_key("another volume or server", Action::Start);
+        if shown.inner.on_hover_text(hint).clicked() {
             self.show_page();
         }
         if self.opening.is_none() && self.problem.is_none() {
@@ -328,23 +305,20 @@ impl StartWindow {
         }
         let mut wish = None;
         let taken = self.app.taken_at_bottom(ctx);
-        let area = egui::Area::new(egui::Id::unique("opening"));
-        area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge)).show(ctx, |ui| {
-            pane(ctx).show(ui, |ui| {
-                ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
-                if let Some(opening) = &self.opening {
-                    ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
-                    wish = opening_rows(ui, opening, false);
-                } else if let Some(problem) = self.problem.clone() {
-                    let color = warning(ui);
-                    ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
-                    let ok = ui.small_button("OK");
-                    named(&ok, egui::Role::Button, "OK");
-                    if ok.clicked() {
-                        self.problem = None;
-                    }
+        let place = (Align2::CENTER_BOTTOM, [taken.shift(), -12.0 - taken.edge]);
+        pane_at(ctx, "opening", place, |ui| {
+            ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
+            if let Some(opening) = &self.opening {
+                ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
+                wish = opening_rows(ui, opening, false);
+            } else if let Some(problem) = &self.problem {
+                style::problem(ui, problem);
+                let ok = ui.small_button("OK");
+                named(&ok, egui::Role::Button, "OK");
+                if ok.clicked() {
+                    self.problem = None;
                 }
-            });
+            }
         });
         wish
     }
@@ -363,7 +337,7 @@ impl eframe::App for StartWindow {
     }
 }
 
-/// Before anything is opened.
+/// The source before anything is opened.
 #[derive(Default)]
 pub(crate) struct Nothing(Mutex<ClientSession>);
 
@@ -387,5 +361,5 @@ impl FrameSource for Nothing {
     }
 }
 
-/// How often a window that opens something is refreshed.
+/// Period of refreshes while something is being opened.
 const PROGRESS_PERIOD: std::time::Duration = std::time::Duration::from_millis(60);

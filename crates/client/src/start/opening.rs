@@ -1,45 +1,38 @@
-//! From a wish to a source of frames, step by step and without waiting: a link is connected to; a volume is looked at, read,
-//! served in this process, and then connected to.
+//! From a link or a file to a source of frames, step by step and without waiting. A volume is read and served in this
+//! process, and then connected to like a link.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
-    FormatError, LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, outline,
-    state_from_link,
+    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, state_from_link,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State};
 
-use super::services::{LocalServer, LocalServers};
-use crate::BoxedSource;
 use crate::app::Origin;
-use crate::overlay::sentence;
-use crate::window::Waker;
+use crate::panels::background::Background;
+use crate::panels::text::sentence;
+use crate::view::local_servers::{LocalServer, LocalServers, survey};
+use crate::view::{BoxedSource, Waker};
 
 /// Something that is being opened. Dropping it cancels.
 pub(crate) struct Opening {
-    /// What a person calls it.
     pub(crate) name: String,
     place: RecentPlace,
     origin: Origin,
     clock: Clock,
     wake: Waker,
-    step: Step,
+    step: OpeningStep,
     outline: Option<Outline>,
     server: Option<Box<dyn Send>>,
 }
 
-enum Step {
-    /// The header is read.
-    Surveying(Local, Receiver<Result<Outline, String>>),
-    /// The voxels are read.
+enum OpeningStep {
+    Surveying(Local, Background<Outline>),
     Reading(Local, Loading),
-    /// The server is started.
-    Starting(Receiver<Result<LocalServer, String>>),
+    Starting(Background<LocalServer>),
     Connecting(Box<Client>),
-    /// It was told how it ended.
+    /// The outcome was taken.
     Over,
 }
 
@@ -48,32 +41,16 @@ struct Local {
     request: LoadRequest,
 }
 
-/// How far an opening is.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Stage {
-    /// The header is read.
-    Looking,
-    /// The voxels are read.
-    Reading(f32),
-    /// Bricks, histogram, upload to the GPU.
-    Preparing,
-    /// A server is called.
-    Connecting,
-}
-
-/// What was opened.
 pub(crate) struct Opened {
     pub(crate) source: BoxedSource,
     pub(crate) origin: Origin,
-    /// The server in this process, and the bytes of its volume.
+    /// The server in this process, and the size of its volume, bytes.
     pub(crate) server: Option<(Box<dyn Send>, u64)>,
     pub(crate) place: RecentPlace,
-    /// The name of the volume.
     pub(crate) shows: String,
 }
 
 impl Opening {
-    /// Calls a server.
     pub(crate) fn connect(link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
@@ -87,7 +64,7 @@ impl Opening {
             origin,
             clock: clock.clone(),
             wake: wake.clone(),
-            step: Step::Connecting(client),
+            step: OpeningStep::Connecting(client),
             outline: None,
             server: None,
         })
@@ -104,7 +81,7 @@ impl Opening {
         let name = std::path::Path::new(&request.source)
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());
-        // The list is read where another folder may be the present one.
+        // The recent list may be read from another working folder.
         let source = match request.source.starts_with("builtin:") {
             true => request.source.clone(),
             false => std::path::absolute(&request.source)
@@ -115,72 +92,78 @@ impl Opening {
         let origin =
             Origin { server_name: "this computer".into(), volume_source: Some(volume), ..Origin::default() };
         let (of_thread, servers_of_thread) = (request.clone(), servers.clone());
-        let look = move || survey(&of_thread, held, &*servers_of_thread);
-        let receiver = on_a_thread(wake, look);
+        let surveying = Background::run(wake, move || survey(&of_thread, held, &*servers_of_thread));
         Self {
             name,
             place,
             origin,
             clock: clock.clone(),
             wake: wake.clone(),
-            step: Step::Surveying(Local { servers, request }, receiver),
+            step: OpeningStep::Surveying(Local { servers, request }, surveying),
             outline: None,
             server: None,
         }
     }
 
-    /// The same, to be seen as a state says.
+    /// The same, shown as a state says.
     pub(crate) fn seen_as(mut self, read: ReadState) -> Self {
         self.origin.state = Some(read);
         self
     }
 
-    /// How far it is.
-    pub(crate) fn stage(&self) -> Stage {
-        match &self.step {
-            Step::Surveying(..) => Stage::Looking,
-            Step::Reading(_, loading) => Stage::Reading(loading.progress()),
-            Step::Starting(_) => Stage::Preparing,
+    /// The stage in words, and the share of the voxels that are read while they are.
+    pub(crate) fn progress(&self) -> (String, Option<f32>) {
+        let text = match &self.step {
+            OpeningStep::Surveying(..) => "reading the header…",
+            OpeningStep::Reading(_, loading) => return ("reading".into(), Some(loading.progress())),
+            OpeningStep::Starting(_) => "preparing the picture…",
             // The server in this process answers at once.
-            Step::Connecting(_) | Step::Over if self.server.is_some() => Stage::Preparing,
-            Step::Connecting(_) | Step::Over => Stage::Connecting,
-        }
+            OpeningStep::Connecting(_) | OpeningStep::Over if self.server.is_some() => {
+                "preparing the picture…"
+            }
+            OpeningStep::Connecting(_) | OpeningStep::Over => {
+                return (format!("connecting to {}…", self.name), None);
+            }
+        };
+        (text.into(), None)
     }
 
-    /// What is known of the volume, once its header was read.
+    /// What is known of the volume after its header is read.
     pub(crate) fn outline(&self) -> Option<&Outline> {
         self.outline.as_ref()
     }
 
-    /// Goes on as far as it can; the end, once.
+    /// Continues as far as possible; returns the outcome, once.
     pub(crate) fn poll(&mut self) -> Option<Result<Opened, String>> {
         loop {
-            let next = match std::mem::replace(&mut self.step, Step::Over) {
-                Step::Surveying(local, receiver) => match taken(&receiver) {
-                    None => return self.stay(Step::Surveying(local, receiver)),
+            let next = match std::mem::replace(&mut self.step, OpeningStep::Over) {
+                OpeningStep::Surveying(local, mut running) => match running.take() {
+                    None => return self.stay(OpeningStep::Surveying(local, running)),
                     Some(Err(problem)) => return Some(Err(problem)),
                     Some(Ok(outline)) => self.read(local, outline),
                 },
-                Step::Reading(local, loading) => match loading.poll() {
-                    None => return self.stay(Step::Reading(local, loading)),
+                OpeningStep::Reading(local, loading) => match loading.poll() {
+                    None => return self.stay(OpeningStep::Reading(local, loading)),
                     Some(Err(e)) => return Some(Err(e.to_string())),
                     Some(Ok(volume)) => self.start(local, volume),
                 },
-                Step::Starting(receiver) => match taken(&receiver) {
-                    None => return self.stay(Step::Starting(receiver)),
+                OpeningStep::Starting(mut running) => match running.take() {
+                    None => return self.stay(OpeningStep::Starting(running)),
                     Some(Err(problem)) => return Some(Err(problem)),
                     Some(Ok(LocalServer { link, server })) => {
                         self.server = Some(server);
                         self.origin.link = Some(link.clone());
                         match client(&link, &self.clock, &self.wake) {
-                            Ok(client) => Step::Connecting(client),
+                            Ok(client) => OpeningStep::Connecting(client),
                             Err(problem) => return Some(Err(problem)),
                         }
                     }
                 },
-                Step::Connecting(client) => match client.state() {
+                OpeningStep::Connecting(client) => match client.state() {
                     State::Connected => return Some(Ok(self.opened(client))),
-                    State::Connecting { problem: None, .. } => return self.stay(Step::Connecting(client)),
+                    State::Connecting { problem: None, .. } => {
+                        return self.stay(OpeningStep::Connecting(client));
+                    }
                     State::Connecting { problem: Some(problem), .. }
                     | State::Reconnecting { problem, .. }
                     | State::Refused(problem) => {
@@ -188,29 +171,29 @@ impl Opening {
                         return Some(Err(sentence(&problem)));
                     }
                 },
-                Step::Over => return None,
+                OpeningStep::Over => return None,
             };
             self.step = next;
         }
     }
 
-    fn stay(&mut self, step: Step) -> Option<Result<Opened, String>> {
+    fn stay(&mut self, step: OpeningStep) -> Option<Result<Opened, String>> {
         self.step = step;
         None
     }
 
-    fn read(&mut self, local: Local, outline: Outline) -> Step {
+    fn read(&mut self, local: Local, outline: Outline) -> OpeningStep {
         self.name.clone_from(&outline.name);
         let wake = self.wake.clone();
         let loading = Loading::start(local.request.clone(), move || wake());
         self.outline = Some(outline);
-        Step::Reading(local, loading)
+        OpeningStep::Reading(local, loading)
     }
 
-    fn start(&mut self, local: Local, volume: Volume) -> Step {
+    fn start(&mut self, local: Local, volume: Volume) -> OpeningStep {
         let Local { servers, request } = local;
         let outline = self.outline.clone();
-        Step::Starting(on_a_thread(&self.wake, move || {
+        OpeningStep::Starting(Background::run(&self.wake, move || {
             let outline = outline.ok_or("the header was not read")?;
             servers.start(volume, &outline, &request)
         }))
@@ -231,40 +214,14 @@ impl Opening {
 
 impl Drop for Opening {
     fn drop(&mut self) {
-        // A server that is being started hands itself to nobody, and ends; one that is there already, or a volume that was read
-        // and not taken, would take its time here.
-        let step = std::mem::replace(&mut self.step, Step::Over);
+        // A server that is starting ends by itself, as nobody takes it. A running server or a volume takes time to
+        // drop.
+        let step = std::mem::replace(&mut self.step, OpeningStep::Over);
         let server = self.server.take();
-        if server.is_some() || !matches!(step, Step::Over) {
+        if server.is_some() || !matches!(step, OpeningStep::Over) {
             later((step, server));
         }
     }
-}
-
-/// The header of what is asked for, if there is room for it.
-pub(super) fn survey(
-    request: &LoadRequest,
-    held: u64,
-    servers: &dyn LocalServers,
-) -> Result<Outline, String> {
-    let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
-    let options = isinglass_formats::OpenOptions {
-        raw,
-        selection,
-        spacing,
-        max_bytes,
-        ..isinglass_formats::OpenOptions::default()
-    };
-    let found = match outline(&source, &options) {
-        // Let the check say it, with all that it needs.
-        Err(FormatError::TooLarge { .. }) => {
-            outline(&source, &isinglass_formats::OpenOptions { max_bytes: u64::MAX, ..options })
-        }
-        found => found,
-    };
-    let found = found.map_err(|e| e.to_string())?;
-    servers.check(&found, held)?;
-    Ok(found)
 }
 
 fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, String> {
@@ -272,54 +229,7 @@ fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, Strin
     Client::connect(link, options).map(Box::new).map_err(|e| sentence(&e))
 }
 
-/// Drops what takes time to end on a thread of its own.
+/// Drops what takes time on a thread of its own.
 pub(super) fn later<T: Send + 'static>(ended: T) {
-    // Without a thread it is dropped here.
     let _ = std::thread::Builder::new().name("goodbye".into()).spawn(move || drop(ended));
-}
-
-/// What `work` gives, on a thread of its own, which then wakes the window.
-pub(super) fn on_a_thread<T: Send + 'static>(
-    wake: &Waker,
-    work: impl FnOnce() -> Result<T, String> + Send + 'static,
-) -> Receiver<Result<T, String>> {
-    let (sender, receiver) = sync_channel(1);
-    let wake = wake.clone();
-    let run = move || {
-        // A defect of ours must not leave anyone waiting.
-        let outcome = catch_unwind(AssertUnwindSafe(work));
-        // Nobody listens any more if it was cancelled.
-        let _ = sender.send(outcome.unwrap_or_else(|_| Err(DEFECT.into())));
-        wake();
-    };
-    // Without a thread the sender is gone, and the outcome a failure.
-    let _ = std::thread::Builder::new().name("opening".into()).spawn(run);
-    receiver
-}
-
-fn taken<T>(receiver: &Receiver<Result<T, String>>) -> Option<Result<T, String>> {
-    match receiver.try_recv() {
-        Ok(outcome) => Some(outcome),
-        Err(TryRecvError::Empty) => None,
-        Err(TryRecvError::Disconnected) => Some(Err(DEFECT.into())),
-    }
-}
-
-const DEFECT: &str = "Opening ended early, by a defect of the program.";
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn work_that_panics_wakes_and_has_failed() {
-        let (wake, woken) = sync_channel(1);
-        let wake: Waker = Arc::new(move || wake.send(()).unwrap());
-        let receiver = on_a_thread::<()>(&wake, || panic!("for the test"));
-        woken.recv().unwrap();
-        assert_eq!(taken(&receiver), Some(Err(DEFECT.into())));
-        let receiver = on_a_thread(&wake, || Ok(7));
-        woken.recv().unwrap();
-        assert_eq!(taken(&receiver), Some(Ok(7)));
-    }
 }

@@ -1,56 +1,45 @@
-//! The page of the start window: a link to paste, what was opened lately, and the files of this machine.
+//! The start page: a link to paste, the recent list, and the files of this machine.
 
 use std::path::PathBuf;
 
-use egui::{Color32, Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
+use egui::{Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
 use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace, VolumeSource};
 use isinglass_net::{Link, place_of};
 
-use super::browser::{Browser, Chosen};
-use super::opening::{Opening, Stage};
+use super::opening::Opening;
 use super::recent_list::{RecentList, ago};
 use super::services::Services;
-use crate::overlay::{format_bytes, sentence};
-use crate::panels::{bright, named, quiet};
-use crate::parts_bar::warning;
-use crate::window::Waker;
+use crate::panels::browser::{Browser, Chosen};
+use crate::panels::style::{self, bright, emblem, named, quiet, warning};
+use crate::panels::text::{format_bytes, sentence};
+use crate::view::Waker;
 
-/// What is wanted on the page.
 pub(crate) enum PageWish {
-    /// To see a server's volume.
     Connect(Box<Link>),
-    /// To see a volume of this machine.
     Open(LoadRequest),
-    /// To see what a state in a file says, of the volume that it names.
     OpenState(PathBuf),
-    /// What is being opened is not wanted any more.
     Cancel,
-    /// Back to what was shown.
     Back,
-    /// What is shown is not wanted any more.
     Close,
-    /// An entry of the list is not wanted there.
     Forget(usize),
 }
 
-/// What the page needs to know at a refresh.
+/// What the page shows at a refresh.
 pub(crate) struct PageScene<'a> {
     pub(crate) services: &'a Services,
     pub(crate) recent: &'a RecentList,
     pub(crate) opening: Option<&'a Opening>,
-    /// What went wrong last.
     pub(crate) problem: Option<&'a str>,
-    /// Whether something is shown behind the page.
+    /// Whether a picture is shown behind the page.
     pub(crate) has_session: bool,
-    /// Bytes of the volume that is shown in this process.
+    /// Size of the volume that is shown in this process, bytes.
     pub(crate) held: u64,
 }
 
-/// See the module.
 pub(crate) struct StartPage {
     link_text: String,
     link_problem: Option<String>,
-    /// What a server in the list is told by.
+    /// A hint about a server in the recent list.
     hint: Option<String>,
     wants_link_focus: bool,
     pub(crate) browser: Browser,
@@ -67,18 +56,16 @@ impl StartPage {
         }
     }
 
-    /// The keyboard goes to the link.
     pub(crate) fn focus(&mut self) {
         self.wants_link_focus = true;
     }
 
-    /// Shows the page in all of `ui`.
     pub(crate) fn show(&mut self, ui: &mut Ui, scene: &PageScene<'_>) -> Option<PageWish> {
         let rect = ui.max_rect();
         ui.painter().rect_filled(rect, 0.0, ui.visuals().panel_fill);
         let mut wish = None;
         if let Some(opening) = scene.opening {
-            // The page beneath is not to be used, but the window stays awake.
+            // The page beneath is inactive, but the window stays awake.
             return loading_page(ui, opening, scene.has_session);
         }
         if scene.has_session && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)) {
@@ -119,8 +106,8 @@ impl StartPage {
 
     fn header(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         ui.horizontal(|ui| {
-            let (emblem, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
-            sheets(ui, emblem);
+            let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
+            emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
             ui.label(RichText::new("isinglass").size(26.0).color(bright(ui.ctx())));
             if scene.has_session {
                 ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
@@ -138,12 +125,10 @@ impl StartPage {
             }
         });
         if let Some(problem) = scene.problem {
-            let color = warning(ui);
-            ui.add(egui::Label::new(RichText::new(problem).color(color)).wrap());
+            style::problem(ui, problem);
         }
     }
 
-    /// Link and list.
     fn left(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         title(ui, "Connect to a server");
         let has_link = !self.link_text.trim().is_empty();
@@ -203,7 +188,6 @@ impl StartPage {
         }
     }
 
-    /// An entry of the list was chosen.
     fn choose(&mut self, ui: &Ui, entry: &RecentEntry, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
         match &entry.place {
             RecentPlace::Volume(volume) => {
@@ -211,7 +195,7 @@ impl StartPage {
                 *wish = Some(PageWish::Open(volume.clone().request(max_bytes)));
             }
             RecentPlace::Server { host, port } => {
-                // A link lets in once, and is not kept: there is nothing to call this server with.
+                // A link works once and is not stored: there is nothing to connect with.
                 self.hint = Some(format!(
                     "Links let in once and are not stored: paste the new one that 'isinglass serve' printed on {host} (port {port})."
                 ));
@@ -229,7 +213,7 @@ impl StartPage {
         let volumes = (&scene.services.servers, scene.held);
         match self.browser.show(ui, Some(volumes), height) {
             Some(Chosen::Volume(request)) => *wish = Some(PageWish::Open(request)),
-            // Of texts the page takes states.
+            // Of texts, the page accepts states.
             Some(Chosen::Text(path)) => *wish = Some(PageWish::OpenState(path)),
             None => {}
         }
@@ -241,7 +225,6 @@ enum RowWish {
     Forget,
 }
 
-/// Name, what it showed and when.
 fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     let (name, place) = match &entry.place {
         RecentPlace::Server { host, port } => {
@@ -306,13 +289,13 @@ fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
     wish
 }
 
-/// The page while something is being opened: what, how far, and a way out.
+/// The page while something is being opened: name, progress, and a way out.
 fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<PageWish> {
     let center = ui.max_rect().center();
     let card = egui::Rect::from_center_size(center, vec2(ui.max_rect().width().min(460.0) - 20.0, 210.0));
     let mut ui = ui.new_child(egui::UiBuilder::new().max_rect(card));
-    let (emblem, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
-    sheets(&ui, emblem);
+    let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
+    emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
     ui.add_space(6.0);
     ui.add(egui::Label::new(RichText::new(&opening.name).size(18.0)).truncate());
     let wish = opening_rows(&mut ui, opening, true);
@@ -322,7 +305,7 @@ fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<Pag
     wish
 }
 
-/// How far an opening is, and a button that ends it; so does Escape, if nothing else can be meant by it.
+/// The progress of an opening, and a button that cancels it. Escape cancels, too, if it has no other meaning.
 pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -> Option<PageWish> {
     let color = quiet(ui.ctx());
     if let Some(outline) = opening.outline() {
@@ -331,15 +314,9 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
         let text = format!("{}, {x}×{y}×{z} {}, {needs} of memory", outline.format, outline.dtype);
         ui.add(egui::Label::new(RichText::new(text).size(12.0).color(color)).truncate());
     }
-    let stage = opening.stage();
-    let text = match &stage {
-        Stage::Looking => "reading the header…".to_owned(),
-        Stage::Reading(_) => "reading".to_owned(),
-        Stage::Preparing => "preparing the picture…".to_owned(),
-        Stage::Connecting => format!("connecting to {}…", opening.name),
-    };
+    let (text, share) = opening.progress();
     ui.label(RichText::new(text).size(12.5));
-    if let Stage::Reading(fraction) = stage {
+    if let Some(fraction) = share {
         let percent = RichText::new(format!("{:.0} %", fraction * 100.0)).size(11.0);
         let bar = ui.add(egui::ProgressBar::new(fraction).desired_height(14.0).text(percent));
         named(&bar, egui::Role::ProgressIndicator, "read");
@@ -357,27 +334,7 @@ fn title(ui: &mut Ui, text: &str) {
     ui.add_space(2.0);
 }
 
-/// The emblem: sheets of mica, one behind the other.
-fn sheets(ui: &Ui, rect: egui::Rect) {
-    let (fill, line) = match ui.visuals().dark_mode {
-        true => (
-            Color32::from_rgba_unmultiplied(150, 190, 225, 38),
-            Color32::from_rgba_unmultiplied(190, 215, 240, 90),
-        ),
-        false => (
-            Color32::from_rgba_unmultiplied(40, 90, 140, 30),
-            Color32::from_rgba_unmultiplied(30, 70, 110, 110),
-        ),
-    };
-    for i in 0..4u8 {
-        let shift = f32::from(i) * 5.0 - 7.5;
-        let sheet = egui::Rect::from_center_size(rect.center() + vec2(shift, -shift * 0.6), vec2(27.0, 20.0));
-        ui.painter().rect_filled(sheet, 2.0, fill);
-        ui.painter().rect_stroke(sheet, 2.0, Stroke::new(1.0, line), egui::StrokeKind::Inside);
-    }
-}
-
-/// The link in what was pasted: a whole command line will do.
+/// The link in a pasted text, which may be a whole command line.
 fn link_in(text: &str) -> Result<Link, String> {
     let text = text.trim();
     let begin = text.find("isinglass://").unwrap_or(0);
@@ -387,7 +344,7 @@ fn link_in(text: &str) -> Result<Link, String> {
     link.parse::<Link>().map_err(|e| sentence(&e))
 }
 
-/// What a dropped file is to the window.
+/// Whether a file opens as a volume.
 pub(crate) fn is_volume(content: Content) -> bool {
     matches!(content, Content::Volume(_) | Content::Folder)
 }

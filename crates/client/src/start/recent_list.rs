@@ -1,73 +1,69 @@
-//! The list of what was opened lately, and the file that it is kept in.
+//! The recent list and its file.
 
 use std::path::{Path, PathBuf};
 
 use isinglass_formats::{Recent, RecentEntry};
 
-use crate::background::{Background, Lost, write_text};
+use crate::panels::background::{Background, write_text};
+use crate::view::waker_of;
 
-/// Reads and writes on a thread of its own: the page is there before its list.
+/// Background threads read and write, so that the page need not wait for its list.
 pub(crate) struct RecentList {
     file: Option<PathBuf>,
-    /// Until the file was read, what was noted meanwhile.
+    /// Before the file is read, this holds what was added meanwhile.
     list: Recent,
-    reading: Background<Result<Recent, String>>,
-    writing: Background<Result<(), String>>,
-    /// What is to be written when the disk is free again.
+    reading: Background<Recent>,
+    writing: Background<()>,
+    /// The text to write when the disk is free again.
     waiting: Option<String>,
     problem: Option<String>,
 }
 
 impl RecentList {
-    /// Begins to read `file`.
     pub(crate) fn new(file: Option<PathBuf>, ctx: &egui::Context) -> Self {
         let mut reading = Background::default();
         if let Some(file) = file.clone() {
-            reading.start(ctx, move || Recent::read(&file).map_err(|e| e.to_string()));
+            reading = Background::run(&waker_of(ctx), move || Recent::read(&file).map_err(|e| e.to_string()));
         }
         let (list, writing) = (Recent::default(), Background::default());
         Self { file, list, reading, writing, waiting: None, problem: None }
     }
 
-    /// Takes what the disk has said. Whether the list was read just now.
+    /// Takes news of the file. Returns whether the list was read just now.
     pub(crate) fn poll(&mut self, ctx: &egui::Context) -> bool {
-        if let Some(Ok(Err(problem))) = self.writing.take() {
+        if let Some(Err(problem)) = self.writing.take() {
             self.problem = Some(problem);
         }
         let read = self.reading.take();
         let is_read = read.is_some();
         match read {
-            Some(Ok(Ok(list))) => {
+            Some(Ok(list)) => {
                 let early = std::mem::replace(&mut self.list, list);
-                // What waits was made of what was there before the list, which may be nothing again.
+                // The waiting text holds only what was added before the list was read.
                 if self.waiting.take().is_some() {
                     self.change(ctx, |list| list.note_all(early));
                 }
             }
-            // It starts anew with what was and is opened.
-            Some(Ok(Err(problem))) => self.problem = Some(problem),
-            Some(Err(Lost)) | None => {}
+            // The list then holds only what is opened from now on.
+            Some(Err(problem)) => self.problem = Some(problem),
+            None => {}
         }
         self.write_on(ctx);
         is_read
     }
 
-    /// The entries, newest first.
     pub(crate) fn entries(&self) -> &[RecentEntry] {
         &self.list.entries
     }
 
-    /// The folder that was looked into last.
     pub(crate) fn folder(&self) -> Option<&Path> {
         self.list.folder.as_deref()
     }
 
-    /// What went wrong with the file last.
     pub(crate) fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
 
-    /// Puts something first.
     pub(crate) fn note(&mut self, entry: RecentEntry, folder: Option<PathBuf>, ctx: &egui::Context) {
         self.change(ctx, |list| {
             list.note(entry);
@@ -75,7 +71,6 @@ impl RecentList {
         });
     }
 
-    /// Forgets an entry.
     pub(crate) fn forget(&mut self, number: usize, ctx: &egui::Context) {
         self.change(ctx, |list| {
             if number < list.entries.len() {
@@ -95,20 +90,17 @@ impl RecentList {
             return;
         }
         if let (Some(file), Some(text)) = (self.file.clone(), self.waiting.take()) {
-            self.writing
-                .start(ctx, move || write(&file, &text).map_err(|e| format!("{}: {e}", file.display())));
+            self.writing = Background::run(&waker_of(ctx), move || write(file, &text));
         }
     }
 }
 
-fn write(file: &Path, text: &str) -> std::io::Result<()> {
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    write_text(file, text, true)
+fn write(file: PathBuf, text: &str) -> Result<(), String> {
+    let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
+    folder.map_err(|e| format!("{}: {e}", file.display()))?;
+    write_text(file, text, true).map(drop)
 }
 
-/// How long ago something was used, in words.
 pub(crate) fn ago(now: u64, then: u64) -> String {
     let seconds = now.saturating_sub(then);
     let plural = |n: u64, unit: &str| format!("{n} {unit}{} ago", if n == 1 { "" } else { "s" });

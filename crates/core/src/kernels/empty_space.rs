@@ -1,26 +1,21 @@
-//! Where a layered frame holds nothing: the number of segments in coarse cells (Gupta 2022, section 5). Twin of
-//! `shaders/empty_space.wgsl`.
+//! Where a layered frame holds nothing, in coarse cells (Gupta 2022, section 5). Twin of `shaders/empty_space.wgsl`.
 //!
 //! A cell is a tile of [`TILE`]×[`TILE`] lists times one of [`DEPTH_CELLS`] slices of equal view depth between near and
-//! far. A segment counts in every cell that it reaches into. The grid is derived from the frame and never transmitted.
-//! Next to the counts each tile has a word with a bit for every cell that is not empty: a ray tests a stretch of its
-//! way, however many slices it runs through, with one *and*.
-//!
-//! The counts are kept beside the bits because a subsampled cast spreads its samples by them ([`super::subsample`]).
+//! far. A segment occupies every cell that it reaches into. The grid is derived from the frame and never transmitted.
+//! A tile has a word with a bit for every occupied cell: a ray tests a stretch of its way, however many slices it runs
+//! through, with one *and*.
 
 use rayon::prelude::*;
 
 use crate::layer::LayeredFrame;
 
-/// The counts and bits of one frame.
+/// The occupied cells of one frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EmptySpace {
     /// Tiles along x and y.
     pub tiles: [u32; 2],
     /// One word a tile, row by row: bit i says that cell i holds a segment.
     pub occupied: Vec<u32>,
-    /// [`DEPTH_CELLS`] counts a tile, in the order of `occupied`.
-    pub counts: Vec<u32>,
 }
 
 impl EmptySpace {
@@ -28,43 +23,28 @@ impl EmptySpace {
     pub fn new(frame: &LayeredFrame) -> Self {
         let size = frame.header.camera.intrinsics;
         let tiles = [size.width.div_ceil(TILE), size.height.div_ceil(TILE)];
-        let cells = DEPTH_CELLS as usize;
-        let num_tiles = tiles[0] as usize * tiles[1] as usize;
-        let (mut occupied, mut counts) = (vec![0; num_tiles], vec![0; num_tiles * cells]);
-        let count = |tile: usize, counts: &mut [u32]| {
-            let (tile_x, tile_y) = (tile as u32 % tiles[0], tile as u32 / tiles[0]);
-            count_tile(frame, tile_x, tile_y, counts)
-        };
-        (&mut occupied, counts.par_chunks_mut(cells))
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(tile, (occupied, counts))| *occupied = count(tile, counts));
-        Self { tiles, occupied, counts }
+        let tile = |i| occupied(frame, i % tiles[0], i / tiles[0]);
+        Self { tiles, occupied: (0..tiles[0] * tiles[1]).into_par_iter().map(tile).collect() }
     }
 
     /// Share of the cells that hold nothing.
     pub fn empty_share(&self) -> f32 {
         let num_occupied: u32 = self.occupied.iter().map(|bits| bits.count_ones()).sum();
-        1.0 - num_occupied as f32 / self.counts.len() as f32
+        1.0 - num_occupied as f32 / (self.occupied.len() as f32 * DEPTH_CELLS as f32)
     }
 }
 
-/// Counts the segments of one tile into its cells and returns the bits.
-fn count_tile(frame: &LayeredFrame, tile_x: u32, tile_y: u32, counts: &mut [u32]) -> u32 {
+/// The word of one tile.
+fn occupied(frame: &LayeredFrame, tile_x: u32, tile_y: u32) -> u32 {
     let size = frame.header.camera.intrinsics;
-    let mut occupied = 0;
-    for y in tile_y * TILE..size.height.min((tile_y + 1) * TILE) {
-        for x in tile_x * TILE..size.width.min((tile_x + 1) * TILE) {
-            for i in frame.list((y * size.width + x) as usize) {
-                let (first, last) = cells_of_segment(frame.depth[i]);
-                for cell in first..=last {
-                    counts[cell as usize] += 1;
-                }
-                occupied |= cell_bits(first, last);
-            }
-        }
-    }
-    occupied
+    let rows = tile_y * TILE..size.height.min((tile_y + 1) * TILE);
+    let columns = tile_x * TILE..size.width.min((tile_x + 1) * TILE);
+    let lists = rows.flat_map(|y| columns.clone().map(move |x| (y * size.width + x) as usize));
+    let bits = |i: usize| {
+        let (first, last) = cells_of_segment(frame.depth[i]);
+        cell_bits(first, last)
+    };
+    lists.flat_map(|list| frame.list(list)).map(bits).fold(0, |all, bits| all | bits)
 }
 
 /// First and last cell of a segment by its word of the depth plane. A segment that ends on a border does not reach

@@ -7,4 +7,3 @@ pub mod layering;
 pub mod lens;
 pub mod march;
 pub mod raycast;
-pub mod subsample;

@@ -67,20 +67,13 @@ pub struct CastOptions {
     pub reconstruction: Reconstruction,
     /// Whether empty cells are jumped; the picture is the same without.
     pub skips_empty_space: bool,
-    /// Samples a ray ([`super::subsample`]), or 0 for the full cast.
-    pub num_samples: u32,
     /// What of the volume is shown, whatever the frame holds: segments are cut to their length inside.
     pub clip: Clip,
 }
 
 impl Default for CastOptions {
     fn default() -> Self {
-        Self {
-            reconstruction: Reconstruction::default(),
-            skips_empty_space: true,
-            num_samples: 0,
-            clip: Clip::default(),
-        }
+        Self { reconstruction: Reconstruction::default(), skips_empty_space: true, clip: Clip::default() }
     }
 }
 
@@ -224,9 +217,6 @@ impl Raycaster {
     fn cast_line(&self, line: &Line, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
         if self.compositing != Compositing::Over {
             return self.shown(&self.project_line(line, options), ray);
-        }
-        if options.num_samples > 0 {
-            return self.sample(line, options.reconstruction, options.num_samples);
         }
         #[cfg(target_arch = "x86_64")]
         if self.has_avx2 {

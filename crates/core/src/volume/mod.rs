@@ -2,6 +2,7 @@
 //! shade, closed-form fields and the built-in volumes.
 
 mod bricks;
+mod classification;
 mod extinction;
 pub mod fields;
 mod grid;

@@ -4,8 +4,8 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 
 use super::*;
-use crate::look_panel;
-use crate::window_walk::{
+use crate::app::side_panel;
+use crate::app::tests::window_walk::{
     assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside, overlapping,
 };
 
@@ -134,7 +134,7 @@ fn panes_keep_clear_of_each_other_and_of_axes_and_scale() {
         assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{case}");
         let pane = |name| w.ctx.memory(|m| m.area_rect(egui::Id::unique(name)));
         let open = {
-            let right = screen.right() - w.state().right_width().max(look_panel::FOLDED_WIDTH);
+            let right = screen.right() - w.state().right_width().max(side_panel::FOLDED_WIDTH);
             egui::Rect::from_x_y_ranges(right - 54.0..=right, 10.0..=48.0)
         };
         for name in ["overlay", "older look"] {

@@ -4,6 +4,7 @@ use isinglass_core::clip::Clip;
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster};
 
 use super::*;
+use crate::paint::view_aids::{self, pixel_at};
 
 /// The picture as the window casts it now: the newest frame from the present camera, cut by the present clip.
 fn cast(w: &Harness<'_, ViewerApp<HereSource>>) -> Vec<u8> {

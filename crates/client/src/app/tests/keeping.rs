@@ -7,7 +7,7 @@ use super::*;
 /// Runs until what is being made is on the disk: files are written on a thread.
 fn finish(w: &mut Harness<'_, ViewerApp<HereSource>>) {
     let patience = std::time::Instant::now() + Duration::from_secs(60);
-    while w.state().shots.is_busy() {
+    while w.state().screenshots.is_busy() {
         assert!(std::time::Instant::now() < patience, "the picture never was on the disk");
         w.run_steps(1);
         std::thread::sleep(Duration::from_millis(1));
@@ -68,7 +68,7 @@ fn f12_saves_the_picture_of_the_view_and_says_where() {
     let mut w = window([176.0, 136.0]);
     // The numbers would lie over all of so small a picture.
     press(&mut w, Modifiers::NONE, Key::O);
-    w.state_mut().shots.folder = folder.0.display().to_string();
+    w.state_mut().screenshots.folder = folder.0.display().to_string();
     w.state_mut().aids.background = [40, 80, 120];
     press(&mut w, Modifiers::NONE, Key::F12);
     finish(&mut w);
@@ -90,11 +90,11 @@ fn f12_saves_the_picture_of_the_view_and_says_where() {
 fn a_turntable_is_as_many_pictures_as_asked_for_and_can_be_given_up() {
     let folder = Folder::new("turntable");
     let mut w = window([640.0, 480.0]);
-    w.state_mut().shots.folder = folder.0.display().to_string();
+    w.state_mut().screenshots.folder = folder.0.display().to_string();
     press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
     assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
     for (name, value) in [("width", "40"), ("height", "30"), ("pictures", "5")] {
-        w.state_mut().shots.set_for_test(name, value.parse().unwrap());
+        w.state_mut().screenshots.set_for_test(name, value.parse().unwrap());
     }
     w.run_steps(2);
     w.get_by_label("Make the turntable").click();
@@ -123,7 +123,7 @@ fn a_turntable_is_as_many_pictures_as_asked_for_and_can_be_given_up() {
     assert_ne!(pose(&w), before, "a drag goes on meanwhile");
     w.get_by_label("Cancel").click();
     w.run_steps(4);
-    assert!(!w.state().shots.is_busy());
+    assert!(!w.state().screenshots.is_busy());
     assert_eq!(w.state().viewing.source().here().num_cancelled, 1);
     assert_eq!(folder.files().len(), 5);
 }

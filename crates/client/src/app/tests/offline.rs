@@ -41,7 +41,7 @@ fn nothing_is_on_its_way_that_nobody_works_on() {
         assert!(is_said(&w, text) && !is_said(&w, "on its way"), "{text}");
         press(&mut w, Modifiers::NONE, Key::F12);
         assert!(is_said(&w, "No picture: "), "the refusal is seen");
-        assert!(!w.state().shots.is_busy() && w.state().viewing.source().here().num_shots == 0);
+        assert!(!w.state().screenshots.is_busy() && w.state().viewing.source().here().num_shots == 0);
         press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
         assert!(w.get_by_label("Take the picture").accesskit_node().is_disabled());
         press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);

@@ -7,7 +7,7 @@ use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
 use isinglass_formats::{SavedState, VolumeSource, read_state};
 
 use super::*;
-use crate::state_files::StateWish;
+use crate::panels::state_files::StateWish;
 
 /// A file of this test alone.
 fn path(name: &str) -> PathBuf {
@@ -156,7 +156,7 @@ fn ctrl_o_opens_states_and_presets_from_a_list_of_files() {
     choose(&mut w, "c", "c.nrrd: NRRD, which does not open here");
     assert!(w.state().open_dialog.is_open());
     press(&mut w, Modifiers::NONE, Key::Escape);
-    assert!(!w.state().open_dialog.is_open() && w.state().wanted_volume.is_none());
+    assert!(!w.state().open_dialog.is_open() && w.state().wish.is_none());
 }
 
 #[test]
@@ -323,8 +323,8 @@ fn a_state_of_the_file_that_is_shown_read_otherwise_is_of_another_volume() {
             (app.options.volume_source, app.opens_volumes) = (Some(present.clone()), opens_volumes);
             drop_file(&mut w, &path);
             let is_shown = |app: &ViewerApp<HereSource>| app.seen().unwrap().0.k == k;
-            wait(&mut w, |app| app.wanted_state.is_some() || is_shown(app));
-            let is_wished = w.state_mut().take_state_wish().is_some();
+            wait(&mut w, |app| app.wish.is_some() || is_shown(app));
+            let is_wished = w.state_mut().take_wish().is_some();
             let is_right = (is_wished, is_shown(w.state()))
                 == match is_other && opens_volumes {
                     true => (true, false),

@@ -118,7 +118,7 @@ fn a_server_that_started_and_was_not_taken_ends_on_another_thread() {
     while num_running() == 0 {
         assert!(Instant::now() < patience, "it never started");
         let opening = stage.window.state_mut().opening.as_mut().unwrap();
-        if opening.stage() != opening::Stage::Preparing {
+        if opening.progress().0 != "preparing the picture…" {
             assert!(opening.poll().is_none());
         }
         std::thread::sleep(Duration::from_millis(2));

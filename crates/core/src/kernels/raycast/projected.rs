@@ -40,9 +40,6 @@ impl Way {
 impl Raycaster {
     /// What a line collects.
     pub(super) fn project_line(&self, line: &Line, options: &CastOptions) -> Projected {
-        if options.num_samples > 0 {
-            return self.sample_projected(line, options.reconstruction, options.num_samples);
-        }
         match options.reconstruction {
             Reconstruction::Mixed => self.project::<LANES>(line, options),
             Reconstruction::Nearest => self.project::<{ 2 * LANES }>(line, options),

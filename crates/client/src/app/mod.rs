@@ -1,0 +1,288 @@
+//! One viewer in a window. At each refresh the input moves the camera, the camera sets the request, and the newest
+//! frame is drawn.
+
+mod actions;
+mod open_dialog;
+pub(crate) mod options;
+mod picture;
+mod refresh;
+pub(crate) mod script;
+mod sections;
+pub(crate) mod side_panel;
+mod state;
+mod state_part;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_core::camera::Intrinsics;
+use isinglass_core::space::Aabb;
+use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
+use isinglass_net::{Clock, Link};
+
+use self::open_dialog::OpenDialog;
+use self::options::{USUAL_HZ, WindowOptions};
+use self::state::ComingState;
+pub(crate) use self::state::theme_preference;
+use crate::input::bindings::{Action, Bindings, Focus};
+use crate::input::camera_controls::CameraControls;
+use crate::input::orientation::Orientation;
+use crate::input::pointer::Pointer;
+use crate::paint::clip_editor::{self, ClipEditor};
+use crate::paint::novel_view::NovelViews;
+use crate::paint::picture::PictureStatus;
+use crate::paint::stereo::Stereo;
+use crate::paint::view_aids::ViewAids;
+use crate::panels::parts_bar::PartsBar;
+use crate::panels::probe::ValueProbe;
+use crate::panels::screenshots::Screenshots;
+use crate::panels::state_files::StateFiles;
+use crate::panels::transfer::TransferEditor;
+use crate::panels::value_scale::ValueScale;
+use crate::view::frame_source::FrameSource;
+use crate::view::local_servers::LocalServers;
+use crate::view::quality_control::QualityControl;
+use crate::view::refresh_meter::RefreshMeter;
+use crate::view::viewing::{Standing, Viewing};
+use crate::view::waits::Waits;
+
+/// What is known of a source of frames.
+#[derive(Default)]
+pub(crate) struct Origin {
+    /// The name of the server for the person at the viewer.
+    pub(crate) server_name: String,
+    /// The server's link, from which links to the view are made.
+    pub(crate) link: Option<Link>,
+    /// What the server opened, if known; a saved state names it.
+    pub(crate) volume_source: Option<VolumeSource>,
+    /// Shown instead of the first view.
+    pub(crate) state: Option<ReadState>,
+}
+
+/// What the viewer leaves to the window around it.
+pub(crate) enum AppWish {
+    /// Show the start page.
+    StartPage,
+    /// Open a volume.
+    Volume(LoadRequest),
+    /// Open the volume of a state.
+    State(Box<ReadState>),
+}
+
+pub(crate) struct ViewerApp<S> {
+    options: WindowOptions,
+    viewing: Viewing<S>,
+    controls: Option<(Aabb, CameraControls)>,
+    clock: Clock,
+    opened_at: Duration,
+    last_refresh: Duration,
+    was_active: bool,
+    last_standing: Option<Standing>,
+    /// Whether the refresh before had older frames to cast.
+    had_kept: bool,
+    refreshes: RefreshMeter,
+    quality: QualityControl,
+    picture_status: Arc<PictureStatus>,
+    novel_views: NovelViews,
+    method_problem: Option<String>,
+    stereo: Stereo,
+    /// How often the person asked for the next mode since the last refresh.
+    next_modes: usize,
+    shows_overlay: bool,
+    aids: ViewAids,
+    is_orthographic: bool,
+    clip_editor: ClipEditor,
+    /// Where the clip handles were drawn.
+    clip_view: Option<clip_editor::ClipView>,
+    /// The volume that the clip was last checked for.
+    clip_bounds: Option<Aabb>,
+    center_chosen_at: Option<Duration>,
+    editor: TransferEditor,
+    state_files: StateFiles,
+    open_dialog: OpenDialog,
+    coming: Option<ComingState>,
+    /// Whether other volumes can be opened in this window.
+    opens_volumes: bool,
+    window: Option<Intrinsics>,
+    shows_help: bool,
+    is_look_open: bool,
+    pointer: Pointer,
+    probe: ValueProbe,
+    screenshots: Screenshots,
+    wants_picture: bool,
+    title: String,
+    notice: Option<(String, Duration)>,
+    reported_at: Duration,
+    parts_bar: PartsBar,
+    wish: Option<AppWish>,
+    waits: Waits,
+}
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// `picture_status` receives reports from painting. `clock` is the clock of the source's stamps.
+    pub(crate) fn new(
+        options: WindowOptions,
+        novel_views: NovelViews,
+        source: S,
+        clock: Clock,
+        picture_status: Arc<PictureStatus>,
+    ) -> Self {
+        let opened_at = Duration::from_micros(clock.now_micros());
+        let viewing = Viewing::new(source, options.frame_size, options.foresight);
+        let quality = QualityControl::new(options.refresh_hz.unwrap_or(USUAL_HZ));
+        Self {
+            stereo: options.stereo,
+            shows_overlay: options.shows_overlay,
+            aids: ViewAids { shows_axes: options.shows_overlay, ..ViewAids::default() },
+            is_orthographic: options.is_orthographic,
+            clip_editor: ClipEditor::default(),
+            clip_view: None,
+            clip_bounds: None,
+            options,
+            viewing,
+            controls: None,
+            clock,
+            opened_at,
+            last_refresh: opened_at,
+            was_active: false,
+            last_standing: None,
+            had_kept: false,
+            refreshes: RefreshMeter::default(),
+            quality,
+            picture_status,
+            novel_views,
+            method_problem: None,
+            next_modes: 0,
+            center_chosen_at: None,
+            editor: TransferEditor::default(),
+            state_files: StateFiles::default(),
+            open_dialog: OpenDialog::default(),
+            coming: None,
+            opens_volumes: false,
+            window: None,
+            shows_help: false,
+            is_look_open: false,
+            pointer: Pointer::default(),
+            probe: ValueProbe::default(),
+            screenshots: Screenshots::default(),
+            wants_picture: false,
+            title: String::new(),
+            notice: None,
+            reported_at: Duration::ZERO,
+            parts_bar: PartsBar::default(),
+            wish: None,
+            waits: Waits::default(),
+        }
+    }
+
+    /// Shows another source, from its first view or its state on. Returns the source before.
+    pub(crate) fn turn_to(&mut self, source: S, origin: Origin) -> S {
+        let Origin { server_name, link, volume_source, state } = origin;
+        self.options.server_name = server_name;
+        (self.options.link, self.options.volume_source) = (link, volume_source);
+        if state.is_some() {
+            (self.options.state, self.options.state_sets_size) = (None, false);
+        }
+        let viewing = Viewing::new(source, self.viewing.frame_size, self.options.foresight);
+        (self.controls, self.center_chosen_at) = (None, None);
+        (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
+        (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
+        (self.coming, self.wish) = (state.map(ComingState::new), None);
+        let now = Duration::from_micros(self.clock.now_micros());
+        (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);
+        self.title.clear();
+        std::mem::replace(&mut self.viewing, viewing).into_source()
+    }
+
+    /// States of other volumes are left to the start window from now on.
+    pub(crate) fn leave_volumes_to_others(&mut self) {
+        self.opens_volumes = true;
+    }
+
+    /// What the person asked for since the last call.
+    pub(crate) fn take_wish(&mut self) -> Option<AppWish> {
+        self.wish.take()
+    }
+
+    /// Lets the file dialog offer volumes. `servers` open them; `held` is the size of the volume shown, bytes. The
+    /// list starts in `folder`.
+    pub(crate) fn offer_volumes(&mut self, servers: Arc<dyn LocalServers>, held: u64, folder: &Path) {
+        self.open_dialog.offer_volumes(servers, held, folder);
+    }
+
+    /// Whether a key closes the window. Where nothing is shown, no other key does anything.
+    pub(crate) fn take_quit(&self, ctx: &egui::Context) -> bool {
+        let take = |i: &mut egui::InputState| self.options.bindings.take_actions(&mut i.events, Focus::Text);
+        ctx.input_mut(take).contains(&Action::Quit)
+    }
+
+    pub(crate) fn warm_up(&self) {
+        self.picture_status.submit_warm_up();
+    }
+
+    pub(crate) fn bindings(&self) -> &Bindings {
+        &self.options.bindings
+    }
+
+    /// The camera controls for the source's volume. A volume of another size is seen from the same side.
+    fn controls(&mut self, picture: &Intrinsics) -> Option<&mut (Aabb, CameraControls)> {
+        let bounds = self.viewing.source().description()?.volume.bounds();
+        match &mut self.controls {
+            Some((of, controls)) if *of != bounds => {
+                controls.turn_to(&bounds);
+                *of = bounds;
+                self.clip_view = None;
+            }
+            Some(_) => {}
+            None => {
+                let upright = self.orientation().world_from_upright();
+                let controls = CameraControls::new(self.options.initial_orbit, upright, &bounds, picture);
+                self.controls = Some((bounds, controls));
+            }
+        }
+        self.controls.as_mut()
+    }
+
+    fn orientation(&self) -> Orientation {
+        let description = self.viewing.source().description();
+        Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
+    }
+
+    fn value_scale(&self) -> Option<ValueScale> {
+        Some(ValueScale::of(&self.viewing.source().description()?.volume))
+    }
+
+    /// Shows news for a while.
+    fn tell(&mut self, now: Duration, text: impl Into<String>) {
+        self.notice = Some((text.into(), now));
+    }
+
+    /// Whether waits of the display loop are counted.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.options.script.is_some() || tracing::enabled!(tracing::Level::TRACE)
+    }
+
+    pub(crate) fn source(&self) -> &S {
+        self.viewing.source()
+    }
+
+    pub(crate) fn waits(&mut self) -> &mut Waits {
+        &mut self.waits
+    }
+}
+
+impl<S: FrameSource> eframe::App for ViewerApp<S> {
+    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        let (ctx, is_watched) = (ui.ctx().clone(), self.is_watched());
+        self.waits = self.waits.watch(&ctx, is_watched, || self.show(ui));
+    }
+}
+
+/// Whether no panel covers a point of the picture.
+fn is_free(ctx: &egui::Context, at: egui::Pos2) -> bool {
+    ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

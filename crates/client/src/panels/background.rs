@@ -1,0 +1,118 @@
+//! Work that may wait for a disk, on a thread of its own: the window never waits.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+
+use crate::view::Waker;
+
+/// One piece of work at a time. It yields a `T`, or one line that says why not.
+pub(crate) struct Background<T>(Option<Receiver<Result<T, String>>>);
+
+impl<T> Default for Background<T> {
+    fn default() -> Self {
+        Self(None)
+    }
+}
+
+impl<T: Send + 'static> Background<T> {
+    /// Starts `work` on a thread, which wakes the window at the end.
+    pub(crate) fn run(wake: &Waker, work: impl FnOnce() -> Result<T, String> + Send + 'static) -> Self {
+        let (sender, receiver) = sync_channel(1);
+        let wake = wake.clone();
+        let run = move || {
+            // After a panic the sender is gone. The receiver reports that as an error.
+            if let Ok(outcome) = catch_unwind(AssertUnwindSafe(work)) {
+                // Nobody listens any more if the window is closed.
+                let _ = sender.send(outcome);
+            }
+            drop(sender);
+            wake();
+        };
+        // Without a thread the sender is gone, too.
+        let _ = std::thread::Builder::new().name("background".into()).spawn(run);
+        Self(Some(receiver))
+    }
+
+    pub(crate) fn is_busy(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// The outcome, once. Never waits.
+    pub(crate) fn take(&mut self) -> Option<Result<T, String>> {
+        let outcome = match self.0.as_ref()?.try_recv() {
+            Ok(outcome) => outcome,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Err("a defect of the program ended this early".into()),
+        };
+        self.0 = None;
+        Some(outcome)
+    }
+}
+
+#[derive(Debug, PartialEq)]
+pub(crate) enum Written {
+    /// It is at this absolute path.
+    At(PathBuf),
+    /// A file of that name exists already, and was not to be replaced.
+    Exists(PathBuf),
+}
+
+/// Writes the whole text or nothing. A file that exists is replaced only if `replaces`, and then atomically.
+///
+/// # Errors
+/// One line with the path.
+pub(crate) fn write_text(path: PathBuf, text: &str, replaces: bool) -> Result<Written, String> {
+    let result = if replaces { replace(&path, text) } else { create(&path, text.as_bytes()) };
+    match result {
+        Ok(()) => Ok(Written::At(std::path::absolute(&path).unwrap_or(path))),
+        Err(e) if !replaces && e.kind() == std::io::ErrorKind::AlreadyExists => Ok(Written::Exists(path)),
+        Err(e) => Err(format!("{}: {e}", path.display())),
+    }
+}
+
+/// Creates a file with these bytes.
+///
+/// # Errors
+/// If there is a file already, or it cannot be written. Half a file does not stay.
+pub(crate) fn create(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
+    file.write_all(bytes).inspect_err(|_| drop(std::fs::remove_file(path)))
+}
+
+fn replace(path: &Path, text: &str) -> std::io::Result<()> {
+    let mut aside = path.as_os_str().to_owned();
+    aside.push(format!(".{}.new", std::process::id()));
+    let result = std::fs::write(&aside, text).and_then(|()| std::fs::rename(&aside, path));
+    result.inspect_err(|_| drop(std::fs::remove_file(&aside)))
+}
+
+/// The path that a person wrote: without blanks around it, and with `~` for the home folder.
+pub(crate) fn path_from_text(text: &str) -> Option<PathBuf> {
+    let text = text.trim();
+    match text.strip_prefix("~/") {
+        Some(rest) => Some(std::env::home_dir()?.join(rest)),
+        None => (!text.is_empty()).then(|| PathBuf::from(text)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+
+    #[test]
+    fn work_that_panics_wakes_and_has_failed() {
+        let (wake, woken) = sync_channel(1);
+        let wake: Waker = Arc::new(move || wake.send(()).unwrap());
+        let mut work = Background::<()>::run(&wake, || panic!("for the test"));
+        woken.recv().unwrap();
+        assert!(work.is_busy() && matches!(work.take(), Some(Err(_))) && !work.is_busy());
+        let mut work = Background::run(&wake, || Ok(7));
+        woken.recv().unwrap();
+        assert_eq!((work.take(), work.take()), (Some(Ok(7)), None));
+    }
+}

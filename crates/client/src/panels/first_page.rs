@@ -1,0 +1,39 @@
+//! The page before the first picture.
+
+use egui::{Color32, Ui, vec2};
+use isinglass_net::State;
+
+use super::style::emblem;
+use super::text::sentence;
+
+pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help: &str) {
+    let rect = ui.max_rect();
+    let painter = ui.painter();
+    painter.rect_filled(rect, 0.0, PAGE);
+    let center = rect.center();
+    emblem(painter, center + vec2(0.0, -86.0), 1.0, true);
+    let text = |y: f32, s: &str, size: f32, color: Color32| {
+        let wrapped =
+            painter.layout(s.to_owned(), egui::FontId::proportional(size), color, rect.width() - 80.0);
+        painter.galley(center + vec2(-wrapped.size().x * 0.5, y), wrapped, color);
+    };
+    text(-36.0, "isinglass", 30.0, Color32::from_gray(225));
+    let dots = &"..."[..1 + (seconds * 2.0) as usize % 3];
+    let (line, problem) = match state {
+        State::Connecting { problem, .. } => (format!("connecting to {server} {dots}"), problem.as_ref()),
+        State::Connected => (format!("connected to {server}, waiting for the first frame {dots}"), None),
+        State::Reconnecting { problem, .. } => {
+            (format!("connecting to {server} again {dots}"), Some(problem))
+        }
+        State::Refused(problem) => (format!("not connected to {server}"), Some(problem)),
+    };
+    text(10.0, &line, 15.0, Color32::from_gray(190));
+    if let Some(problem) = problem {
+        text(38.0, &sentence(problem), 13.0, Color32::from_rgb(235, 195, 120));
+    }
+    if !help.is_empty() {
+        text(96.0, &format!("{help} shows the keys"), 12.0, Color32::from_gray(150));
+    }
+}
+
+const PAGE: Color32 = Color32::from_rgb(23, 27, 33);

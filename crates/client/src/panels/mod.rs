@@ -1,0 +1,25 @@
+//! The panels over the picture. A panel shows what it is given and returns what the person asks for.
+//!
+//! Panels do not know each other; `app` places them. What they share is in `background`, `controls`, `file_field`, `part_pickers`, `style`, `text` and
+//! `value_scale`.
+
+pub(crate) mod background;
+pub(crate) mod banner;
+pub(crate) mod browser;
+pub(crate) mod clip;
+pub(crate) mod controls;
+pub(crate) mod file_field;
+pub(crate) mod first_page;
+pub(crate) mod help;
+pub(crate) mod light;
+pub(crate) mod mode;
+pub(crate) mod part_pickers;
+pub(crate) mod parts_bar;
+pub(crate) mod probe;
+pub(crate) mod screenshots;
+pub(crate) mod state_files;
+pub(crate) mod status;
+pub(crate) mod style;
+pub(crate) mod text;
+pub(crate) mod transfer;
+pub(crate) mod value_scale;

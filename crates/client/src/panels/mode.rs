@@ -1,0 +1,128 @@
+//! The mode, and the values of its surfaces.
+
+use egui::{SliderClamping, Ui};
+use isinglass_core::look::Look;
+use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
+
+use super::controls::{self, named_number};
+use super::text::format_in;
+use super::value_scale::ValueScale;
+
+pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
+    ui.horizontal(|ui| {
+        let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
+        let combo = egui::ComboBox::from_id_salt("mode").selected_text(text(look.mode));
+        let mut mode = look.mode;
+        let combo = combo.show_ui(ui, |ui| {
+            for each in Mode::ALL {
+                ui.selectable_value(&mut mode, each, text(each));
+            }
+        });
+        combo.response.labelled_by(label.id);
+        set_mode(look, mode, scale);
+    });
+    if look.mode == Mode::Iso {
+        surfaces(ui, look, scale);
+    }
+}
+
+/// Chooses a mode. Without surfaces, one appears at the value that separates the histogram best.
+pub(crate) fn set_mode(look: &mut Look, mode: Mode, scale: &ValueScale) {
+    look.mode = mode;
+    if mode == Mode::Iso && look.isos.as_slice().is_empty() {
+        look.isos = Isos::one(scale.parting_value());
+    }
+}
+
+/// A line for each surface, and a button that adds one.
+fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
+    let mut isos = look.isos.as_slice().to_vec();
+    let mut removed = None;
+    let (lo, hi) = scale.range;
+    let num = isos.len();
+    for (i, iso) in isos.iter_mut().enumerate() {
+        ui.horizontal(|ui| {
+            ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
+            let slider = controls::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
+            let slider = ui.add(slider.clamping(SliderClamping::Never));
+            let name = format!("value of surface {}", i + 1);
+            named_number(&slider, egui::Role::Slider, &name, iso.value);
+            slider.on_hover_text(name.clone());
+            let mut percent = iso.opacity * 100.0;
+            let drag = controls::field(ui, &mut percent, |v| format!("{v:.0}"));
+            let drag = ui.add(drag.range(0.0..=100.0).speed(0.5).max_decimals(0).suffix(" %"));
+            let name = format!("opacity of surface {}", i + 1);
+            named_number(&drag, egui::Role::SpinButton, &name, percent);
+            if drag.on_hover_text(name.clone()).changed() {
+                iso.opacity = percent / 100.0;
+            }
+            let remove = ui.add_enabled(num > 1, egui::Button::new("−").small());
+            let name = format!("remove surface {}", i + 1);
+            remove.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, num > 1, &name));
+            if remove.on_hover_text(name.clone()).clicked() {
+                removed = Some(i);
+            }
+        });
+    }
+    if let Some(i) = removed {
+        isos.remove(i);
+    }
+    let add = ui.add_enabled(isos.len() < MAX_ISOS, egui::Button::new("add a surface").small());
+    if add.clicked() {
+        isos.push(another(&isos, scale.range));
+    }
+    // Numbers from elsewhere may be invalid.
+    look.isos = Isos::new(&isos).unwrap_or(look.isos);
+}
+
+/// A new surface beside others, which stay. It is translucent and encloses the outermost opaque one. Without an
+/// opaque surface it lies half-way up from the highest. Lower values lie further out.
+fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
+    let hides = |iso: &&Iso| iso.opacity >= HIDING_OPACITY;
+    let outermost = isos.iter().filter(hides).map(|iso| iso.value).min_by(f32::total_cmp);
+    match outermost.filter(|value| *value > lo) {
+        Some(hiding) => {
+            let around = isos.iter().map(|iso| iso.value).filter(|value| *value < hiding);
+            let next = around.fold(lo, f32::max);
+            Iso { value: 0.5 * (next + hiding), opacity: OUTER_OPACITY }
+        }
+        None => {
+            let highest = isos.iter().map(|iso| iso.value).fold(lo, f32::max).min(hi);
+            Iso { value: 0.5 * (highest + hi), opacity: 1.0 }
+        }
+    }
+}
+
+pub(crate) fn text(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Composite => "composite",
+        Mode::Mip => "MIP: greatest value",
+        Mode::MinIp => "MinIP: least value",
+        Mode::Average => "average (X-ray)",
+        Mode::Iso => "isosurface",
+    }
+}
+
+/// Opacity of a surface in front of another one.
+const OUTER_OPACITY: f32 = 0.3;
+/// From this opacity on, next to nothing is visible behind a surface.
+const HIDING_OPACITY: f32 = 0.9;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_surface_is_added_where_it_is_seen_and_sees_the_others() {
+        let iso = |value, opacity| Iso { value, opacity };
+        for (isos, added) in [
+            (vec![iso(300.0, 1.0)], iso(-350.0, 0.3)),
+            (vec![iso(300.0, 1.0), iso(-350.0, 0.3)], iso(-25.0, 0.3)),
+            (vec![iso(300.0, 0.3)], iso(650.0, 1.0)),
+            (vec![iso(100.0, 0.5), iso(300.0, 1.0)], iso(200.0, 0.3)),
+            (vec![iso(-1000.0, 1.0)], iso(0.0, 1.0)),
+        ] {
+            assert_eq!(another(&isos, (-1000.0, 1000.0)), added, "{isos:?}");
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! Screenshots: one of the view, or a turntable of many. The server renders them in full, and they are written here.
+//!
+//! One picture is requested at a time, the next when the one before is on the disk. A thread writes the files.
+
+mod files;
+
+use std::path::PathBuf;
+
+use egui::{Align2, Context, RichText, vec2};
+use glam::{Quat, Vec3};
+use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
+use isinglass_core::ids::ShotId;
+use isinglass_core::space::Aabb;
+use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+use isinglass_net::State;
+use time::OffsetDateTime;
+
+use super::background::Background;
+use super::controls::whole;
+use super::style::{Taken, pane_at};
+use crate::view::frame_source::FrameSource;
+use crate::view::waker_of;
+
+#[derive(Clone, Debug)]
+pub(crate) struct Subject {
+    /// Name of the volume, from which the files get theirs.
+    pub(crate) name: String,
+    /// The camera of the window.
+    pub(crate) pose: Pose,
+    pub(crate) intrinsics: Intrinsics,
+    /// sRGB behind the volume.
+    pub(crate) background: [u8; 3],
+    pub(crate) bounds: Aabb,
+    /// The axis of a turntable: a point and a unit vector.
+    pub(crate) center: Vec3,
+    pub(crate) up: Vec3,
+}
+
+pub(crate) struct Screenshots {
+    is_dialog_open: bool,
+    size: Option<[u32; 2]>,
+    num_pictures: u32,
+    /// Where files go, as the person writes it.
+    pub(crate) folder: String,
+    series: Option<Series>,
+}
+
+struct Series {
+    subject: Subject,
+    total: u32,
+    done: u32,
+    /// The file, or the folder of several.
+    path: PathBuf,
+    stage: PictureStage,
+}
+
+/// The stage of the picture after the last that is done.
+enum PictureStage {
+    Due,
+    Requested(ShotId),
+    Writing(Background<PathBuf>),
+}
+
+impl Default for Screenshots {
+    fn default() -> Self {
+        let folder = files::default_folder().display().to_string();
+        Self { is_dialog_open: false, size: None, num_pictures: 1, folder, series: None }
+    }
+}
+
+impl Screenshots {
+    #[cfg(test)]
+    pub(crate) fn set_for_test(&mut self, name: &str, value: u32) {
+        let size = self.size.get_or_insert([1; 2]);
+        match name {
+            "width" => size[0] = value,
+            "height" => size[1] = value,
+            _ => self.num_pictures = value,
+        }
+    }
+
+    pub(crate) fn is_dialog_open(&self) -> bool {
+        self.is_dialog_open
+    }
+
+    pub(crate) fn toggle_dialog(&mut self) {
+        self.is_dialog_open = !self.is_dialog_open;
+    }
+
+    pub(crate) fn close_dialog(&mut self) {
+        self.is_dialog_open = false;
+    }
+
+    /// Requests one picture as large as the window's, unless others are in progress.
+    pub(crate) fn take(&mut self, subject: Subject) {
+        if self.series.is_none() {
+            self.begin(subject, 1);
+        }
+    }
+
+    fn begin(&mut self, subject: Subject, total: u32) {
+        let folder = files::folder_from_text(&self.folder);
+        let path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
+        self.series = Some(Series { subject, total, done: 0, path, stage: PictureStage::Due });
+    }
+
+    /// Continues what is in progress. Returns news for the person. Never waits.
+    pub(crate) fn poll(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
+        let series = self.series.as_mut()?;
+        match &mut series.stage {
+            PictureStage::Due => {
+                let Subject { intrinsics, background, .. } = series.subject;
+                let id = source.talk().screenshot.request(series.pose(), intrinsics, background);
+                series.stage = PictureStage::Requested(id);
+                None
+            }
+            PictureStage::Requested(id) => {
+                let shot = source.talk().screenshot.take_outcome().filter(|shot| shot.id == *id)?;
+                match &shot.png {
+                    Ok(_) => {
+                        let path = series.file();
+                        series.stage = PictureStage::Writing(Background::run(&waker_of(ctx), move || {
+                            let png = shot.png.as_deref().unwrap_or_default();
+                            files::write(&path, png).map_err(|e| format!("{}: {e}", path.display()))
+                        }));
+                        None
+                    }
+                    Err(why) => {
+                        let why = format!("No picture: {why}");
+                        self.series = None;
+                        Some(why)
+                    }
+                }
+            }
+            PictureStage::Writing(writing) => match writing.take()? {
+                Ok(file) => {
+                    series.done += 1;
+                    series.stage = PictureStage::Due;
+                    ctx.request_repaint();
+                    let is_all = series.done == series.total;
+                    let told = match series.total {
+                        1 => format!("Saved {}", file.display()),
+                        total => format!("Saved {total} pictures in {}", series.path.display()),
+                    };
+                    if is_all {
+                        self.series = None;
+                    }
+                    is_all.then_some(told)
+                }
+                Err(why) => {
+                    self.series = None;
+                    Some(format!("No picture: {why}"))
+                }
+            },
+        }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn is_busy(&self) -> bool {
+        self.series.is_some()
+    }
+
+    /// The source has changed: requested pictures will not come. Returns news for the person.
+    pub(crate) fn forget(&mut self) -> Option<String> {
+        Some(self.series.take()?.stopped())
+    }
+
+    /// The server answers no more. A picture that has arrived is still written. Returns news for the person.
+    pub(crate) fn end(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
+        let is_due = matches!(self.series.as_ref().map(|series| &series.stage), Some(PictureStage::Due));
+        let told = if is_due { None } else { self.poll(source, ctx) };
+        match self.series.as_ref().map(|series| &series.stage) {
+            Some(PictureStage::Due | PictureStage::Requested(_)) => self.cancel(source),
+            Some(PictureStage::Writing(_)) | None => told,
+        }
+    }
+
+    /// Stops what is in progress. Returns news for the person.
+    fn cancel(&mut self, source: &mut impl FrameSource) -> Option<String> {
+        let series = self.series.take()?;
+        source.talk().screenshot.cancel();
+        Some(series.stopped())
+    }
+
+    /// Shows the dialog if it is open, and the progress if there is any. `taken` is the room taken at the top.
+    /// Returns news for the person.
+    pub(crate) fn show(
+        &mut self,
+        ctx: &Context,
+        subject: Option<Subject>,
+        source: &mut impl FrameSource,
+        taken: Taken,
+    ) -> Option<String> {
+        let mut is_cancelled = false;
+        let is_connected = source.state() == State::Connected;
+        if let Some(series) = &self.series {
+            is_cancelled = show_progress(ctx, series, is_connected, taken);
+        }
+        if self.is_dialog_open {
+            self.show_dialog(ctx, subject, is_connected);
+        }
+        if is_cancelled { self.cancel(source) } else { None }
+    }
+
+    fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>, is_connected: bool) {
+        let mut is_open = true;
+        let mut starts = false;
+        let window = egui::Window::new(RichText::new("Picture of the view").size(14.0));
+        let window = window.open(&mut is_open).anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0));
+        window.resizable(false).collapsible(false).show(ctx, |ui| {
+            let of_window = subject.as_ref().map_or([0; 2], |s| [s.intrinsics.width, s.intrinsics.height]);
+            let mut size = self.size.unwrap_or(of_window);
+            egui::Grid::new("picture").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+                let label = ui.label("size");
+                ui.horizontal(|ui| {
+                    for (side, name) in size.iter_mut().zip(["width", "height"]) {
+                        let value = whole(ui, side, 1..=MAX_SIDE).suffix(" px");
+                        ui.add(value).labelled_by(label.id).on_hover_text(name);
+                    }
+                    if ui.button("as the window").clicked() {
+                        size = of_window;
+                    }
+                });
+                ui.end_row();
+                let label = ui.label("pictures");
+                let number = whole(ui, &mut self.num_pictures, 1..=MAX_PICTURES);
+                let hint =
+                    "more than one: a turntable, once around the vertical through the centre of rotation";
+                ui.add(number).labelled_by(label.id).on_hover_text(hint);
+                ui.end_row();
+                let label = ui.label("folder");
+                ui.add(egui::TextEdit::singleline(&mut self.folder).desired_width(260.0))
+                    .labelled_by(label.id);
+                ui.end_row();
+            });
+            self.size = (size != of_window).then_some(size);
+            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SHOT_PIXELS && size[0] > 0;
+            if !is_fitting {
+                ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
+            }
+            if !is_connected {
+                ui.label("the server renders them, and there is no connection to it");
+            }
+            let is_possible = is_fitting && is_connected && subject.is_some() && self.series.is_none();
+            let name = if self.num_pictures > 1 { "Make the turntable" } else { "Take the picture" };
+            starts = ui.add_enabled(is_possible, egui::Button::new(name)).clicked();
+        });
+        self.is_dialog_open = is_open && !starts;
+        if let (true, Some(mut subject)) = (starts, subject) {
+            if let Some([width, height]) = self.size {
+                (subject.intrinsics.width, subject.intrinsics.height) = (width, height);
+            }
+            self.begin(subject, self.num_pictures);
+        }
+    }
+}
+
+impl Series {
+    fn stopped(&self) -> String {
+        // A picture that is being written will be there.
+        let done = self.done + u32::from(matches!(self.stage, PictureStage::Writing(_)));
+        match (done, self.total) {
+            (0, _) => "No picture was made".to_owned(),
+            (_, 1) => format!("Saved {}", self.path.display()),
+            (_, total) => format!("Stopped after {done} of {total} pictures, in {}", self.path.display()),
+        }
+    }
+
+    /// The camera of the next picture; the first is the window's own.
+    fn pose(&self) -> Pose {
+        let Subject { pose, intrinsics, bounds, center, up, .. } = self.subject;
+        if self.done == 0 {
+            return pose;
+        }
+        let turn = std::f32::consts::TAU * self.done as f32 / self.total as f32;
+        let turn = Quat::from_axis_angle(up, turn);
+        let turned = Pose {
+            eye: center + turn * (pose.eye - center),
+            world_from_view: (turn * pose.world_from_view).normalize(),
+        };
+        // Parallel rays begin at the eye, so the whole volume must be in front of it.
+        if intrinsics.projection.is_orthographic() { turned.before(&bounds) } else { turned }
+    }
+
+    fn file(&self) -> PathBuf {
+        match self.total {
+            1 => self.path.clone(),
+            _ => self.path.join(format!("{:04}.png", self.done)),
+        }
+    }
+}
+
+/// Shows the progress of a series; returns whether to cancel it.
+fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
+    let place = (Align2::CENTER_TOP, [taken.shift(), 46.0 + taken.edge]);
+    let row = |ui: &mut egui::Ui| {
+        let text = match series.total {
+            1 if is_connected => "the server renders the picture".to_owned(),
+            1 => "the picture".to_owned(),
+            total => format!("picture {} of {total}", series.done + 1),
+        };
+        if is_connected {
+            ui.spinner();
+            ui.label(text);
+        } else {
+            ui.label(format!("{text} waits until connected again"));
+        }
+        if series.total > 1 {
+            let share = series.done as f32 / series.total as f32;
+            ui.add(egui::ProgressBar::new(share).desired_width(120.0));
+        }
+        ui.button("Cancel").clicked()
+    };
+    pane_at(ctx, "pictures", place, |ui| ui.horizontal(row).inner).inner
+}
+
+/// A minute at 60 pictures a second.
+const MAX_PICTURES: u32 = 3600;

@@ -1,0 +1,125 @@
+//! The rows that save and open states, and the files behind them.
+
+use std::path::{Path, PathBuf};
+
+use egui::{RichText, Ui};
+use isinglass_formats::{MAX_STATE_BYTES, ReadState, SavedState, SavedVolume, is_state, read_state};
+
+use super::background::{Written, write_text};
+use super::file_field::{FileField, FileOutcome};
+use crate::view::Waker;
+
+pub(crate) enum FileContent {
+    State(Box<ReadState>),
+    Other(PathBuf),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StateWish {
+    Save,
+    Open,
+    CopyLink,
+}
+
+/// At most one file at a time.
+#[derive(Default)]
+pub(crate) struct StateFiles(FileField<FileContent>);
+
+impl StateFiles {
+    /// Reads the state in the file of the path field; whether there is a path.
+    pub(crate) fn open(&mut self, wake: &Waker) -> bool {
+        let Some(path) = self.0.path() else { return false };
+        self.0.read(wake, move || read(&path));
+        true
+    }
+
+    /// Reads a file that may hold a state or something else.
+    pub(crate) fn open_any(&mut self, path: PathBuf, wake: &Waker) {
+        self.0.read(wake, move || match begin_of(&path) {
+            Ok(begin) if is_state(&begin) => read(&path),
+            // Whoever opens other files says what is wrong with this one.
+            _ => Ok(FileContent::Other(path)),
+        });
+    }
+
+    /// Writes a state to the file of the path field. Without a path it becomes the first free `NAME.state.toml`,
+    /// `NAME-2.state.toml` … of the folder that the viewer was started in.
+    pub(crate) fn save(&mut self, text: String, name: &str, wake: &Waker) {
+        let is_plain = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+        let stem: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).take(80).collect();
+        self.0.write(wake, text, move |text| write_numbered(text, &stem));
+    }
+
+    /// What has become of the file, once. Never waits. The rows say it, too.
+    pub(crate) fn take(&mut self) -> Option<Result<FileOutcome<FileContent>, String>> {
+        let outcome = self.0.take()?;
+        if let Ok(FileOutcome::Read(FileContent::State(read))) = &outcome {
+            self.0.message.clone_from(&read.note);
+        }
+        Some(outcome)
+    }
+
+    pub(crate) fn show(&mut self, ui: &mut Ui) -> Option<StateWish> {
+        let mut wish = None;
+        let hint = "file of a state; saved under a new name if empty";
+        let field = self.0.show(ui, f32::INFINITY, "file of the state", hint);
+        if field.lost_focus() && ui.input(|i| i.key_pressed(egui::Key::Enter)) {
+            wish = Some(StateWish::Open);
+        }
+        ui.horizontal(|ui| {
+            let is_free = !self.0.is_busy();
+            let save = if self.0.is_replacing() { "replace state" } else { "save state" };
+            let open_hint = "or drop the file on the window; without a path a list of files opens";
+            for (text, hint, wanted) in [
+                (save, "all that is seen, and how, as TOML", StateWish::Save),
+                ("open state", open_hint, StateWish::Open),
+                ("copy link", "to what is seen; it lets nobody in", StateWish::CopyLink),
+            ] {
+                if ui.add_enabled(is_free, egui::Button::new(text)).on_hover_text(hint).clicked() {
+                    wish = Some(wanted);
+                }
+            }
+        });
+        if let Some(message) = &self.0.message {
+            ui.add(egui::Label::new(RichText::new(message).size(11.0)).wrap());
+        }
+        wish
+    }
+
+    #[cfg(test)]
+    pub(crate) fn set_path(&mut self, path: &Path) {
+        self.0.set_path(path);
+    }
+}
+
+/// A path that does not exist on this machine is left out: the same voxels may be shown from elsewhere.
+fn read(path: &Path) -> Result<FileContent, String> {
+    let ReadState { state, note } = read_state(path).map_err(|e| e.to_string())?;
+    let place = |v: SavedVolume| if v.is_here() { v } else { v.without_place() };
+    let volume = state.volume.map(place);
+    Ok(FileContent::State(Box::new(ReadState { state: SavedState { volume, ..state }, note })))
+}
+
+fn begin_of(path: &Path) -> std::io::Result<Vec<u8>> {
+    use std::io::Read;
+    if !path.is_file() {
+        return Ok(Vec::new());
+    }
+    let mut begin = Vec::new();
+    std::fs::File::open(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin)?;
+    Ok(begin)
+}
+
+fn write_numbered(text: &str, stem: &str) -> Result<Written, String> {
+    for number in 1..=MAX_NUMBER {
+        let number = if number == 1 { String::new() } else { format!("-{number}") };
+        match write_text(PathBuf::from(format!("{stem}{number}.state.toml")), text, false) {
+            Ok(Written::Exists(_)) => {}
+            written => return written,
+        }
+    }
+    Err(format!("{stem}.state.toml: there are {MAX_NUMBER} such files; name another"))
+}
+
+/// Numbered files of one name, at most.
+const MAX_NUMBER: u32 = 999;

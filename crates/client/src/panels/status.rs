@@ -1,0 +1,283 @@
+//! The numbers at the top left: connection, age of the frame, times and rates.
+
+use std::time::Duration;
+
+use egui::{Align2, Color32, RichText, Ui, vec2};
+use isinglass_net::State;
+
+use super::style::{bright, pane_at, quiet};
+use super::text::{format_duration, format_rate, sentence};
+use crate::view::viewing::Standing;
+
+/// Everything that the overlay shows; an unknown number is shown as a dash.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OverlayModel {
+    /// The connection.
+    pub state: State,
+    /// How the picture relates to the server's.
+    pub standing: Standing,
+    /// Round-trip time of the connection.
+    pub round_trip: Option<Duration>,
+    /// Time since the camera was last at the pose of the frame on screen.
+    pub frame_age: Option<Duration>,
+    /// Angle between the pose of the frame on screen and the camera, around the volume's centre.
+    pub turned_degrees: Option<f32>,
+    /// The time of drawing.
+    pub view_time: ViewTime,
+    /// Time the server took for the newest frame.
+    pub generate: Option<Duration>,
+    /// Bytes received in about the last second.
+    pub bytes_per_second: f64,
+    /// Frames of the server that were decoded in the last second.
+    pub new_frames_per_second: u32,
+    /// Refreshes in the last second; none at rest.
+    pub refreshes_per_second: Option<f64>,
+}
+
+/// The time of a novel view, as exactly as the adapter can tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ViewTime {
+    /// Measured on the GPU with timestamps.
+    Gpu(Duration),
+    /// The time between refreshes, for an adapter without timestamps: it includes waiting for the display.
+    FrameInterval(Duration),
+    /// Nothing was drawn lately.
+    Unknown,
+}
+
+/// A line of the overlay: name and value.
+pub type Row = (&'static str, String);
+
+impl OverlayModel {
+    /// The lines under the badge, in a fixed order, so that each number keeps its place.
+    pub fn rows(&self) -> Vec<Row> {
+        let duration = |d: Option<Duration>| d.map_or_else(dash, format_duration);
+        let is_current = self.frame_age == Some(Duration::ZERO);
+        let view = match self.view_time {
+            ViewTime::Gpu(d) => ("novel view", format_duration(d)),
+            ViewTime::FrameInterval(d) => ("frame interval", format_duration(d)),
+            ViewTime::Unknown => ("novel view", dash()),
+        };
+        vec![
+            ("link", state_word(&self.state).to_owned()),
+            ("round trip", duration(self.round_trip)),
+            ("frame age", if is_current { "current".to_owned() } else { duration(self.frame_age) }),
+            ("turned by", self.turned_degrees.map_or_else(dash, |d| format!("{d:.1}°"))),
+            view,
+            ("server frame", duration(self.generate)),
+            ("new frames", format!("{} /s", self.new_frames_per_second)),
+            ("received", format_rate(self.bytes_per_second)),
+            (
+                "refresh",
+                self.refreshes_per_second.map_or_else(|| "at rest".to_owned(), |f| format!("{f:.0} fps")),
+            ),
+        ]
+    }
+
+    /// One line about trouble of the connection. The last picture stays in use.
+    pub fn banner(&self) -> Option<String> {
+        match &self.state {
+            State::Connected | State::Connecting { .. } => None,
+            State::Reconnecting { problem, .. } => {
+                Some(format!("Reconnecting; the last picture stays usable. {}", sentence(problem)))
+            }
+            State::Refused(problem) => Some(format!("Disconnected. {}", sentence(problem))),
+        }
+    }
+}
+
+impl Standing {
+    /// The word on the badge.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Moving => "moving",
+            Self::Refining => "refining",
+            Self::Offline => "offline",
+            Self::Settled => "settled",
+            Self::Exact => "exact",
+        }
+    }
+
+    /// The explanation of the word, as hover text.
+    pub fn explanation(self) -> &'static str {
+        match self {
+            Self::Waiting => "No frame has arrived yet.",
+            Self::Moving => "Drawn here, at once, from the newest layered frame.",
+            Self::Refining => "The server's frame for this view is on its way.",
+            Self::Offline => "Drawn here from the last frame that came: there is no connection.",
+            Self::Settled => {
+                "The server's whole frame for this view, at another size than the window's or for two eyes."
+            }
+            Self::Exact => "The server's own picture of this view, pixel by pixel.",
+        }
+    }
+}
+
+fn state_word(state: &State) -> &'static str {
+    match state {
+        State::Connecting { .. } => "connecting",
+        State::Connected => "connected",
+        State::Reconnecting { .. } => "reconnecting",
+        State::Refused(_) => "refused",
+    }
+}
+
+/// What the numbers take of the window's left, with a gap, points. `right` points are taken on the right.
+pub(crate) fn width_taken(ctx: &egui::Context, right: f32) -> f32 {
+    let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
+    width + OVERLAY_GAPS
+}
+
+/// Whether there is room for more than the badge.
+pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
+    OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
+}
+
+/// Shows the numbers at the top left, or the badge alone in a narrow window. `title` is the volume's name; `right`
+/// points are taken on the right.
+pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
+    let has_numbers = has_room_for_numbers(ctx, right);
+    pane_at(ctx, "overlay", (Align2::LEFT_TOP, [10.0, 10.0]), |ui| {
+        // A fixed width: the pane must not change its size with the digits.
+        ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
+        ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
+        ui.spacing_mut().interact_size.y = 0.0;
+        if has_numbers && !title.is_empty() {
+            ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
+        }
+        badge(ui, model.standing);
+        if has_numbers {
+            ui.add_space(3.0);
+            for (name, value) in model.rows() {
+                row(ui, name, &value);
+            }
+        }
+    });
+}
+
+fn badge(ui: &mut Ui, standing: Standing) {
+    let is_dark = ui.visuals().dark_mode;
+    let color = match standing {
+        Standing::Exact | Standing::Settled if is_dark => Color32::from_rgb(110, 205, 130),
+        Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
+        Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
+        Standing::Moving => Color32::from_rgb(20, 85, 175),
+        Standing::Refining | Standing::Offline if is_dark => Color32::from_rgb(235, 190, 95),
+        Standing::Refining | Standing::Offline => Color32::from_rgb(150, 90, 0),
+        Standing::Waiting => quiet(ui.ctx()),
+    };
+    let line = ui.horizontal(|ui| {
+        let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
+        ui.painter().circle_filled(dot.center(), 4.0, color);
+        ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
+    });
+    line.response.on_hover_text(standing.explanation());
+}
+
+fn row(ui: &mut Ui, name: &str, value: &str) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(name).color(quiet(ui.ctx())).size(11.5));
+        ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            ui.label(RichText::new(value).color(bright(ui.ctx())).size(11.5));
+        });
+    });
+}
+
+fn dash() -> String {
+    "–".to_owned()
+}
+
+/// Width of the numbers, points.
+const OVERLAY_WIDTH: f32 = 190.0;
+/// Width of the badge's longest word, points.
+const BADGE_WIDTH: f32 = 66.0;
+/// Gaps around the numbers and in their pane, points.
+const OVERLAY_GAPS: f32 = 42.0;
+
+#[cfg(test)]
+mod tests {
+    use isinglass_net::ConnectError;
+
+    use super::*;
+
+    fn model() -> OverlayModel {
+        OverlayModel {
+            state: State::Connected,
+            standing: Standing::Moving,
+            round_trip: Some(Duration::from_millis(201)),
+            frame_age: Some(Duration::from_millis(268)),
+            turned_degrees: Some(7.94),
+            view_time: ViewTime::Gpu(Duration::from_micros(2340)),
+            generate: Some(Duration::from_micros(41_200)),
+            bytes_per_second: 3.21e6,
+            new_frames_per_second: 23,
+            refreshes_per_second: Some(59.7),
+        }
+    }
+
+    fn row(m: &OverlayModel, name: &str) -> String {
+        m.rows().into_iter().find(|(n, _)| *n == name).unwrap_or_else(|| panic!("no row {name}")).1
+    }
+
+    #[test]
+    fn every_number_is_shown_with_its_unit() {
+        let m = model();
+        for (name, text) in [
+            ("link", "connected"),
+            ("round trip", "201 ms"),
+            ("frame age", "268 ms"),
+            ("turned by", "7.9°"),
+            ("novel view", "2.3 ms"),
+            ("server frame", "41 ms"),
+            ("new frames", "23 /s"),
+            ("received", "3.2 MB/s"),
+            ("refresh", "60 fps"),
+        ] {
+            assert_eq!(row(&m, name), text, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_frame_interval_is_never_called_the_time_of_a_novel_view() {
+        let m = OverlayModel { view_time: ViewTime::FrameInterval(Duration::from_millis(16)), ..model() };
+        assert_eq!(row(&m, "frame interval"), "16 ms");
+        assert!(m.rows().iter().all(|(name, _)| *name != "novel view"));
+    }
+
+    #[test]
+    fn the_unknown_is_a_dash_and_the_rows_stay_in_place() {
+        let m = OverlayModel {
+            round_trip: None,
+            frame_age: None,
+            turned_degrees: None,
+            view_time: ViewTime::Unknown,
+            generate: None,
+            refreshes_per_second: None,
+            ..model()
+        };
+        for name in ["round trip", "frame age", "turned by", "novel view", "server frame"] {
+            assert_eq!(row(&m, name), "–");
+        }
+        assert_eq!(row(&m, "refresh"), "at rest");
+        assert_eq!(m.rows().len(), model().rows().len());
+    }
+
+    #[test]
+    fn a_frame_of_the_present_pose_is_current() {
+        let m = OverlayModel { frame_age: Some(Duration::ZERO), ..model() };
+        assert_eq!(row(&m, "frame age"), "current");
+    }
+
+    #[test]
+    fn the_banner_is_one_line_and_only_when_needed() {
+        assert_eq!(model().banner(), None);
+        let problem = ConnectError::NoAnswer { host: "render-01".into(), port: 4433 };
+        let reconnecting = State::Reconnecting { since_micros: 0, attempt: 2, problem: problem.clone() };
+        for state in [reconnecting, State::Refused(problem)] {
+            let banner = OverlayModel { state, ..model() }.banner().unwrap();
+            assert!(banner.contains("No answer from render-01") && !banner.contains('\n'), "{banner}");
+            assert!(banner.ends_with('?'), "{banner}");
+        }
+    }
+}

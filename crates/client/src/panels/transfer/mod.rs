@@ -1,0 +1,495 @@
+//! The editor of the transfer function: the curve over the histogram, and the rows below it.
+
+mod curve;
+mod history;
+mod plot;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+
+use egui::{RichText, Ui, vec2};
+use isinglass_core::transfer::{Domain, TransferFunction};
+use isinglass_formats::{ColorMap, ImportedTransfer, import_transfers, transfer_to_toml};
+
+use self::curve::Curve;
+use self::history::History;
+use self::plot::{Grip, LEAST_WINDOW};
+use super::controls::{self, named_number};
+use super::file_field::{FileField, FileOutcome};
+use super::style::named;
+use super::text::format_in;
+use super::value_scale::ValueScale;
+use crate::view::{Waker, waker_of};
+
+/// The state of the editor. It shows the function it is given, and returns edits.
+pub(crate) struct TransferEditor {
+    curve: Curve,
+    /// The function that the server or the editor last had.
+    known: Option<TransferFunction>,
+    /// The volume's values at the refresh before.
+    scale: Option<ValueScale>,
+    /// The function that reset returns to.
+    preset: TransferFunction,
+    history: History<Snapshot>,
+    /// The state before a movement that is in progress.
+    before: Option<Snapshot>,
+    selected: Option<usize>,
+    grip: Option<Grip>,
+    view: Option<(f32, f32)>,
+    is_log: bool,
+    files: FileField<Vec<ImportedTransfer>>,
+    found: Vec<ImportedTransfer>,
+    /// Shading of an imported preset, until it is taken.
+    shaded: Option<bool>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Snapshot {
+    transfer: TransferFunction,
+    /// The function that reset returned to then.
+    preset: TransferFunction,
+}
+
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Edit {
+    pub(crate) transfer: Option<TransferFunction>,
+    pub(crate) shaded: Option<bool>,
+}
+
+impl Default for TransferEditor {
+    fn default() -> Self {
+        let nothing = TransferFunction {
+            name: String::new(),
+            domain: Domain::Full,
+            unit_length: isinglass_core::transfer::UnitLength::Voxel,
+            points: Vec::new(),
+        };
+        Self {
+            curve: Curve { transfer: nothing.clone(), domain: (0.0, 1.0) },
+            known: None,
+            scale: None,
+            preset: nothing,
+            history: History::default(),
+            before: None,
+            selected: None,
+            grip: None,
+            view: None,
+            is_log: true,
+            files: FileField::default(),
+            found: Vec::new(),
+            shaded: None,
+        }
+    }
+}
+
+impl TransferEditor {
+    /// Follows the function of the picture; one that is not the editor's own comes from elsewhere. Call this at each
+    /// refresh, even if the editor is not shown.
+    pub(crate) fn follow(&mut self, given: &TransferFunction, scale: &ValueScale) {
+        if self.known.as_ref() != Some(given) && self.grip.is_none() {
+            self.known = Some(given.clone());
+            self.preset = given.clone();
+            self.before = None;
+            self.set(given.clone(), scale);
+            self.fit();
+        }
+        // Values of percentiles depend on the volume.
+        self.curve.domain = scale.domain(&self.curve.transfer.domain);
+        if self.scale.as_ref() != Some(scale) && self.scale.replace(scale.clone()).is_some() {
+            // The former view may be empty in another volume: show everything.
+            self.view = Some(self.widest_view(scale));
+        }
+        self.take_outcome(scale);
+    }
+
+    /// The edits since the last call. A movement ends when no button is held.
+    pub(crate) fn take_edit(&mut self, ctx: &egui::Context) -> Edit {
+        if ctx.input(|i| !i.pointer.any_down()) {
+            // A plot that was folded during a drag does not see the release.
+            self.grip = None;
+        }
+        if self.grip.is_none()
+            && !ctx.input(|i| i.pointer.any_down())
+            && let Some(before) = self.before.take().filter(|b| *b != self.present())
+        {
+            self.history.note(before);
+        }
+        let mut edit = Edit { shaded: self.shaded.take(), ..Edit::default() };
+        if self.known.as_ref() != Some(&self.curve.transfer) {
+            self.known = Some(self.curve.transfer.clone());
+            edit.transfer.clone_from(&self.known);
+        }
+        edit
+    }
+
+    #[cfg(test)]
+    pub(crate) fn has_selection(&self) -> bool {
+        self.selected.is_some()
+    }
+
+    pub(crate) fn undo(&mut self, scale: &ValueScale) {
+        if self.before.is_none()
+            && let Some(step) = self.history.undo(self.present())
+        {
+            self.go_to(step, scale);
+        }
+    }
+
+    pub(crate) fn redo(&mut self, scale: &ValueScale) {
+        if self.before.is_none()
+            && let Some(step) = self.history.redo(self.present())
+        {
+            self.go_to(step, scale);
+        }
+    }
+
+    pub(crate) fn open(&mut self, path: PathBuf, wake: &Waker) {
+        self.files.set_path(&path);
+        self.read(path, wake);
+    }
+
+    fn read(&mut self, path: PathBuf, wake: &Waker) {
+        self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
+    }
+
+    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
+        self.presets_row(ui, scale);
+        self.plot(ui, scale);
+        self.point_row(ui);
+        self.window_row(ui, scale);
+        self.shift_row(ui, scale);
+        self.range_row(ui, scale);
+        self.history_row(ui, scale);
+        self.file_rows(ui, scale);
+    }
+
+    /// Replaces the function in one step, and resets the view.
+    fn take(&mut self, transfer: TransferFunction, scale: &ValueScale) {
+        self.begin();
+        self.preset = transfer.clone();
+        self.set(transfer, scale);
+        self.fit();
+    }
+
+    fn set(&mut self, transfer: TransferFunction, scale: &ValueScale) {
+        let domain = scale.domain(&transfer.domain);
+        self.selected = self.selected.filter(|s| *s < transfer.points.len());
+        self.curve = Curve { transfer, domain };
+    }
+
+    /// Continues a movement, or makes a step of its own.
+    fn change(&mut self, curve: Curve) {
+        self.begin();
+        self.curve = curve;
+    }
+
+    fn begin(&mut self) {
+        if self.before.is_none() {
+            self.before = Some(self.present());
+        }
+    }
+
+    fn present(&self) -> Snapshot {
+        Snapshot { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
+    }
+
+    /// Makes a change from elsewhere, such as a saved state, undoable.
+    pub(crate) fn note_present(&mut self) {
+        if self.known.is_some() {
+            let present = self.present();
+            self.history.note(present);
+        }
+    }
+
+    /// Goes to a state of the history; another preset resets the view.
+    fn go_to(&mut self, step: Snapshot, scale: &ValueScale) {
+        if step.preset != self.preset {
+            self.preset = step.preset;
+            self.fit();
+        }
+        self.set(step.transfer, scale);
+    }
+
+    /// The values across the plot: at first the part of the function inside the volume's range.
+    fn view(&mut self, scale: &ValueScale) -> (f32, f32) {
+        let (lo, hi) = self.curve.domain;
+        let margin = (hi - lo) * 0.06;
+        let (lo, hi) = ((lo - margin).max(scale.range.0), (hi + margin).min(scale.range.1));
+        let wide = self.widest_view(scale);
+        *self.view.get_or_insert(if lo < hi { (lo, hi) } else { wide })
+    }
+
+    /// The range of the volume and the function together.
+    fn widest_view(&self, scale: &ValueScale) -> (f32, f32) {
+        (scale.range.0.min(self.curve.domain.0), scale.range.1.max(self.curve.domain.1))
+    }
+
+    fn fit(&mut self) {
+        self.view = None;
+    }
+
+    fn presets_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let half = (ui.available_width() - 6.0) * 0.5;
+        let mut taken = None;
+        let mut colored = None;
+        ui.horizontal(|ui| {
+            let name = match self.curve.transfer.name.as_str() {
+                "" => "unnamed",
+                name => name,
+            };
+            let presets = egui::ComboBox::from_id_salt("preset").width(half).height(LIST_HEIGHT).truncate();
+            let presets = presets.selected_text(name).show_ui(ui, |ui| {
+                for name in isinglass_formats::preset_names() {
+                    if ui.selectable_label(self.curve.transfer.name == name, name).clicked() {
+                        taken = isinglass_formats::preset(name);
+                    }
+                }
+            });
+            named(&presets.response, egui::Role::ComboBox, "preset");
+            let maps = egui::ComboBox::from_id_salt("colours").width(half).height(LIST_HEIGHT).truncate();
+            let maps = maps.selected_text("colour map").show_ui(ui, |ui| {
+                for map in ColorMap::all() {
+                    if map_label(ui, &map) {
+                        colored = Some(map);
+                    }
+                }
+            });
+            named(&maps.response, egui::Role::ComboBox, "colour map");
+        });
+        if let Some(transfer) = taken {
+            self.take(transfer, scale);
+        }
+        if let Some(map) = colored {
+            self.begin();
+            self.set(map.onto(&self.curve.transfer), scale);
+        }
+    }
+
+    fn point_row(&mut self, ui: &mut Ui) {
+        let Some(index) = self.selected else {
+            // The same height, so that the rows below stay.
+            ui.horizontal(|ui| ui.label(RichText::new("no point selected").weak()));
+            return;
+        };
+        let point = self.curve.transfer.points[index];
+        let (mut value, mut opacity, mut color) = (self.curve.value(index), point.opacity, point.color);
+        let before = (value, opacity, color);
+        let speed = f64::from(self.curve.domain.1 - self.curve.domain.0) * 0.002;
+        let mut is_removed = false;
+        ui.horizontal(|ui| {
+            let span = self.curve.domain.1 - self.curve.domain.0;
+            let value = number(ui, "value", &mut value, speed, f32::MIN..=f32::MAX, span);
+            value.on_hover_text("value of the selected point");
+            let opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0, 1.0);
+            opacity.on_hover_text("opacity of matter one unit thick");
+            let mut bytes = plot::color32(color).to_array();
+            let button = ui.color_edit_button_srgba_unmultiplied(&mut bytes);
+            named(&button, egui::Role::ColorWell, "colour of the point");
+            if button.changed() {
+                color = [bytes[0], bytes[1], bytes[2]].map(|c| f32::from(c) / 255.0);
+            }
+            is_removed = ui.button("remove").clicked();
+        });
+        if is_removed {
+            if let Some(curve) = self.curve.without_point(index) {
+                self.selected = None;
+                self.change(curve);
+            }
+        } else if (value, opacity, color) != before {
+            let mut curve = self.curve.with_color(index, color);
+            if (value, opacity) != (before.0, before.1) {
+                curve = curve.with_point_at(index, value, opacity);
+            }
+            self.change(curve);
+        }
+    }
+
+    fn window_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (mut level, mut window) = self.curve.level_and_window();
+        let before = (level, window);
+        let speed = f64::from(window) * 0.005;
+        ui.horizontal(|ui| {
+            number(ui, "level", &mut level, speed, f32::MIN..=f32::MAX, before.1)
+                .on_hover_text("middle of the function's values; or drag the strip sideways");
+            number(ui, "window", &mut window, speed, 0.0..=f32::MAX, before.1)
+                .on_hover_text("width of the function's values; or drag the strip up and down");
+        });
+        if (level, window) != before {
+            self.change(self.curve.with_level_and_window(level, window, scale.span() * LEAST_WINDOW));
+        }
+    }
+
+    fn shift_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (level, window) = self.curve.level_and_window();
+        let (lo, hi) = scale.domain(&self.preset.domain);
+        let start = lo + (hi - lo) * 0.5;
+        let reach = scale.span() * 0.5;
+        let mut shift = level - start;
+        ui.horizontal(|ui| {
+            ui.label("shift");
+            ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
+            let slider = ui.add(controls::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
+            named_number(&slider, egui::Role::Slider, "shift of the whole curve", shift);
+            slider.on_hover_text("moves the whole curve along the values");
+        });
+        if shift != level - start {
+            self.change(self.curve.with_level_and_window(start + shift, window, 0.0));
+        }
+    }
+
+    fn range_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let mut domain = None;
+        ui.horizontal(|ui| {
+            for (text, wanted, hint) in [
+                ("full", Domain::Full, "from the least to the greatest value"),
+                (
+                    "0.1–99.9 %",
+                    Domain::Percentiles(0.1, 99.9),
+                    "leaves out a thousandth of the voxels at each end",
+                ),
+                (
+                    "1–99 %",
+                    Domain::Percentiles(1.0, 99.0),
+                    "leaves out a hundredth of the voxels at each end",
+                ),
+            ] {
+                let is_selected = self.curve.transfer.domain == wanted;
+                let button = ui.add(egui::Button::new(text).selected(is_selected));
+                if button.on_hover_text(hint).clicked() && !is_selected {
+                    domain = Some(wanted);
+                }
+            }
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                ui.checkbox(&mut self.is_log, "log").on_hover_text("logarithm of the histogram");
+                if ui.button("fit").on_hover_text("shows the whole function; the wheel zooms").clicked() {
+                    self.fit();
+                }
+            });
+        });
+        if let Some(domain) = domain {
+            self.begin();
+            let transfer = TransferFunction { domain, ..self.curve.transfer.clone() };
+            self.set(transfer, scale);
+            self.fit();
+        }
+    }
+
+    fn history_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (can_undo, can_redo) = self.history.has();
+        ui.horizontal(|ui| {
+            if ui.add_enabled(can_undo, egui::Button::new("undo")).on_hover_text("Ctrl+z").clicked() {
+                self.undo(scale);
+            }
+            if ui.add_enabled(can_redo, egui::Button::new("redo")).on_hover_text("Ctrl+Shift+z").clicked() {
+                self.redo(scale);
+            }
+            let differs = self.curve.transfer != self.preset;
+            let hint = format!(
+                "back to {}",
+                if self.preset.name.is_empty() { "the first" } else { &self.preset.name }
+            );
+            if ui.add_enabled(differs, egui::Button::new("reset")).on_hover_text(hint).clicked() {
+                self.take(self.preset.clone(), scale);
+            }
+        });
+    }
+
+    fn file_rows(&mut self, ui: &mut Ui, scale: &ValueScale) {
+        let (mut is_opened, mut is_saved) = (false, false);
+        ui.horizontal(|ui| {
+            let width = (ui.available_width() - 96.0).max(60.0);
+            let field = self.files.show(ui, width, "file of presets", "file of presets");
+            field.on_hover_text("TOML; ParaView's colour maps (.json); Slicer's presets.xml and .vp.json");
+            let path = self.files.path().filter(|_| !self.files.is_busy());
+            let open = ui.add_enabled(path.is_some(), egui::Button::new("open"));
+            is_opened = open.on_hover_text("or drop a file on the window").clicked();
+            let save = if self.files.is_replacing() { "replace" } else { "save" };
+            let save = ui.add_enabled(path.is_some(), egui::Button::new(save)).on_hover_text("as TOML");
+            is_saved = save.clicked();
+        });
+        let wake = waker_of(ui.ctx());
+        if let Some(path) = self.files.path().filter(|_| is_opened) {
+            self.read(path, &wake);
+        }
+        if is_saved {
+            let no_path = |_: &str| Err("name a file".into());
+            self.files.write(&wake, transfer_to_toml(&self.curve.transfer), no_path);
+        }
+        if self.found.len() > 1 {
+            let mut chosen = None;
+            let combo = egui::ComboBox::from_id_salt("found").width(ui.available_width()).truncate();
+            let text = format!("{} presets in the file", self.found.len());
+            let combo = combo.selected_text(text).show_ui(ui, |ui| {
+                for (i, item) in self.found.iter().enumerate() {
+                    if ui.selectable_label(self.curve.transfer.name == item.name(), item.name()).clicked() {
+                        chosen = Some(i);
+                    }
+                }
+            });
+            named(&combo.response, egui::Role::ComboBox, "presets in the file");
+            if let Some(i) = chosen {
+                self.take_imported(i, scale);
+            }
+        }
+        if let Some(message) = &self.files.message {
+            ui.add(egui::Label::new(RichText::new(message).size(11.0)).wrap());
+        }
+    }
+
+    fn take_outcome(&mut self, scale: &ValueScale) {
+        if let Some(Ok(FileOutcome::Read(found))) = self.files.take() {
+            self.found = found;
+            self.take_imported(0, scale);
+        }
+    }
+
+    fn take_imported(&mut self, index: usize, scale: &ValueScale) {
+        let Some(item) = self.found.get(index) else { return };
+        let transfer = item.onto(&self.curve.transfer);
+        match transfer.validate() {
+            Ok(()) => {
+                self.shaded = item.shaded();
+                self.take(transfer, scale);
+            }
+            Err(e) => self.files.message = Some(format!("{}: {e}", item.name())),
+        }
+    }
+}
+
+/// A named number field, with figures for a range that is `span` wide.
+fn number(
+    ui: &mut Ui,
+    name: &str,
+    value: &mut f32,
+    speed: f64,
+    range: std::ops::RangeInclusive<f32>,
+    span: f32,
+) -> egui::Response {
+    ui.label(name);
+    let before = *value;
+    let field = controls::field(ui, value, |v| format_in(v, span));
+    let response = ui.add(field.speed(speed).range(range));
+    if !value.is_finite() {
+        *value = before;
+    }
+    named_number(&response, egui::Role::SpinButton, name, *value);
+    response
+}
+
+/// Lists of presets and colour maps need no scrolling, points.
+const LIST_HEIGHT: f32 = 460.0;
+
+fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
+    let is_clicked = ui.horizontal(|ui| {
+        let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), egui::Sense::hover());
+        for i in 0..28 {
+            let left = rect.left() + i as f32 * 2.0;
+            let column = egui::Rect::from_x_y_ranges(left..=left + 2.0, rect.y_range());
+            ui.painter().rect_filled(column, 0.0, plot::color32(map.at(i as f32 / 27.0)));
+        }
+        ui.selectable_label(false, map.name()).clicked()
+    });
+    is_clicked.inner
+}

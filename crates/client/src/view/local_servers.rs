@@ -1,0 +1,53 @@
+//! Servers in this process, for volumes that are opened in the window.
+
+use isinglass_core::volume::Volume;
+use isinglass_formats::{FormatError, LoadRequest, OpenOptions, Outline, outline};
+use isinglass_net::Link;
+
+/// Starts servers in this process for volumes that are opened in the window. The viewer itself renders no volume.
+///
+/// Functions that may take time are called on threads where they may.
+pub trait LocalServers: Send + Sync {
+    /// Memory that volumes may take, bytes.
+    fn max_bytes(&self) -> u64;
+
+    /// Checks that a volume fits beside `held` bytes.
+    ///
+    /// # Errors
+    /// One line for a person if it does not.
+    fn check(&self, outline: &Outline, held: u64) -> Result<(), String>;
+
+    /// Serves a volume that was read as `request` says. May take a moment.
+    ///
+    /// # Errors
+    /// One line for a person.
+    fn start(&self, volume: Volume, outline: &Outline, request: &LoadRequest) -> Result<LocalServer, String>;
+}
+
+/// A server in this process.
+pub struct LocalServer {
+    /// Lets the window in.
+    pub link: Link,
+    /// Ends the server when it is dropped, which may take a moment.
+    pub server: Box<dyn Send>,
+}
+
+/// Reads the header of a volume, and checks that there is room for it.
+pub(crate) fn survey(
+    request: &LoadRequest,
+    held: u64,
+    servers: &dyn LocalServers,
+) -> Result<Outline, String> {
+    let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
+    let options = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
+    let found = match outline(&source, &options) {
+        // The check explains what is needed.
+        Err(FormatError::TooLarge { .. }) => {
+            outline(&source, &OpenOptions { max_bytes: u64::MAX, ..options })
+        }
+        found => found,
+    };
+    let found = found.map_err(|e| e.to_string())?;
+    servers.check(&found, held)?;
+    Ok(found)
+}

@@ -1,0 +1,29 @@
+//! Which frame is shown: where frames come from, what is requested of the server, and how a frame on screen relates to
+//! the camera. Nothing here draws.
+
+use std::sync::Arc;
+
+pub(crate) mod bell;
+pub(crate) mod foresight;
+pub(crate) mod frame_source;
+pub(crate) mod headless;
+pub(crate) mod kept;
+pub(crate) mod local_servers;
+pub(crate) mod pace;
+pub(crate) mod pick;
+pub(crate) mod quality_control;
+pub(crate) mod refresh_meter;
+pub(crate) mod viewing;
+pub(crate) mod waits;
+
+/// The frames of a window that can switch between sources.
+pub type BoxedSource = Box<dyn frame_source::FrameSource + Send>;
+
+/// Wakes the window from any thread: something to show has arrived.
+pub type Waker = Arc<dyn Fn() + Send + Sync>;
+
+/// The waker of a window.
+pub(crate) fn waker_of(ctx: &egui::Context) -> Waker {
+    let bell = bell::Bell::of(ctx);
+    Arc::new(move || bell.ring())
+}

@@ -1,0 +1,181 @@
+//! Does a module use only those above it? Of core as docs/ARCHITECTURE.md lists them, of the viewer as its own lib.rs does; and
+//! do the viewer's panels know only what they share?
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A file of a crate: its module and the modules of the crate that it names, each as names from the crate's root.
+struct Source {
+    module: Vec<String>,
+    uses: Vec<Vec<String>>,
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").to_owned()
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// The product's files below `folder`: tests may use anything.
+fn sources(folder: &Path) -> Vec<Source> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(&next).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let relative = path.strip_prefix(folder).expect("it is below").with_extension("");
+            let mut module: Vec<String> =
+                relative.iter().map(|part| part.to_string_lossy().into_owned()).collect();
+            module.retain(|part| part != "mod" && part != "lib");
+            if !module.iter().any(|part| part == "tests" || part == "laws") {
+                found.push(Source { uses: uses(&read(&path), &module), module });
+            }
+        }
+    }
+    found
+}
+
+/// What a text of a module names of its crate, without its comments and the tests at its end.
+fn uses(text: &str, module: &[String]) -> Vec<Vec<String>> {
+    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+    let code: String = text.lines().map(|line| line.split("//").next().unwrap_or_default()).collect();
+    let mut found = Vec::new();
+    for (start, parents) in code
+        .match_indices("crate::")
+        .map(|(i, _)| (i + 7, module.len()))
+        .chain(code.match_indices("super::").map(|(i, _)| (i + 7, 1)))
+    {
+        let begins = |c: char| c.is_alphanumeric() || c == '_' || c == ':' || c == '$';
+        let is_inner = code[..start - 7].ends_with(begins);
+        let mut base = module[..module.len().saturating_sub(parents)].to_vec();
+        let mut rest = &code[start..];
+        while let Some(more) = rest.strip_prefix("super::") {
+            base.pop();
+            rest = more;
+        }
+        if !is_inner {
+            expand(&base, rest, &mut found);
+        }
+    }
+    found
+}
+
+/// Adds the paths that `text` begins with to `found`; returns what follows them.
+fn expand<'a>(base: &[String], text: &'a str, found: &mut Vec<Vec<String>>) -> &'a str {
+    let text = text.trim_start();
+    if let Some(mut rest) = text.strip_prefix('{') {
+        while !rest.is_empty() && !rest.starts_with('}') {
+            rest = expand(base, rest, found).trim_start();
+            rest = rest.trim_start_matches(|c| c == ',' || c == ' ');
+        }
+        return rest.strip_prefix('}').unwrap_or_default();
+    }
+    let end = text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
+    let (name, rest) = text.split_at(end);
+    if name.is_empty() {
+        return text.get(1..).unwrap_or_default();
+    }
+    let mut path = base.to_vec();
+    path.push(name.to_owned());
+    match rest.strip_prefix("::") {
+        Some(rest) => expand(&path, rest, found),
+        None => {
+            found.push(path);
+            // A name that is imported under another.
+            rest.strip_prefix(" as ")
+                .map_or(rest, |alias| alias.trim_start_matches(|c: char| c.is_alphanumeric()))
+        }
+    }
+}
+
+/// The names in backticks in the first column of the table that follows `heading`.
+fn order_in(text: &str, heading: &str) -> Vec<String> {
+    let after = text.split_once(heading).unwrap_or_else(|| panic!("there is {heading:?}")).1;
+    let rows = after.lines().map(|line| line.trim_start_matches("//!").trim());
+    let rows = rows.skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
+    let names = |row: &str| -> Vec<String> {
+        let column = row.split('|').nth(1).unwrap_or_default();
+        column.split('`').skip(1).step_by(2).map(|name| name.trim_end_matches('/').to_owned()).collect()
+    };
+    rows.flat_map(names).collect()
+}
+
+/// What uses something below it, and what is not in the order at all.
+fn violations(sources: &[Source], order: &[String]) -> BTreeSet<String> {
+    let place = |module: &[String]| order.iter().position(|name| module.first() == Some(name));
+    let mut found = BTreeSet::new();
+    for source in sources.iter().filter(|source| !source.module.is_empty()) {
+        let Some(own) = place(&source.module) else {
+            found.insert(format!("{} is not in the order", source.module[0]));
+            continue;
+        };
+        for used in source.uses.iter().filter(|used| place(used).is_some_and(|used| used > own)) {
+            found.insert(format!("{} uses {}", source.module.join("::"), used.join("::")));
+        }
+    }
+    let exists = |name: &&String| !sources.iter().any(|source| source.module.first() == Some(name));
+    found.extend(order.iter().filter(exists).map(|name| format!("{name} does not exist")));
+    found
+}
+
+fn core() -> (Vec<Source>, Vec<String>) {
+    let page = read(&root().join("docs/ARCHITECTURE.md"));
+    (sources(&root().join("crates/core/src")), order_in(&page, "## core, top to bottom"))
+}
+
+fn client() -> (Vec<Source>, Vec<String>) {
+    let folder = root().join("crates/client/src");
+    let order = order_in(&read(&folder.join("lib.rs")), "A folder uses only those above it");
+    (sources(&folder), order)
+}
+
+/// Panels that use others, or anything of them but `shared`.
+fn acquaintances(sources: &[Source], shared: &[String]) -> BTreeSet<String> {
+    let is_panel =
+        |module: &[String]| module.len() > 1 && module[0] == "panels" && !shared.contains(&module[1]);
+    let mut found = BTreeSet::new();
+    for source in sources.iter().filter(|source| source.module.len() > 1 && source.module[0] == "panels") {
+        for used in source.uses.iter().filter(|used| is_panel(used) && used[1] != source.module[1]) {
+            found.insert(format!("{} uses {}", source.module.join("::"), used.join("::")));
+        }
+    }
+    found
+}
+
+#[test]
+fn modules_use_only_those_above_them() {
+    for (sources, order) in [core(), client()] {
+        assert!(order.len() > 5 && sources.len() > 20, "{order:?}");
+        assert_eq!(violations(&sources, &order), BTreeSet::new(), "{order:?}");
+        // The control: the other way around hardly anything is right.
+        let reversed: Vec<_> = order.iter().rev().cloned().collect();
+        assert!(violations(&sources, &reversed).len() > 20);
+        assert_eq!(violations(&sources, &order[1..]).len(), 1, "one module is left out");
+    }
+}
+
+#[test]
+fn panels_do_not_know_each_other() {
+    let (sources, _) = client();
+    let page = read(&root().join("crates/client/src/panels/mod.rs"));
+    let sentence = page.split_once("What they share is in").expect("it says so").1;
+    let sentence = sentence.split_once('.').expect("a sentence").0;
+    let shared: Vec<String> = sentence.split('`').skip(1).step_by(2).map(str::to_owned).collect();
+    assert_eq!(acquaintances(&sources, &shared), BTreeSet::new(), "{shared:?}");
+    assert!(acquaintances(&sources, &[]).len() > 10, "they do use what they share");
+}
+
+#[test]
+fn paths_are_read_as_the_compiler_reads_them() {
+    let text = "use crate::a::{self, b::{C, D as E}, f};\nuse super::g;\nuse super::super::h::I;\n// crate::no\nfn x() { crate::j::k() }";
+    let module = ["one", "two"].map(str::to_owned);
+    let found: Vec<String> = uses(text, &module).iter().map(|path| path.join("::")).collect();
+    assert_eq!(found, ["a::self", "a::b::C", "a::b::D", "a::f", "j::k", "one::g", "h::I"]);
+}
