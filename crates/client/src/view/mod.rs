@@ -9,7 +9,6 @@ pub(crate) mod frame_source;
 pub(crate) mod headless;
 pub(crate) mod kept;
 pub(crate) mod local_servers;
-pub(crate) mod pace;
 pub(crate) mod pick;
 pub(crate) mod quality_control;
 pub(crate) mod refresh_meter;

@@ -18,7 +18,7 @@ use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{ClientMessage, ShotRequest, Token, VolumeDescription, Welcome};
-use isinglass_net::{LinkStats, Talking};
+use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
 use super::*;
 use crate::input::camera_controls::InitialOrbit;
