@@ -6,17 +6,18 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Who may use whom, among our own crates.
-const ARROWS: [(&str, &[&str]); 10] = [
+const ARROWS: [(&str, &[&str]); 11] = [
     ("isinglass-core", &[]),
     ("isinglass-formats", &["core"]),
     ("isinglass-gpu", &["core"]),
+    ("isinglass-render", &["core", "gpu"]),
     ("isinglass-net", &["core"]),
-    ("isinglass-server", &["core", "formats", "gpu", "net"]),
+    ("isinglass-server", &["core", "formats", "gpu", "render", "net"]),
     ("isinglass-client", &["core", "formats", "gpu", "net"]),
-    ("isinglass-bench", &["core", "formats", "gpu", "net", "server", "client"]),
-    ("isinglass-lab", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
-    ("isinglass", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
-    ("isinglass-tests", &["core", "formats", "gpu", "net", "server", "client", "bench"]),
+    ("isinglass-bench", &["core", "formats", "gpu", "render", "net", "server", "client"]),
+    ("isinglass-lab", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
+    ("isinglass", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
+    ("isinglass-tests", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
 ];
 
 /// Crates of the outside world, and who may name them.

@@ -14,7 +14,8 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_gpu::{Backend, GpuError};
+use isinglass_gpu::GpuError;
+use isinglass_render::Backend;
 use isinglass_tests::twins::gpu;
 
 fn backends() -> Option<[Backend; 2]> {

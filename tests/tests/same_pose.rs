@@ -18,7 +18,7 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_formats::{OpenOptions, default_preset, load_transfer, open};
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_tests::data_dir;
 
 const SIZE: Intrinsics = Intrinsics::perspective(72, 64, 0.6);

@@ -2,7 +2,7 @@
 //! with the truth.
 //!
 //! This crate measures and never renders in its own way: pictures come from the kernels behind
-//! [`isinglass_gpu::Backend`], frames from the server, errors from `isinglass_core::image_error`. It writes files whole
+//! [`isinglass_render::Backend`], frames from the server, errors from `isinglass_core::image_error`. It writes files whole
 //! or not at all, and draws progress on standard error only.
 
 pub mod demo;

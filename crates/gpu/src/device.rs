@@ -244,7 +244,7 @@ impl Gpu {
     }
 
     /// An error if pictures of several frames cannot be made in a buffer.
-    pub(crate) fn check_combining(&self) -> Result<(), GpuError> {
+    pub fn check_combining(&self) -> Result<(), GpuError> {
         let limit = self.device().limits().max_storage_buffers_per_shader_stage.into();
         let needed = u64::from(NUM_BUFFERS_OF_FRAMES) + 1;
         let what = "a picture of several frames in storage buffers";

@@ -3,7 +3,6 @@
 //!
 //! Nothing here panics for want of a GPU, of memory or of a driver that answers: all of that is a [`GpuError`].
 
-pub mod backend;
 mod casts;
 mod combine;
 mod device;
@@ -25,7 +24,6 @@ pub mod upscale;
 mod view_pass;
 mod warm_up;
 
-pub use backend::{Backend, BackendChoice, Renderer, Reprojector};
 pub use device::{Gpu, GpuInfo, NoAnswer, poll, with_large_buffers};
 pub use error::GpuError;
 pub use march::GpuRenderer;

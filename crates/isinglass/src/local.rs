@@ -9,7 +9,7 @@ use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{LoadRequest, Outline};
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_server::{RunningServer, ServeOptions, Timing};
 use tokio::runtime::Runtime;
 

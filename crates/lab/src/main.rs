@@ -19,7 +19,7 @@ use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::DEFAULT_K;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_lab::choices::{MethodChoice, parse_reconstruction};
 use isinglass_lab::latency::LatencyMethod;
 use isinglass_lab::rules::Rule;

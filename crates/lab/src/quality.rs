@@ -15,7 +15,7 @@ use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use serde::Serialize;
 
 use crate::choices::{MethodChoice, methods_by_rule, reconstruction_name};

@@ -11,7 +11,8 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Detail;
-use isinglass_gpu::{Backend, GpuError, Renderer};
+use isinglass_gpu::GpuError;
+use isinglass_render::{Backend, Renderer};
 use isinglass_net::{AfterWork, Work};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 

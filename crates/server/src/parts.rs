@@ -13,7 +13,7 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
-use isinglass_gpu::{Backend, Renderer};
+use isinglass_render::{Backend, Renderer};
 use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
 

@@ -3,7 +3,7 @@
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::LayeredFrame;
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 

@@ -27,7 +27,7 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_net::{Link, LinkModel};
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use isinglass_client::Standing;
 use isinglass_core::camera::{Camera, Pose};
 use isinglass_formats::Selection;
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 use serde::Serialize;
 
 use super::evaluate::{Evaluated, Evaluation};

@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::layer::FrameHeader;
-use isinglass_gpu::{Backend, GpuError};
+use isinglass_gpu::GpuError;
+use isinglass_render::Backend;
 use serde::Serialize;
 
 use crate::demo::DemoOptions;

@@ -12,7 +12,7 @@ mod trace;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 
 use crate::demo::DemoOptions;
 use crate::error::BenchError;

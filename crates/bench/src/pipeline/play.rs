@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use isinglass_client::{HeadlessViewer, Standing};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ledger::{Life, Stage};
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions, Clock, Journal, State};
 use isinglass_server::Timing;
 

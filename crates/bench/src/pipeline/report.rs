@@ -1,7 +1,7 @@
 //! The figures, and the table for people.
 
 use isinglass_core::session::ledger::{Life, Stage};
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 use serde::Serialize;
 
 use super::PipelineOptions;

@@ -7,7 +7,7 @@
 
 mod tasks;
 
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use serde::Serialize;
 
 use crate::error::BenchError;

@@ -14,7 +14,7 @@ use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::{Bricks, Histogram};
 use isinglass_core::wanted::ALWAYS;
-use isinglass_gpu::{Backend, Renderer, Reprojector};
+use isinglass_render::{Backend, Renderer, Reprojector};
 
 use super::{Preparation, SpeedOptions, SpeedRow};
 use crate::error::BenchError;

@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_core::kernels::march::Scene;
-use isinglass_gpu::{Backend, BackendChoice, Renderer};
+use isinglass_render::{Backend, BackendChoice, Renderer};
 
 /// Where kernels run.
 #[derive(Args, Clone, Debug)]

@@ -19,7 +19,7 @@ use isinglass_bench::{latency, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::look::DEFAULT_K;
 use isinglass_formats::VolumeSource;
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use serde::Serialize;
 
 use super::demo::parse_speed;

@@ -11,7 +11,7 @@ use isinglass_core::image_error::compare;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 use rayon::ThreadPool;
 use serde::Serialize;
 

@@ -40,7 +40,7 @@ use std::time::Instant;
 use crate::rules::Rule;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
-use isinglass_gpu::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice};
 use rayon::ThreadPool;
 use serde::{Serialize, Serializer};
 

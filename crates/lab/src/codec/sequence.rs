@@ -12,7 +12,7 @@ use isinglass_core::codec::blocks::References;
 use isinglass_core::codec::{self, Coding};
 use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
-use isinglass_gpu::Renderer;
+use isinglass_render::Renderer;
 use rayon::ThreadPool;
 use serde::Serialize;
 use std::collections::BTreeMap;

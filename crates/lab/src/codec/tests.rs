@@ -5,7 +5,7 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_formats::{OpenOptions, load_transfer, open};
-use isinglass_gpu::BackendChoice;
+use isinglass_render::BackendChoice;
 
 use super::*;
 use isinglass_bench::view::Orbit;

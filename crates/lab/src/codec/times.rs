@@ -7,7 +7,7 @@ use isinglass_core::codec::blocks::{self, References};
 use isinglass_core::codec::{self, CodecError, Coding, Settings};
 use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
-use isinglass_gpu::Renderer;
+use isinglass_render::Renderer;
 use rayon::ThreadPool;
 use serde::Serialize;
 

@@ -22,7 +22,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::{Backend, Reprojector};
+use isinglass_render::{Backend, Reprojector};
 use isinglass_net::ReceivedFrame;
 
 use crate::error::LabError;

@@ -8,7 +8,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, Segment};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_gpu::Backend;
+use isinglass_render::Backend;
 
 use super::*;
 

@@ -25,7 +25,7 @@ use isinglass_core::kernels::raycast::opacity;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 use isinglass_core::wanted::{ALWAYS, Wanted};
-use isinglass_gpu::Renderer;
+use isinglass_render::Renderer;
 
 pub use single_depth::Representative;
 

@@ -1,4 +1,7 @@
-//! The kernels by one interface, wherever they run.
+//! Full volume rendering, layered frames and novel views by one interface, on the GPU or on the CPU.
+//!
+//! Whoever renders asks for a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are
+//! in `isinglass-gpu`, their twins in `isinglass-core`.
 
 use std::ops::Range;
 use std::str::FromStr;
@@ -17,10 +20,7 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::wanted::{ALWAYS, Wanted};
 
-use crate::device::Gpu;
-use crate::error::GpuError;
-use crate::march::GpuRenderer;
-use crate::raycast::GpuReprojector;
+use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -9,7 +9,8 @@ use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_gpu::{Backend, BackendChoice, Gpu, GpuError, GpuRenderer, GpuReprojector};
+use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
+use isinglass_render::{Backend, BackendChoice};
 
 #[test]
 #[cfg(target_os = "linux")]
