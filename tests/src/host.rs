@@ -9,8 +9,8 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::Parts;
 use isinglass_formats::load_transfer;
-use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions, Link};
+use isinglass_render::Backend;
 use isinglass_server::{Library, Loader, RunningServer, ServeOptions, Timing, start};
 
 /// See the module. It renders on the CPU and sends exact frames to at most four viewers.

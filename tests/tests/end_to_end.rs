@@ -21,8 +21,8 @@ use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::{Mode, Plan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
-use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
+use isinglass_render::Backend;
 use isinglass_server::{Attendance, RunningServer, ServeOptions, Timing, start};
 
 const SIZE: Intrinsics = Intrinsics::perspective(96, 80, 0.6);

@@ -16,8 +16,8 @@ use isinglass_core::session::screenshot::ReceivedShot;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{load_transfer, png};
-use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions};
+use isinglass_render::Backend;
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 use tokio::runtime::Runtime;
 

@@ -18,8 +18,8 @@ use isinglass_core::session::ledger::{Life, Stage};
 use isinglass_core::session::rate::{Mode, Plan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
-use isinglass_render::Backend;
 use isinglass_net::{AfterWork, Client, ClientOptions, Clock, Journal, LinkModel, Work};
+use isinglass_render::Backend;
 use isinglass_server::{ServeOptions, Timing, start};
 
 /// What a machine needs for a frame.

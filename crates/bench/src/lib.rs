@@ -15,6 +15,5 @@ pub mod progress;
 pub mod scenes;
 pub mod speed;
 pub mod subject;
-pub mod view;
 
 pub use error::BenchError;

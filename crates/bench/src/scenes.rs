@@ -1,14 +1,8 @@
 //! What is measured: the built-in volumes and six scanned or simulated ones.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use isinglass_core::kernels::march::{MarchSettings, Scene};
-use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::{Histogram, Volume};
-use isinglass_formats::{
-    FormatError, OpenOptions, VolumeSource, default_transfer, load_transfer, open, outline,
-};
+use isinglass_formats::{FormatError, VolumeSource, outline};
 
 use crate::error::BenchError;
 
@@ -33,15 +27,6 @@ impl SceneSource {
     }
 }
 
-/// A volume made ready, and the transfer function it is seen with.
-#[derive(Clone, Debug)]
-pub struct OpenedScene {
-    /// Volume, table and settings.
-    pub scene: Scene,
-    /// The transfer function.
-    pub transfer: TransferFunction,
-}
-
 /// Which scenes there are to measure, and which of those asked for are not here.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
@@ -49,44 +34,6 @@ pub struct Selection {
     pub scenes: Vec<SceneSource>,
     /// One sentence for each that is left out.
     pub skipped: Vec<String>,
-}
-
-/// Opens a volume with the transfer function that is asked for (a preset's name or a file), or else the one that
-/// suits it.
-pub fn open_scene(
-    source: &str,
-    transfer: Option<&str>,
-    settings: MarchSettings,
-    options: &OpenOptions,
-) -> Result<OpenedScene, FormatError> {
-    // First, because it fails fast.
-    let transfer = transfer.map(load_transfer).transpose()?;
-    let volume = Arc::new(open(source, options)?);
-    Ok(ready(volume, source, transfer, settings))
-}
-
-/// The same of a volume that was opened already, from `source`.
-pub(crate) fn scene_of(
-    volume: Arc<Volume>,
-    source: &str,
-    transfer: Option<&str>,
-    settings: MarchSettings,
-) -> Result<OpenedScene, FormatError> {
-    let transfer = transfer.map(load_transfer).transpose()?;
-    Ok(ready(volume, source, transfer, settings))
-}
-
-fn ready(
-    volume: Arc<Volume>,
-    source: &str,
-    transfer: Option<TransferFunction>,
-    settings: MarchSettings,
-) -> OpenedScene {
-    let transfer = match transfer {
-        Some(transfer) => transfer,
-        None => default_transfer(source, &volume, &Histogram::of(&volume)),
-    };
-    OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer }
 }
 
 /// The scenes called `names`, each once; all if there are no names, but for scanned volumes that are not here. A name is
@@ -187,15 +134,5 @@ mod tests {
         {
             assert_eq!(SceneSource::new("a", source).check().is_ok(), is_sound, "{source}");
         }
-    }
-
-    #[test]
-    fn a_scene_opens_with_its_own_preset_unless_another_is_named() {
-        let open = |transfer| {
-            open_scene("builtin:shells@16", transfer, MarchSettings::default(), &OpenOptions::default())
-        };
-        assert_eq!(open(None).unwrap().transfer, load_transfer("shells").unwrap());
-        assert_eq!(open(Some("ct")).unwrap().transfer, load_transfer("ct").unwrap());
-        assert!(open(Some("no such preset")).is_err());
     }
 }

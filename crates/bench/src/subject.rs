@@ -12,8 +12,9 @@ use serde::Serialize;
 
 use crate::error::BenchError;
 use crate::progress::note;
-use crate::scenes::{OpenedScene, SceneSource, scene_of};
-use crate::view::Orbit;
+use crate::scenes::SceneSource;
+use isinglass_core::orbit::Orbit;
+use isinglass_formats::{OpenedScene, scene_of};
 
 /// What is looked at, and from where.
 #[derive(Clone, Debug)]

@@ -18,6 +18,7 @@ pub mod kernels;
 pub mod layer;
 pub mod look;
 pub mod mode;
+pub mod orbit;
 pub mod picture;
 pub mod prediction;
 pub mod session;

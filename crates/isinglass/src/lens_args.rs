@@ -3,9 +3,9 @@
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::output::Rgb8;
-use isinglass_bench::view::Orbit;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::lens::{Exposure, MAX_SAMPLES, View};
+use isinglass_core::orbit::Orbit;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use serde_json::{Value, json};

@@ -6,15 +6,15 @@ use anyhow::{Context, Result};
 use clap::Args;
 use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
-use isinglass_bench::scenes::OpenedScene;
-use isinglass_bench::view::Orbit;
 use isinglass_client::Bindings;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Mode};
+use isinglass_core::orbit::Orbit;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Lighting, Volume};
+use isinglass_formats::OpenedScene;
 use isinglass_formats::{
     ReadState, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state, state_from_link,
     state_to_link,

@@ -8,11 +8,11 @@ use isinglass_bench::output::{check_writable, write_whole};
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::{self, distinct};
 use isinglass_bench::subject::Subject;
-use isinglass_bench::view::Orbit;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::clip::Clip;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::orbit::Orbit;
 use serde::Serialize;
 
 /// What all tables have in common.

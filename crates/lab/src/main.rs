@@ -19,12 +19,12 @@ use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::DEFAULT_K;
-use isinglass_render::{Backend, BackendChoice};
 use isinglass_lab::choices::{MethodChoice, parse_reconstruction};
 use isinglass_lab::latency::LatencyMethod;
 use isinglass_lab::rules::Rule;
 use isinglass_lab::{codec as codecs, quality};
 use isinglass_net::LinkModel;
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_server::Timing;
 
 use args::{CommonArgs, Switch, parse_angle, parse_k, parse_list_scale, parse_ms, parse_size, parse_speed};

@@ -12,8 +12,8 @@ use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Detail;
 use isinglass_gpu::GpuError;
-use isinglass_render::{Backend, Renderer};
 use isinglass_net::{AfterWork, Work};
+use isinglass_render::{Backend, Renderer};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;

@@ -22,8 +22,8 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::Parts;
 use isinglass_gpu::GpuError;
-use isinglass_render::Backend;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
+use isinglass_render::Backend;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 

@@ -13,8 +13,8 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
-use isinglass_render::{Backend, Renderer};
 use isinglass_net::Greeting;
+use isinglass_render::{Backend, Renderer};
 use tokio::sync::{mpsc, watch};
 
 use crate::generator::{Generator, renderer_of};

@@ -11,8 +11,8 @@ use isinglass_core::look::Look;
 use isinglass_core::session::rate::Plan;
 use isinglass_core::wire::{Part, Parts};
 use isinglass_formats::{OpenOptions, Selection, open};
-use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions, Clock};
+use isinglass_render::Backend;
 use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, Timing, start};
 
 /// Voxels along each side of a time: two megabytes.

@@ -27,13 +27,13 @@ use isinglass_core::session::rate::Plan;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
-use isinglass_render::{Backend, BackendChoice};
 use isinglass_net::{Link, LinkModel};
+use isinglass_render::{Backend, BackendChoice};
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 
 use crate::error::BenchError;
-use crate::scenes::{OpenedScene, open_scene};
-use crate::view::Orbit;
+use isinglass_core::orbit::Orbit;
+use isinglass_formats::{OpenedScene, open_scene};
 
 pub use report::Report;
 

@@ -344,7 +344,7 @@ mod tests {
 
     use super::*;
     use crate::demo::script::Motion;
-    use crate::view::Orbit;
+    use isinglass_core::orbit::Orbit;
 
     /// A refresh every 0.1 s; each shows `frame` and is off the input by `late` refreshes.
     fn ticks(frames: &[u32], late: usize) -> Vec<Tick> {

@@ -7,7 +7,7 @@ use isinglass_client::CameraPath;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::space::Aabb;
 
-use crate::view::Orbit;
+use isinglass_core::orbit::Orbit;
 
 /// What the camera does, without the rests that are added for measuring.
 #[derive(Clone, Debug, PartialEq)]

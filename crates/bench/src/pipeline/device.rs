@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::demo::DemoOptions;
 use crate::error::BenchError;
-use crate::scenes::OpenedScene;
+use isinglass_formats::OpenedScene;
 
 /// Medians over a few turns of the camera, by timestamps, ms.
 #[derive(Clone, Debug, Serialize)]

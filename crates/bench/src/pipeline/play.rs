@@ -7,15 +7,15 @@ use std::time::{Duration, Instant};
 use isinglass_client::{HeadlessViewer, Standing};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ledger::{Life, Stage};
-use isinglass_render::Backend;
 use isinglass_net::{Client, ClientOptions, Clock, Journal, State};
+use isinglass_render::Backend;
 use isinglass_server::Timing;
 
 use super::{PipelineOptions, WARM_UP};
 use crate::demo::Host;
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::scenes::OpenedScene;
+use isinglass_formats::OpenedScene;
 
 /// What happened while it counted.
 pub(super) struct Played {

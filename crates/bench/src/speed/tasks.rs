@@ -19,7 +19,7 @@ use isinglass_render::{Backend, Renderer, Reprojector};
 use super::{Preparation, SpeedOptions, SpeedRow};
 use crate::error::BenchError;
 use crate::scenes::SceneSource;
-use crate::view::Orbit;
+use isinglass_core::orbit::Orbit;
 
 /// Everything that takes turns.
 pub(super) struct Tasks<'a> {

@@ -6,11 +6,11 @@ use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use glam::Vec3;
 use isinglass_bench::progress::Progress;
-use isinglass_bench::scenes::{OpenedScene, open_scene};
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     Dtype, Endian, OpenOptions, Outline, RawShape, Region, Selection, VolumeSource, open, outline,
 };
+use isinglass_formats::{OpenedScene, open_scene};
 
 use super::LookArgs;
 use crate::library::{FileLoader, OpenedFile};

@@ -5,10 +5,10 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use isinglass_bench::view::Orbit;
 use isinglass_core::codec::{Bound, Coding, EncodedFrame, Misfit, Settings, blocks};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
+use isinglass_core::orbit::Orbit;
 use isinglass_formats::iglf::{self, Origin};
 use serde_json::json;
 

@@ -7,8 +7,8 @@ use anyhow::Result;
 use clap::Args;
 use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions};
 use isinglass_bench::pipeline::{self, PipelineOptions};
-use isinglass_bench::view::Orbit;
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::orbit::Orbit;
 
 use super::demo::parse_speed;
 use crate::args::{

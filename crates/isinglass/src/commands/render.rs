@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use clap::error::ErrorKind;
 use isinglass_bench::progress::Progress;
-use isinglass_bench::view::Orbit;
+use isinglass_core::orbit::Orbit;
 use serde_json::json;
 
 use crate::args::{

@@ -7,10 +7,10 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_bench::view::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::mode::Mode;
+use isinglass_core::orbit::{Orbit, bounds_from_header, orbit_of_frame, sphere_box_from_header};
 use isinglass_formats::iglf::{self, Origin, StoredFrame};
 use serde_json::json;
 

@@ -9,8 +9,8 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::output::write_whole;
 use isinglass_bench::progress::note;
-use isinglass_bench::view::Orbit;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
+use isinglass_core::orbit::Orbit;
 use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 

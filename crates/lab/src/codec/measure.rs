@@ -23,7 +23,7 @@ use super::raw::Compressor;
 use super::search::{Height, climb};
 use crate::error::LabError;
 use crate::quality::black_srgb8;
-use isinglass_bench::view::Orbit;
+use isinglass_core::orbit::Orbit;
 
 /// What is left of the picture after one turn of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -8,7 +8,7 @@ use isinglass_formats::{OpenOptions, load_transfer, open};
 use isinglass_render::BackendChoice;
 
 use super::*;
-use isinglass_bench::view::Orbit;
+use isinglass_core::orbit::Orbit;
 
 fn intrinsics() -> Intrinsics {
     Intrinsics::perspective(48, 40, 0.7)

@@ -22,8 +22,8 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_render::{Backend, Reprojector};
 use isinglass_net::ReceivedFrame;
+use isinglass_render::{Backend, Reprojector};
 
 use crate::error::LabError;
 

@@ -341,9 +341,8 @@ fn slabs_partition_the_lists() {
 #[test]
 fn frames_of_slabs_are_not_cut_again() {
     let options = isinglass_formats::OpenOptions::default();
-    let scene = isinglass_bench::scenes::open_scene("builtin:shells@24", None, Default::default(), &options)
-        .unwrap()
-        .scene;
+    let scene =
+        isinglass_formats::open_scene("builtin:shells@24", None, Default::default(), &options).unwrap().scene;
     let bounds = scene.volume.bounds();
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
     let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.5, 0.3, 4.0 * bounds.radius()), intrinsics, &bounds);

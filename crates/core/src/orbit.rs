@@ -2,10 +2,10 @@
 
 use std::str::FromStr;
 
+use crate::camera::{Camera, Intrinsics, Pose};
+use crate::layer::FrameHeader;
+use crate::space::{Aabb, world_from_upright};
 use glam::{Quat, Vec3};
-use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::layer::FrameHeader;
-use isinglass_core::space::{Aabb, world_from_upright};
 
 /// A place on a sphere around the volume's centre, looking at it.
 #[derive(Clone, Copy, Debug, PartialEq)]
