@@ -16,7 +16,7 @@ use isinglass_core::picture::Picture;
 use isinglass_core::transfer::Domain;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
-use isinglass_core::wire::{LoadState, Part, Parts};
+use isinglass_core::wire::{Choices, LoadState, Part};
 use isinglass_formats::load_transfer;
 use isinglass_net::Client;
 use isinglass_server::{Loaded, Loader, Survey};
@@ -44,15 +44,15 @@ fn volume(time: u32) -> Volume {
     }
 }
 
-fn parts(time: u32) -> Parts {
-    Parts {
+fn parts(time: u32) -> Choices {
+    Choices {
         // Each time has another channel, whose numbers mean something else.
         shown: Part { channel: Some(time), time: Some(time), level: Some(0), series: Some(0), region: None },
         whole_dims: [24; 3],
         num_channels: 3,
         num_times: 3,
         num_series: 1,
-        ..Parts::default()
+        ..Choices::default()
     }
 }
 

@@ -3,11 +3,11 @@
 use std::fmt;
 use std::str::FromStr;
 
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::kernels::layering::{Layering, all_samples};
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
-use isinglass_core::wanted::ALWAYS;
 use isinglass_gpu::Renderer;
 
 use crate::error::BenchError;

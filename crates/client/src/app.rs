@@ -41,7 +41,6 @@ use crate::stereo::Stereo;
 use crate::transfer_editor::{TransferEditor, ValueScale};
 use crate::view_aids::{self, ViewAids, pixel_at};
 use crate::viewing::{Refresh, Standing, Viewing};
-use crate::waits::Waits;
 use crate::window::{Probe, ScriptStep, Shot, USUAL_HZ, WindowOptions};
 
 /// Where the frames of a source come from.
@@ -111,8 +110,6 @@ pub(crate) struct ViewerApp<S> {
     parts_bar: PartsBar,
     /// Whether the page was asked for on which another volume or server is chosen.
     wants_start: bool,
-    /// Of the refreshes before.
-    waits: Waits,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -170,7 +167,6 @@ impl<S: FrameSource> ViewerApp<S> {
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
             wants_start: false,
-            waits: Waits::default(),
         }
     }
 
@@ -337,11 +333,7 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn run_script(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let Some(script) = &mut self.options.script else { return };
-        match script(&Probe {
-            now: now.saturating_sub(self.opened_at),
-            refresh: refresh.cloned(),
-            waits: self.waits,
-        }) {
+        match script(&Probe { now: now.saturating_sub(self.opened_at), refresh: refresh.cloned() }) {
             ScriptStep::Continue => {}
             ScriptStep::Capture(then) => ctx.request_screenshot(move |image| {
                 let rgb = image.pixels.iter().flat_map(|p| [p.r(), p.g(), p.b()]).collect();
@@ -356,25 +348,14 @@ impl<S: FrameSource> ViewerApp<S> {
 
 impl<S: FrameSource> eframe::App for ViewerApp<S> {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        let (ctx, is_watched) = (ui.ctx().clone(), self.is_watched());
-        self.waits = self.waits.watch(&ctx, is_watched, || self.show(ui));
+        self.show(ui);
     }
 }
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// Whether somebody looks at what refreshes waited for.
-    pub(crate) fn is_watched(&self) -> bool {
-        self.options.script.is_some() || tracing::enabled!(tracing::Level::TRACE)
-    }
-
     /// Whoever brings the frames.
     pub(crate) fn source(&self) -> &S {
         self.viewing.source()
-    }
-
-    /// Of the refreshes so far.
-    pub(crate) fn waits(&mut self) -> &mut Waits {
-        &mut self.waits
     }
 
     /// A refresh of the whole window.

@@ -5,8 +5,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
-use crate::bell::Bell;
-
 /// One piece of work at a time, whose outcome is a `T`.
 pub(crate) struct Background<T>(Option<Receiver<T>>);
 
@@ -29,11 +27,11 @@ impl<T: Send + 'static> Background<T> {
     /// Starts `work` in place of what was done before, and wakes the window when it is done.
     pub(crate) fn start(&mut self, ctx: &egui::Context, work: impl FnOnce() -> T + Send + 'static) {
         let (sender, receiver) = sync_channel(1);
-        let bell = Bell::of(ctx);
+        let ctx = ctx.clone();
         let run = move || {
             // Nobody listens any more if the window is closed.
             let _ = sender.send(work());
-            bell.ring();
+            ctx.request_repaint();
         };
         // Without a thread the sender is gone, and the outcome lost.
         let _ = std::thread::Builder::new().name("files".into()).spawn(run);

@@ -8,7 +8,6 @@
 
 mod app;
 mod background;
-mod bell;
 mod bindings;
 pub mod camera_controls;
 mod camera_path;
@@ -48,7 +47,6 @@ mod stills;
 mod transfer_editor;
 mod view_aids;
 mod viewing;
-mod waits;
 mod window;
 #[cfg(test)]
 mod window_walk;
@@ -68,7 +66,6 @@ pub use run::{ViewerOptions, run};
 pub use start::{First, LocalServer, LocalServers, Services};
 pub use stereo::{DEFAULT_EYE_ANGLE_DEGREES, Stereo, StereoMode};
 pub use viewing::{FrameSize, Refresh, Standing, Viewing};
-pub use waits::{Waits, excuse_wait};
 pub use window::{
     DEFAULT_FOV_Y_DEGREES, Probe, Script, ScriptStep, Shot, ViewerError, Waker, WindowContents,
     WindowOptions, run_window, run_window_with_start,

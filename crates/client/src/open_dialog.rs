@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use egui::{Align2, Context, Key, Modifiers, RichText, vec2};
 
-use crate::bell::Bell;
 use crate::start::LocalServers;
 use crate::start::browser::{Browser, Chosen};
 
@@ -39,8 +38,8 @@ impl OpenDialog {
         let browser = self.browser.get_or_insert_with(|| {
             let here = || std::env::current_dir().ok().filter(|here| here.parent().is_some());
             let folder = self.folder.clone().or_else(here).or_else(std::env::home_dir);
-            let bell = Bell::of(ctx);
-            let wake = Arc::new(move || bell.ring());
+            let ctx = ctx.clone();
+            let wake = Arc::new(move || ctx.request_repaint());
             Browser::with_texts(folder.unwrap_or_else(|| PathBuf::from("/")), &(wake as _))
         });
         browser.focus();

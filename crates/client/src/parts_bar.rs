@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use egui::{Align2, Color32, ProgressBar, RichText, Ui, vec2};
 use isinglass_core::ids::LoadId;
-use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
+use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 
 use crate::bindings::{Action, Bindings};
 use crate::number::reader;
@@ -39,14 +39,14 @@ pub(crate) struct PartsBar {
 
 impl PartsBar {
     /// The part to count from: the one that was asked for, or is being read, or is shown.
-    fn chosen(&self, parts: &Parts, load: Option<&LoadStatus>) -> Part {
+    fn chosen(&self, parts: &Choices, load: Option<&LoadStatus>) -> Part {
         let is_reading = |l: &&LoadStatus| matches!(l.state, LoadState::Reading { .. });
         let read = load.filter(is_reading).map(|l| whole(l.part, parts));
         self.asked.map(|(part, _)| part).or(read).unwrap_or(parts.shown)
     }
 
     /// A step in time, if there is another.
-    pub(crate) fn step(&mut self, parts: &Parts, load: Option<&LoadStatus>, by: i32) -> Option<PartsWish> {
+    pub(crate) fn step(&mut self, parts: &Choices, load: Option<&LoadStatus>, by: i32) -> Option<PartsWish> {
         let chosen = self.chosen(parts, load);
         let now = chosen.time.unwrap_or(0);
         let time = now.saturating_add_signed(by).min(parts.num_times - 1);
@@ -82,7 +82,7 @@ impl PartsBar {
         now: Duration,
         right: f32,
         bindings: &Bindings,
-        parts: Option<&Parts>,
+        parts: Option<&Choices>,
         load: Option<&LoadStatus>,
     ) -> Option<PartsWish> {
         self.height = 0.0;
@@ -175,7 +175,7 @@ impl PartsBar {
 }
 
 /// A row with one picker for each axis that there is more than one of.
-fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
+fn pickers(ui: &mut Ui, parts: &Choices, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
     if parts.num_times > 1 {
         let last = parts.num_times - 1;
         let mut time = dragged.take().or(chosen.time).unwrap_or(0);
@@ -267,7 +267,7 @@ fn in_words(part: &Part) -> String {
 }
 
 /// What is not named of a part is as it is shown.
-fn whole(part: Part, parts: &Parts) -> Part {
+fn whole(part: Part, parts: &Choices) -> Part {
     let shown = parts.shown;
     Part {
         channel: part.channel.or(shown.channel),
@@ -293,14 +293,14 @@ const FAILURE_TIME: Duration = Duration::from_secs(12);
 mod tests {
     use super::*;
 
-    fn parts() -> Parts {
-        Parts {
+    fn parts() -> Choices {
+        Choices {
             shown: Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None },
             whole_dims: [4; 3],
             num_channels: 2,
             num_times: 4,
             num_series: 1,
-            ..Parts::default()
+            ..Choices::default()
         }
     }
 

@@ -10,9 +10,9 @@ use std::sync::Arc;
 use egui::{Align2, Context, RichText, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
-use isinglass_core::ids::ShotId;
+use isinglass_core::ids::ScreenshotId;
 use isinglass_core::space::Aabb;
-use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+use isinglass_core::wire::screenshot::MAX_SCREENSHOT_PIXELS;
 use isinglass_net::State;
 
 use self::files::{Stamp, Writing};
@@ -64,7 +64,7 @@ enum Step {
     /// To be asked for.
     Due,
     /// Asked for.
-    Asked(ShotId),
+    Asked(ScreenshotId),
     /// On its way to the disk.
     Writing(Writing),
 }
@@ -246,9 +246,9 @@ impl Shots {
                 ui.end_row();
             });
             self.size = (size != of_window).then_some(size);
-            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SHOT_PIXELS && size[0] > 0;
+            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SCREENSHOT_PIXELS && size[0] > 0;
             if !is_fitting {
-                ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
+                ui.label(format!("at most {} million pixels", MAX_SCREENSHOT_PIXELS >> 20));
             }
             if !is_connected {
                 ui.label("the server renders them, and there is no connection to it");

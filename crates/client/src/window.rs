@@ -9,7 +9,6 @@ use isinglass_gpu::with_large_buffers;
 use isinglass_net::{Clock, Link};
 
 use crate::app::{ViewerApp, theme_preference};
-use crate::bell::Bell;
 use crate::bindings::Bindings;
 use crate::camera_controls::InitialOrbit;
 use crate::camera_path::CameraPath;
@@ -23,7 +22,6 @@ use crate::picture::{self, PictureStatus};
 use crate::start::{First, Nothing, Services, StartWindow};
 use crate::stereo::Stereo;
 use crate::viewing::{FrameSize, Refresh};
-use crate::waits::Waits;
 
 /// What a window needs to know beside where its frames come from.
 pub struct WindowOptions {
@@ -107,8 +105,6 @@ pub struct Probe {
     pub now: Duration,
     /// What is drawn; none before the volume is known.
     pub refresh: Option<Refresh>,
-    /// How many refreshes before this one had to wait for anything.
-    pub waits: Waits,
 }
 
 /// What a script wants.
@@ -260,8 +256,8 @@ fn open_window(
         let ctx = cc.egui_ctx.clone();
         let status = picture::install(state, &ctx, heard).map_err(ViewerError::Device)?;
         let wake: Waker = {
-            let bell = Bell::of(&ctx);
-            Arc::new(move || bell.ring())
+            let ctx = ctx.clone();
+            Arc::new(move || ctx.request_repaint())
         };
         let views =
             NovelViews::new(std::mem::take(&mut options.novel_views), options.novel_view, wake.clone());

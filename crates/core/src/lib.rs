@@ -4,13 +4,14 @@
 //! This crate does no I/O, reads no clock and draws no random numbers: bytes, times and seeds are arguments. Bytes
 //! from a file or a peer can never make it panic, hang or allocate without bound.
 //!
-//! Modules use only those above them: [`ids`], [`wanted`], `width`, [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
+//! Modules use only those above them: [`ids`], [`cancel`], `width`, [`space`], [`clip`], [`camera`], [`prediction`], [`picture`], [`volume`], [`transfer`],
 //! [`mode`], [`layer`], [`kernels`], [`look`], [`codec`], [`wire`], [`session`], [`image_error`].
 
 #[macro_use]
 mod width;
 
 pub mod camera;
+pub mod cancel;
 pub mod clip;
 pub mod codec;
 pub mod ids;
@@ -25,5 +26,4 @@ pub mod session;
 pub mod space;
 pub mod transfer;
 pub mod volume;
-pub mod wanted;
 pub mod wire;

@@ -5,6 +5,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
+use isinglass_core::cancel::Wanted;
 use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::layering::{self, Layering};
@@ -15,7 +16,6 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::wanted::Wanted;
 
 use crate::device::Gpu;
 use crate::error::GpuError;

@@ -20,7 +20,7 @@ use isinglass_core::kernels::layering::Layering;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Isos, Mode};
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
 use isinglass_gpu::{Backend, BackendChoice};
@@ -80,7 +80,7 @@ pub struct DemoOptions {
     /// The link between server and viewer.
     pub link: LinkModel,
     /// How frames are coded.
-    pub plan: Plan,
+    pub plan: CodingPlan,
     /// Speed of the camera while it moves.
     pub degrees_per_second: f32,
     /// Pictures shown in a second.
@@ -113,7 +113,7 @@ impl Default for DemoOptions {
             is_orthographic: false,
             backend: BackendChoice::default(),
             link: LinkModel::default(),
-            plan: Plan::default(),
+            plan: CodingPlan::default(),
             degrees_per_second: 30.0,
             refresh_hz: 30.0,
             max_evaluated: 64,

@@ -7,9 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use isinglass_core::session::screenshot::ReceivedShot;
-
-use crate::bell::Bell;
+use isinglass_core::session::screenshot::ReceivedScreenshot;
 
 /// A picture that a thread writes.
 pub(super) struct Writing {
@@ -18,14 +16,14 @@ pub(super) struct Writing {
 
 impl Writing {
     /// Writes a picture to `path`, or beside it under another number if there is a file already. Its folder is made.
-    pub(super) fn start(path: PathBuf, shot: Arc<ReceivedShot>, ctx: &egui::Context) -> Self {
+    pub(super) fn start(path: PathBuf, shot: Arc<ReceivedScreenshot>, ctx: &egui::Context) -> Self {
         let (sender, outcome) = sync_channel(1);
-        let bell = Bell::of(ctx);
+        let ctx = ctx.clone();
         let run = move || {
             let png = shot.png.as_deref().unwrap_or_default();
             // Nobody listens any more if the window is closed.
             let _ = sender.send(write(&path, png).map_err(|e| format!("{}: {e}", path.display())));
-            bell.ring();
+            ctx.request_repaint();
         };
         // Without a thread the sender is gone, and the outcome a failure.
         let _ = std::thread::Builder::new().name("picture".into()).spawn(run);

@@ -26,10 +26,10 @@ use self::budget::Budget;
 use super::march::{Lattice, Marcher, Scene, Step, Texels, with_texels};
 use super::raycast::opacity;
 use crate::camera::{Basis, Intrinsics};
+use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::Mode;
 use crate::space::Ray;
-use crate::wanted::{ALWAYS, Wanted};
 
 /// The rules by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
