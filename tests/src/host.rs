@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::volume::Volume;
-use isinglass_core::wire::Parts;
+use isinglass_core::wire::Choices;
 use isinglass_formats::load_transfer;
 use isinglass_net::{Client, ClientOptions, Link};
 use isinglass_render::Backend;
@@ -21,7 +21,7 @@ pub struct Host {
 
 impl Host {
     /// Shows a part of the file that `loader` reads, at first as the preset says.
-    pub fn new(volume: Volume, preset: &str, parts: Parts, loader: Arc<dyn Loader>) -> Self {
+    pub fn new(volume: Volume, preset: &str, parts: Choices, loader: Arc<dyn Loader>) -> Self {
         let mut threads = tokio::runtime::Builder::new_multi_thread();
         let runtime = threads.worker_threads(2).enable_all().build().expect("threads for the server");
         let options = ServeOptions {
@@ -29,7 +29,7 @@ impl Host {
             look: Look::new(load_transfer(preset).expect("a preset")),
             backend: Backend::Cpu,
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            plan: Plan::EXACT,
+            plan: CodingPlan::EXACT,
             max_viewers: 4,
             library: Some(Library { parts, loader }),
             timing: Timing::default(),

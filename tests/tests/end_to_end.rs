@@ -18,7 +18,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::ledger::Stage;
-use isinglass_core::session::rate::{Mode, Plan};
+use isinglass_core::session::rate::{CodingMode, CodingPlan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_net::{Client, ClientOptions, LinkModel, ReceivedFrame};
@@ -37,14 +37,14 @@ fn runtime() -> tokio::runtime::Runtime {
 }
 
 async fn serve(builtin: Builtin) -> RunningServer {
-    serve_as(builtin, Plan::EXACT).await
+    serve_as(builtin, CodingPlan::EXACT).await
 }
 
-async fn serve_as(builtin: Builtin, plan: Plan) -> RunningServer {
+async fn serve_as(builtin: Builtin, plan: CodingPlan) -> RunningServer {
     serve_with(builtin, plan, Backend::Cpu).await
 }
 
-async fn serve_with(builtin: Builtin, plan: Plan, backend: Backend) -> RunningServer {
+async fn serve_with(builtin: Builtin, plan: CodingPlan, backend: Backend) -> RunningServer {
     start(ServeOptions {
         volume: Arc::new(builtin.volume(48)),
         look: look(builtin),
@@ -139,7 +139,7 @@ fn a_server_says_who_is_there() {
 #[test]
 fn frames_in_blocks_reach_the_viewer_for_a_fraction_of_the_bytes() {
     let runtime = runtime();
-    let blocks = Plan { mode: Mode::Blocks, ..Plan::default() };
+    let blocks = CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() };
     let server = runtime.block_on(serve_as(Builtin::Cubus, blocks));
     let exact = runtime.block_on(serve(Builtin::Cubus));
     let connect = |server: &RunningServer| {
@@ -228,7 +228,11 @@ fn a_bad_link_delays_but_does_not_harm() {
 
 /// What a viewer sees over a narrow link whose camera turns for two seconds: by how many of its poses the frame shown is
 /// late, in the median of the second half, and the frames that came.
-fn turned_over(runtime: &tokio::runtime::Runtime, plan: Plan, link: &LinkModel) -> (u32, usize, Client) {
+fn turned_over(
+    runtime: &tokio::runtime::Runtime,
+    plan: CodingPlan,
+    link: &LinkModel,
+) -> (u32, usize, Client) {
     let server = runtime.block_on(serve_as(Builtin::Shells, plan));
     let address = runtime.block_on(server.mint_link(None)).unwrap();
     let options = ClientOptions { conditioner: Some(link.clone()), ..Default::default() };
@@ -238,7 +242,7 @@ fn turned_over(runtime: &tokio::runtime::Runtime, plan: Plan, link: &LinkModel) 
     // Until all of the frame at rest is there: what of it is on its way could not be called back.
     let rest = || {
         let patience = Instant::now() + Duration::from_secs(60);
-        while plan.mode != Mode::Blocks && !client.latest_frame().is_some_and(|f| f.is_exact) {
+        while plan.mode != CodingMode::Blocks && !client.latest_frame().is_some_and(|f| f.is_exact) {
             assert!(Instant::now() < patience, "the rest is never exact");
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -273,8 +277,8 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     let runtime = runtime();
     let (rtt, queue) = (Duration::from_millis(40), Duration::from_millis(600));
     let link = LinkModel { rtt, queue, bandwidth_mbit: Some(1.0), ..LinkModel::default() };
-    let (late, frames, client) = turned_over(&runtime, Plan::default(), &link);
-    let (late_exact, frames_exact, other) = turned_over(&runtime, Plan::EXACT, &link);
+    let (late, frames, client) = turned_over(&runtime, CodingPlan::default(), &link);
+    let (late_exact, frames_exact, other) = turned_over(&runtime, CodingPlan::EXACT, &link);
     assert!(late * 2 < late_exact, "{late} against {late_exact} poses late");
     assert!(frames > 2 * frames_exact, "{frames} against {frames_exact} frames");
     // The rest ends with the picture as if all frames had been exact.
@@ -283,7 +287,7 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     assert_eq!(as_theirs, theirs.header);
     assert!(error(&ours.flatten(), &theirs.flatten()).max_abs_255 <= 1);
     // A rate makes any link as narrow: 0.25 MB/s leave no room for more than 33 kB in a second of frames.
-    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(0.25e6) };
+    let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(0.25e6) };
     let (late, frames, client) = turned_over(&runtime, plan, &LinkModel::default());
     assert!(late * 2 < late_exact && frames > 2 * frames_exact, "{late} poses late, {frames} frames");
     let ledger = client.ledger();
@@ -299,7 +303,7 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
 fn a_larger_frame_comes_in_blocks_before_it_is_exact() {
     let runtime = runtime();
     // An exact frame takes half a second and more.
-    let plan = Plan { bytes_per_second: Some(5e4), ..Plan::default() };
+    let plan = CodingPlan { bytes_per_second: Some(5e4), ..CodingPlan::default() };
     let server = runtime.block_on(serve_as(Builtin::Cloud, plan));
     let address = runtime.block_on(server.mint_link(None)).unwrap();
     let client = Client::connect(&address, ClientOptions::default()).unwrap();
@@ -385,7 +389,7 @@ const WIDE: Intrinsics = Intrinsics { width: 320, height: 240, ..SIZE };
 fn what_viewers_that_have_left_asked_for_is_not_made() {
     let runtime = runtime();
     let slow = Arc::new(Slow::default());
-    let server = runtime.block_on(serve_with(Builtin::Cloud, Plan::EXACT, slow.clone().backend()));
+    let server = runtime.block_on(serve_with(Builtin::Cloud, CodingPlan::EXACT, slow.clone().backend()));
     let connect = || {
         let link = runtime.block_on(server.mint_link(None)).unwrap();
         Client::connect(&link, ClientOptions::default()).unwrap()

@@ -3,6 +3,7 @@
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::kernels::layering;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::march::{self, MarchSettings, Shading};
@@ -11,7 +12,6 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Lighting;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wanted::ALWAYS;
 use isinglass_gpu::{GpuError, GpuRenderer};
 use isinglass_tests::twins::{Difference, camera, gpu, header, scene, scenes, transfer};
 

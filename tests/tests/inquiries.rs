@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::ids::{LookVersion, ShotId};
+use isinglass_core::ids::{LookVersion, ScreenshotId};
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
-use isinglass_core::session::screenshot::ReceivedShot;
+use isinglass_core::session::rate::CodingPlan;
+use isinglass_core::session::screenshot::ReceivedScreenshot;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{load_transfer, png};
@@ -37,7 +37,7 @@ fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
         look: look(),
         backend: Backend::Cpu,
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-        plan: Plan::EXACT,
+        plan: CodingPlan::EXACT,
         library: None,
         max_viewers: 4,
         timing: Timing::default(),
@@ -156,10 +156,13 @@ fn a_probe_tells_the_voxel_and_the_newest_question_wins() {
     assert_eq!(other.talk().probe.answer(), None, "the other viewer is told nothing");
     // A flood is no violation: only the newest is sent and answered.
     for i in 0..5000 {
-        one.probe([i as f32, 0.0, 0.0]);
+        one.talk().probe.ask([i as f32, 0.0, 0.0]);
     }
     assert_eq!(answer(&one, center([1, 2, 3])).voxel.unwrap().index, [1, 2, 3]);
-    assert_eq!(one.probe([f32::NAN; 3]), one.probe([f32::NAN; 3]), "no question at all");
+    let mut talk = one.talk();
+    let newest = talk.probe.ask([0.0; 3]);
+    assert_eq!(talk.probe.ask([f32::NAN; 3]), newest, "no question at all");
+    drop(talk);
     runtime.block_on(server.close());
 }
 
@@ -169,9 +172,9 @@ fn a_picture_to_keep_is_that_of_render_to_the_bit() {
     let volume = Arc::new(Builtin::Shells.volume(48));
     let server = serve(&runtime, &volume);
     let (one, other) = (connect(&runtime, &server), connect(&runtime, &server));
-    let shot = |client: &Client, id: ShotId| {
+    let shot = |client: &Client, id: ScreenshotId| {
         let shot = wait_for("the picture", || client.talk().screenshot.take_outcome());
-        let ReceivedShot { id: found, png } = Arc::unwrap_or_clone(shot);
+        let ReceivedScreenshot { id: found, png } = Arc::unwrap_or_clone(shot);
         assert_eq!(found, id);
         png.unwrap()
     };
@@ -180,7 +183,7 @@ fn a_picture_to_keep_is_that_of_render_to_the_bit() {
     for (look, background) in [(look(), [0; 3]), (Look { lighting: SHADED, ..look() }, [200, 210, 220])] {
         one.set_look(look.clone()).unwrap();
         let ids = [(&one, 0.2f32), (&other, 1.1)]
-            .map(|(c, azimuth)| (c, azimuth, c.shoot(pose(azimuth), large, background)));
+            .map(|(c, azimuth)| (c, azimuth, c.talk().screenshot.request(pose(azimuth), large, background)));
         let mut files = Vec::new();
         for (client, azimuth, id) in ids {
             let found = shot(client, id);

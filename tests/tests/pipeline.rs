@@ -15,7 +15,7 @@ use isinglass_client::{Foresight, HeadlessViewer};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::session::ledger::{Life, Stage};
-use isinglass_core::session::rate::{Mode, Plan};
+use isinglass_core::session::rate::{CodingMode, CodingPlan};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_formats::load_transfer;
 use isinglass_net::{AfterWork, Client, ClientOptions, Clock, Journal, LinkModel, Work};
@@ -76,7 +76,7 @@ impl Outcome {
 }
 
 /// Shows an orbiting camera's frames for some seconds.
-fn play(machine: Machine, mode: Mode, rtt: Duration) -> Outcome {
+fn play(machine: Machine, mode: CodingMode, rtt: Duration) -> Outcome {
     let threads = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     let clock = Clock::start();
     let options = ServeOptions {
@@ -84,7 +84,7 @@ fn play(machine: Machine, mode: Mode, rtt: Duration) -> Outcome {
         look: Look::new(load_transfer("cubus").unwrap()),
         backend: Backend::Cpu,
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-        plan: Plan { mode, ..Plan::default() },
+        plan: CodingPlan { mode, ..CodingPlan::default() },
         max_viewers: 1,
         library: None,
         timing: Timing { clock: clock.clone(), after_work: machine.after_work() },
@@ -143,7 +143,7 @@ fn collect(lives: &mut Vec<Life>, client: &Client, journal: &Journal, now_micros
     lives.retain(|life| life.at(Stage::Begun).is_some_and(|begun| begun >= since));
 }
 
-fn check(machine: Machine, rtt_ms: u64, mode: Mode) -> Result<(), String> {
+fn check(machine: Machine, rtt_ms: u64, mode: CodingMode) -> Result<(), String> {
     let played = play(machine, mode, Duration::from_millis(rtt_ms));
     let (fps, mean, p95) = (played.new_frames_per_second, played.mean_age(), played.p95_age());
     let in_vain = played.in_vain();
@@ -165,7 +165,7 @@ const LEAST_FPS: f64 = 55.0;
 fn a_fast_machines_frames_are_on_the_screen_as_old_as_the_link_and_little_older() {
     let ms = Duration::from_millis;
     let fast = Machine { generate: ms(2), encode: ms(6), decode: ms(5) };
-    for mode in [Mode::Exact, Mode::Blocks] {
+    for mode in [CodingMode::Exact, CodingMode::Blocks] {
         for rtt_ms in [20, 100, 200] {
             // Other programs may have the machine for a moment.
             let tries: Vec<_> = (0..3).map_while(|_| check(fast, rtt_ms, mode).err()).collect();
@@ -177,7 +177,7 @@ fn a_fast_machines_frames_are_on_the_screen_as_old_as_the_link_and_little_older(
     }
     // The control: one whose coder takes 30 ms has less, and makes no more frames than it sends.
     let slow = Machine { encode: ms(30), ..fast };
-    let played = play(slow, Mode::Exact, ms(20));
+    let played = play(slow, CodingMode::Exact, ms(20));
     assert!(played.new_frames_per_second < 40.0, "{}", played.new_frames_per_second);
     assert!(played.in_vain() * 20 <= played.lives.len(), "{} in vain", played.in_vain());
 }

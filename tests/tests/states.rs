@@ -20,7 +20,7 @@ use isinglass_client::{FrameSize, Refresh, ScriptStep, WindowContents, WindowOpt
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::volume::Volume;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{Part, Parts};
+use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{SavedState, load_transfer, read_state, state_to_link};
 use isinglass_net::{Client, ClientOptions, Clock};
 use isinglass_server::{Loaded, Loader, Survey};
@@ -34,15 +34,15 @@ fn volume(channel: u32) -> Volume {
     [Builtin::Shells, Builtin::Cubus, Builtin::Cloud][channel as usize].volume(24)
 }
 
-fn parts(channel: u32) -> Parts {
-    Parts {
+fn parts(channel: u32) -> Choices {
+    Choices {
         shown: Part { channel: Some(channel), time: Some(0), level: Some(0), series: Some(0), region: None },
         whole_dims: [24; 3],
         num_channels: 3,
         channels: ["DAPI", "GFP", "actin"].map(str::to_owned).into(),
         num_times: 1,
         num_series: 1,
-        ..Parts::default()
+        ..Choices::default()
     }
 }
 

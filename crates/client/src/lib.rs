@@ -43,7 +43,6 @@ pub use view::headless::{DisplayRecord, HeadlessViewer};
 pub use view::local_servers::{LocalServer, LocalServers};
 pub use view::quality_control::{Quality, QualityControl};
 pub use view::viewing::{FrameSize, Refresh, Standing, Viewing};
-pub use view::waits::{Waits, excuse_wait};
 pub use view::{BoxedSource, Waker};
 pub use window::display::display_available;
 pub use window::run::{ViewerOptions, run};

@@ -41,7 +41,7 @@ id!(
 );
 id!(
     /// One picture to keep, numbered by the client.
-    ShotId(u32)
+    ScreenshotId(u32)
 );
 id!(
     /// Position of a chunk within its frame: 0 is sent first.

@@ -10,6 +10,7 @@
 mod width;
 
 pub mod camera;
+pub mod cancel;
 pub mod clip;
 pub mod codec;
 pub mod ids;
@@ -25,5 +26,4 @@ pub mod session;
 pub mod space;
 pub mod transfer;
 pub mod volume;
-pub mod wanted;
 pub mod wire;

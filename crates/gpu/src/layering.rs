@@ -7,11 +7,11 @@
 
 use std::time::{Duration, Instant};
 
+use isinglass_core::cancel::Wanted;
 use isinglass_core::kernels::layering::budget::{
     Budget, FIRST_LEAST, FIRST_RATIO, NUM_THRESHOLDS, THRESHOLD_GREATEST, longest_list, sample_stride,
 };
 use isinglass_core::layer::{FrameHeader, LayeredFrame, MAX_K};
-use isinglass_core::wanted::Wanted;
 
 use crate::device::{Gpu, bands, bind, rows_per_band};
 use crate::error::GpuError;

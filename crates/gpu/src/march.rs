@@ -4,12 +4,12 @@
 use std::ops::Range;
 
 use isinglass_core::camera::Camera;
+use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
-use isinglass_core::wanted::{ALWAYS, Wanted};
 
 use crate::device::Gpu;
 use crate::error::GpuError;

@@ -7,7 +7,7 @@ use anyhow::Result;
 use glam::Vec3;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
-use isinglass_core::wire::{Part, Parts};
+use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{
     FormatError, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, default_transfer,
     load_transfer, open, outline,
@@ -105,9 +105,9 @@ impl Loader for FileLoader {
 }
 
 /// What there is to choose in a file, as viewers are told.
-fn parts_of(outline: &Outline) -> Parts {
+fn parts_of(outline: &Outline) -> Choices {
     let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX).max(1);
-    Parts {
+    Choices {
         shown: part_of(&outline.shown),
         whole_dims: outline.whole_dims,
         num_channels: count(outline.num_channels),

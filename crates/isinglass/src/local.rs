@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use isinglass_client::{LocalServer, LocalServers, Services};
 use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{LoadRequest, Outline};
 use isinglass_render::{Backend, BackendChoice};
@@ -73,7 +73,7 @@ impl LocalServers for Locals {
             look,
             backend: self.backend()?,
             listen: ([127, 0, 0, 1], 0).into(),
-            plan: Plan::default(),
+            plan: CodingPlan::default(),
             max_viewers: 1,
             library: Some(opened.library),
             timing: Timing::default(),

@@ -8,6 +8,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use isinglass_core::camera::Camera;
+use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::layering::{self, FrameMaker};
@@ -18,7 +19,6 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::wanted::{ALWAYS, Wanted};
 
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 

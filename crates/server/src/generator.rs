@@ -18,7 +18,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;
 use crate::lights::Lights;
-use crate::parts::SceneNumber;
+use crate::selection::SceneNumber;
 
 /// Makes layered frames one after the other, in the order they are asked for. Clones share the thread, which ends
 /// with the last of them.
@@ -86,14 +86,14 @@ impl GenerateError {
 }
 
 enum Job {
-    Frame(Box<Order>),
-    Rows(Box<RowsOrder>),
-    Replace { studio: Box<Studio>, reply: oneshot::Sender<()> },
+    Frame(Box<FrameJob>),
+    Rows(Box<RowsJob>),
+    Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
 }
 
 type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
 
-struct Order {
+struct FrameJob {
     scene: SceneNumber,
     look: Look,
     header: FrameHeader,
@@ -102,7 +102,7 @@ struct Order {
 }
 
 /// A part of a picture, from a row on.
-struct RowsOrder {
+struct RowsJob {
     scene: SceneNumber,
     look: Look,
     /// With all of its shade, if it has any.
@@ -113,7 +113,7 @@ struct RowsOrder {
 }
 
 /// What the thread has.
-struct Studio {
+struct RenderThread {
     renderer: Renderer,
     look: Look,
     scene: SceneNumber,
@@ -134,12 +134,17 @@ impl Generator {
         after_work: AfterWork,
     ) -> Result<Self, ServeError> {
         let renderer = renderer_of(backend, scene)?;
-        let mut studio =
-            Studio { renderer, look, scene: SceneNumber::default(), lights, after_work: after_work.clone() };
+        let mut state = RenderThread {
+            renderer,
+            look,
+            scene: SceneNumber::default(),
+            lights,
+            after_work: after_work.clone(),
+        };
         // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
         let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
-        let work = move || studio.work(&mut receiver);
+        let work = move || state.work(&mut receiver);
         std::thread::Builder::new()
             .name("generator".into())
             .spawn(move || threads.install(work))
@@ -159,7 +164,7 @@ impl Generator {
         wish: Wish,
     ) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
-        let order = Box::new(Order { scene, look, header, wish, reply });
+        let order = Box::new(FrameJob { scene, look, header, wish, reply });
         self.jobs.send(Job::Frame(order)).await.ok()?;
         answer.await.ok()
     }
@@ -173,9 +178,14 @@ impl Generator {
         lights: Lights,
     ) -> bool {
         let (reply, answer) = oneshot::channel();
-        let studio =
-            Box::new(Studio { renderer, look, scene: number, lights, after_work: self.after_work.clone() });
-        self.jobs.send(Job::Replace { studio, reply }).await.is_ok() && answer.await.is_ok()
+        let state = Box::new(RenderThread {
+            renderer,
+            look,
+            scene: number,
+            lights,
+            after_work: self.after_work.clone(),
+        });
+        self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
     }
 
     /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade, piece by piece:
@@ -198,7 +208,7 @@ impl Generator {
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
             let (look, lit) = (look.clone(), lit.clone());
-            let order = Box::new(RowsOrder { scene, look, lit, camera, first, reply });
+            let order = Box::new(RowsJob { scene, look, lit, camera, first, reply });
             self.jobs.send(Job::Rows(order)).await.ok()?;
             match answer.await.ok()? {
                 Ok(rows) => {
@@ -225,22 +235,22 @@ pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, G
     }
 }
 
-impl Studio {
+impl RenderThread {
     fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
         while let Some(job) = jobs.blocking_recv() {
             // Nobody waits any more where the reply is closed: the viewer has left while its order was in the queue.
             match job {
                 Job::Frame(order) if !order.reply.is_closed() => {
-                    let made = self.attempt(|studio| studio.generate(&order));
+                    let made = self.attempt(|state| state.generate(&order));
                     let _ = order.reply.send(made);
                 }
                 Job::Rows(order) if !order.reply.is_closed() => {
-                    let made = self.attempt(|studio| studio.rows(&order));
+                    let made = self.attempt(|state| state.rows(&order));
                     let _ = order.reply.send(made);
                 }
                 Job::Frame(_) | Job::Rows(_) => {}
-                Job::Replace { studio, reply } => {
-                    *self = *studio;
+                Job::Replace { state, reply } => {
+                    *self = *state;
                     let _ = reply.send(());
                 }
             }
@@ -261,7 +271,7 @@ impl Studio {
         result
     }
 
-    fn generate(&mut self, order: &Order) -> Result<Generated, GenerateError> {
+    fn generate(&mut self, order: &FrameJob) -> Result<Generated, GenerateError> {
         let started = Instant::now();
         self.prepare(order.scene, &order.look, None)?;
         let (renderer, wanted) = (&mut self.renderer, || order.wish.holds());
@@ -273,7 +283,7 @@ impl Studio {
     }
 
     /// As many rows of a picture as take no longer than a frame.
-    fn rows(&mut self, order: &RowsOrder) -> Result<Picture, GenerateError> {
+    fn rows(&mut self, order: &RowsJob) -> Result<Picture, GenerateError> {
         self.prepare(order.scene, &order.look, order.lit.as_ref())?;
         let Intrinsics { width, height, .. } = order.camera.intrinsics;
         let num_pixels = match self.renderer {

@@ -8,9 +8,9 @@
 
 mod generator;
 mod lights;
-mod parts;
 mod pipeline;
 mod screenshots;
+mod selection;
 mod serving;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -18,9 +18,9 @@ use std::sync::Arc;
 
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::volume::Volume;
-use isinglass_core::wire::Parts;
+use isinglass_core::wire::Choices;
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
 use isinglass_render::Backend;
@@ -28,9 +28,9 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use generator::Generator;
-use parts::{Librarian, Present, SceneNumber};
+use selection::{Present, SceneNumber, SelectionReader};
 
-pub use parts::{Loaded, Loader, Survey};
+pub use selection::{Loaded, Loader, Survey};
 
 /// What to serve, and how.
 pub struct ServeOptions {
@@ -43,7 +43,7 @@ pub struct ServeOptions {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
     /// How frames are coded.
-    pub plan: Plan,
+    pub plan: CodingPlan,
     /// Viewers at the same time.
     pub max_viewers: u32,
     /// What else there is in the volume's file, for viewers to choose; none: they cannot choose another part.
@@ -65,7 +65,7 @@ pub struct Timing {
 #[derive(Clone)]
 pub struct Library {
     /// What there is to choose, and what is shown at first.
-    pub parts: Parts,
+    pub parts: Choices,
     /// Opens it.
     pub loader: Arc<dyn Loader>,
 }
@@ -136,7 +136,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     // The first frame neither waits for the tables nor takes long because of them, which would be held against its coding.
     tokio::task::spawn_blocking(isinglass_core::codec::prepare);
     tracing::info!(%address, backend = backend.description(), "serving");
-    let librarian = Librarian {
+    let reader = SelectionReader {
         loader,
         backend,
         generator: generator.clone(),
@@ -148,7 +148,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let common = serving::Common { generator, present, load, orders, plan, after_work, coders };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
-    let serving = tokio::spawn(serving::serve(server, librarian, common, receiver, attendance_in, newest_in));
+    let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));
     Ok(RunningServer { address, commands, attendance, newest, serving })
 }
 

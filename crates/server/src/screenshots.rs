@@ -5,14 +5,14 @@ use std::sync::Arc;
 use isinglass_core::camera::Camera;
 use isinglass_core::look::Look;
 use isinglass_core::picture::linear_from_srgb;
-use isinglass_core::wire::ShotRequest;
+use isinglass_core::wire::ScreenshotRequest;
 use isinglass_formats::png;
 use isinglass_net::server::{Control, FrameSender};
 use tokio::task::JoinHandle;
 use tracing::Instrument;
 
 use crate::generator::Generator;
-use crate::parts::Present;
+use crate::selection::Present;
 
 /// The pictures of one viewer. What is in the making is given up when another is asked for, and with the viewer.
 pub(crate) struct Screenshots {
@@ -28,7 +28,7 @@ impl Screenshots {
     }
 
     /// Makes a picture under a look in place of the one in the making, or none.
-    pub(crate) fn set(&mut self, shot: Option<ShotRequest>, look: &Look, present: &Arc<Present>) {
+    pub(crate) fn set(&mut self, shot: Option<ScreenshotRequest>, look: &Look, present: &Arc<Present>) {
         self.give_up();
         let Some(shot) = shot else { return };
         let (generator, look, present) = (self.generator.clone(), look.clone(), present.clone());
@@ -37,7 +37,7 @@ impl Screenshots {
         let work = async move {
             match make(&generator, &shot, &look, &present).await {
                 // Where the viewer has left, nobody waits for it.
-                Ok(png) => drop(frames.send_shot(id, &png).await),
+                Ok(png) => drop(frames.send_screenshot(id, &png).await),
                 Err(why) => {
                     tracing::warn!("no picture: {why}");
                     control.talk().screenshot.handle_failed(id, &why);
@@ -63,7 +63,7 @@ impl Drop for Screenshots {
 /// The picture as a PNG file, or one line of why there is none.
 async fn make(
     generator: &Generator,
-    shot: &ShotRequest,
+    shot: &ScreenshotRequest,
     look: &Look,
     present: &Present,
 ) -> Result<Vec<u8>, String> {

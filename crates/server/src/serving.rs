@@ -9,7 +9,7 @@ use std::time::Duration;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::ids::LookVersion;
 use isinglass_core::session::frames::FramesServer;
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
 use isinglass_net::{AfterWork, Journal, Server, Session};
 use tokio::sync::{mpsc, watch};
@@ -18,9 +18,9 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use crate::generator::Generator;
-use crate::parts::{Librarian, Order, Present};
 use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::screenshots::Screenshots;
+use crate::selection::{Order, Present, SelectionReader};
 use crate::{Attendance, Command};
 
 /// What all viewers share.
@@ -30,7 +30,7 @@ pub(crate) struct Common {
     pub(crate) present: watch::Receiver<Arc<Present>>,
     pub(crate) load: watch::Receiver<Option<Load>>,
     pub(crate) orders: mpsc::Sender<Order>,
-    pub(crate) plan: Plan,
+    pub(crate) plan: CodingPlan,
     pub(crate) after_work: AfterWork,
     pub(crate) coders: Coders,
 }
@@ -38,7 +38,7 @@ pub(crate) struct Common {
 /// Lets viewers in until told to close.
 pub(crate) async fn serve(
     mut server: Server,
-    librarian: Librarian,
+    reader: SelectionReader,
     common: Common,
     mut commands: mpsc::Receiver<Command>,
     attendance: watch::Sender<Attendance>,
@@ -47,7 +47,7 @@ pub(crate) async fn serve(
     let mut viewers = JoinSet::new();
     let mut known = HashSet::new();
     let mut present = common.present.clone();
-    let librarian = tokio::spawn(librarian.run());
+    let reader = tokio::spawn(reader.run());
     let left = server.left();
     loop {
         tokio::select! {
@@ -74,7 +74,7 @@ pub(crate) async fn serve(
         let now = Attendance { connected: viewers.len(), used_links: server.num_used_links() };
         attendance.send_if_modified(|before| std::mem::replace(before, now) != now);
     }
-    librarian.abort();
+    reader.abort();
     server.close().await;
 }
 

@@ -9,7 +9,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use isinglass_client::excuse_wait;
+use crate::waits::excuse;
 
 thread_local! {
     static IS_TOLD: Cell<bool> = const { Cell::new(false) };
@@ -32,7 +32,7 @@ fn told<T>(work: impl FnOnce() -> T) -> T {
     }
     let before = voluntary_switches();
     let result = work();
-    excuse_wait(voluntary_switches() - before);
+    excuse(voluntary_switches() - before);
     result
 }
 
@@ -61,7 +61,7 @@ unsafe impl GlobalAlloc for Telling {
 
 /// Of this thread, so far.
 #[cfg(target_os = "linux")]
-fn voluntary_switches() -> u64 {
+pub(crate) fn voluntary_switches() -> u64 {
     // SAFETY: a structure of numbers, for which zeros are a value.
     let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
     // SAFETY: the structure is there and ours.
@@ -71,6 +71,6 @@ fn voluntary_switches() -> u64 {
 
 /// Nothing is counted elsewhere.
 #[cfg(not(target_os = "linux"))]
-fn voluntary_switches() -> u64 {
+pub(crate) fn voluntary_switches() -> u64 {
     0
 }

@@ -8,8 +8,8 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use isinglass_client::Waker;
 use isinglass_core::look::Look;
-use isinglass_core::session::rate::Plan;
-use isinglass_core::wire::{Part, Parts};
+use isinglass_core::session::rate::CodingPlan;
+use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{OpenOptions, Selection, open};
 use isinglass_net::{Client, ClientOptions, Clock};
 use isinglass_render::Backend;
@@ -44,14 +44,14 @@ fn selection(part: &Part) -> Selection {
     Selection { time: part.time, ..Selection::default() }
 }
 
-fn parts(time: u32) -> Parts {
-    Parts {
+fn parts(time: u32) -> Choices {
+    Choices {
         shown: Part { channel: Some(0), time: Some(time), level: Some(0), series: Some(0), region: None },
         whole_dims: [SIDE as u64; 3],
         num_channels: 1,
         num_times: 2,
         num_series: 1,
-        ..Parts::default()
+        ..Choices::default()
     }
 }
 
@@ -136,7 +136,7 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                     look: look(),
                     backend: Backend::Cpu,
                     listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-                    plan: Plan::default(),
+                    plan: CodingPlan::default(),
                     max_viewers: 1,
                     library: Some(Library { parts: parts(0), loader: Arc::new(film) }),
                     timing: Timing::default(),

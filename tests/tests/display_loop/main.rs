@@ -1,8 +1,8 @@
 //! Does the display loop wait for anything: the network, a disk, a lock?
 //!
 //! A real window on a real connection, while frames arrive, looks change, another volume is read from a file, the server goes
-//! away, and another one comes in its place. What is counted is how many refreshes gave up their core to wait, as the system
-//! says (`isinglass_client::Waits`), so the machine's load hardly matters. Only waits at the locks of the system's allocator
+//! away, and another one comes in its place. What is counted is how many refreshes, from their first look at the source on, gave up their core to wait, as the system
+//! says (`waits.rs`), so the machine's load hardly matters. Only waits at the locks of the system's allocator
 //! are excused, and counted by themselves. Like `viewer.rs` it needs a display, and runs on the main thread; the count is
 //! Linux's.
 #![expect(
@@ -13,19 +13,21 @@
 
 mod allocator;
 mod backstage;
+mod waits;
 
 use std::cell::{OnceCell, RefCell};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isinglass_client::{FrameSource, Probe, ScriptStep, Waits, WindowOptions, display_available, run_window};
+use isinglass_client::{FrameSource, Probe, ScriptStep, WindowOptions, display_available, run_window};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
 use isinglass_core::wire::Part;
 use isinglass_net::{Client, Clock, LinkStats, ReceivedFrame, State, Talking};
 
 use backstage::Backstage;
+use waits::{Waits, begin_refresh};
 
 fn main() {
     if !display_available() {
@@ -74,8 +76,7 @@ struct Seen {
     act: Act,
     /// The refreshes when it began.
     act_begun_at: u64,
-    /// What was counted before the first picture.
-    begun_at: Option<Waits>,
+    has_begun: bool,
 }
 
 /// What is going on behind the window. Each act lasts until its end has come, and at least [`REFRESHES`].
@@ -102,7 +103,7 @@ impl Seen {
         assert!(self.num_frames > 3 && self.num_looks > 6, "{self:?}");
     }
 
-    fn note(&mut self, probe: &Probe, client: &Client) {
+    fn note(&mut self, client: &Client) {
         let state = match client.state() {
             State::Connecting { .. } => "connecting",
             State::Connected => "connected",
@@ -112,13 +113,6 @@ impl Seen {
         if !self.states.contains(&state) {
             self.states.push(state);
         }
-        let begun = *self.begun_at.get_or_insert(probe.waits);
-        let Waits { refreshes, waited, excused } = probe.waits;
-        self.waits = Waits {
-            refreshes: refreshes - begun.refreshes,
-            waited: waited - begun.waited,
-            excused: excused - begun.excused,
-        };
     }
 }
 
@@ -133,6 +127,8 @@ fn play(delay: Duration) -> Seen {
         let mut newest = None;
         move |probe: &Probe| {
             let mut seen = seen.borrow_mut();
+            let mut waits = seen.waits;
+            waits.end_refresh();
             assert!(probe.now < Duration::from_secs(240), "{seen:?}");
             let backstage = backstage.borrow();
             let backstage = backstage.as_ref().unwrap();
@@ -142,10 +138,11 @@ fn play(delay: Duration) -> Seen {
             }
             let Some(client) = clients.get() else { return ScriptStep::Continue };
             let frame = client.latest_frame();
-            if frame.is_none() && seen.begun_at.is_none() {
+            if frame.is_none() && !seen.has_begun {
                 return ScriptStep::Continue;
             }
-            seen.note(probe, client);
+            (seen.has_begun, seen.waits) = (true, waits);
+            seen.note(client);
             let number = frame.as_ref().map(|f| f.frame.header.frame);
             if number.is_some() && std::mem::replace(&mut newest, number) != number {
                 seen.num_frames += 1;
@@ -227,6 +224,7 @@ struct DelayedSource {
 impl FrameSource for DelayedSource {
     /// Before there is a client, what is said is forgotten.
     fn talk(&self) -> Talking<'_, ClientSession> {
+        begin_refresh();
         match self.clients.get() {
             Some(client) => client.talk(),
             None => Talking::alone(&self.nobody),
@@ -234,6 +232,7 @@ impl FrameSource for DelayedSource {
     }
 
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
+        begin_refresh();
         if !self.delay.is_zero() {
             std::thread::sleep(self.delay);
         }

@@ -23,7 +23,7 @@ use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::picture::Picture;
-use isinglass_core::session::rate::Plan;
+use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
 use isinglass_formats::{OpenOptions, RawShape, Selection};
@@ -101,7 +101,7 @@ pub struct DemoOptions {
     /// The link between server and viewer.
     pub link: LinkModel,
     /// How frames are coded.
-    pub plan: Plan,
+    pub plan: CodingPlan,
     /// Speed of the camera while it moves.
     pub degrees_per_second: f32,
     /// Pictures shown in a second.
@@ -133,7 +133,7 @@ impl Default for DemoOptions {
             is_orthographic: false,
             backend: BackendChoice::default(),
             link: LinkModel::default(),
-            plan: Plan::default(),
+            plan: CodingPlan::default(),
             degrees_per_second: 30.0,
             refresh_hz: 30.0,
             max_evaluated: 64,

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::codec;
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::empty_space::EmptySpace;
@@ -13,7 +14,6 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::{Bricks, Histogram};
-use isinglass_core::wanted::ALWAYS;
 use isinglass_render::{Backend, Renderer, Reprojector};
 
 use super::{Preparation, SpeedOptions, SpeedRow};

@@ -45,7 +45,6 @@ use crate::view::local_servers::LocalServers;
 use crate::view::quality_control::QualityControl;
 use crate::view::refresh_meter::RefreshMeter;
 use crate::view::viewing::{Standing, Viewing};
-use crate::view::waits::Waits;
 
 /// What is known of a source of frames.
 #[derive(Default)]
@@ -116,7 +115,6 @@ pub(crate) struct ViewerApp<S> {
     reported_at: Duration,
     parts_bar: PartsBar,
     wish: Option<AppWish>,
-    waits: Waits,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -172,7 +170,6 @@ impl<S: FrameSource> ViewerApp<S> {
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
             wish: None,
-            waits: Waits::default(),
         }
     }
 
@@ -258,24 +255,14 @@ impl<S: FrameSource> ViewerApp<S> {
         self.notice = Some((text.into(), now));
     }
 
-    /// Whether waits of the display loop are counted.
-    pub(crate) fn is_watched(&self) -> bool {
-        self.options.script.is_some() || tracing::enabled!(tracing::Level::TRACE)
-    }
-
     pub(crate) fn source(&self) -> &S {
         self.viewing.source()
-    }
-
-    pub(crate) fn waits(&mut self) -> &mut Waits {
-        &mut self.waits
     }
 }
 
 impl<S: FrameSource> eframe::App for ViewerApp<S> {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        let (ctx, is_watched) = (ui.ctx().clone(), self.is_watched());
-        self.waits = self.waits.watch(&ctx, is_watched, || self.show(ui));
+        self.show(ui);
     }
 }
 

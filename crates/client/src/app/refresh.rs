@@ -237,11 +237,7 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn run_script(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
         let Some(script) = &mut self.options.script else { return };
-        match script(&Probe {
-            now: now.saturating_sub(self.opened_at),
-            refresh: refresh.cloned(),
-            waits: self.waits,
-        }) {
+        match script(&Probe { now: now.saturating_sub(self.opened_at), refresh: refresh.cloned() }) {
             ScriptStep::Continue => {}
             ScriptStep::Capture(then) => ctx.request_screenshot(move |image| {
                 let rgb = image.pixels.iter().flat_map(|p| [p.r(), p.g(), p.b()]).collect();

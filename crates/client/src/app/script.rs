@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use crate::view::viewing::Refresh;
-use crate::view::waits::Waits;
 
 /// Is called after every refresh and says what to do next.
 pub type Script = Box<dyn FnMut(&Probe) -> ScriptStep>;
@@ -15,8 +14,6 @@ pub struct Probe {
     pub now: Duration,
     /// What is drawn; none before the volume is known.
     pub refresh: Option<Refresh>,
-    /// How many refreshes before this one had to wait.
-    pub waits: Waits,
 }
 
 /// What a script asks for.

@@ -1,6 +1,6 @@
 //! Which part of a server's file a state names: its channel, time, level, series and region.
 
-use isinglass_core::wire::{Part, Parts, VolumeDescription};
+use isinglass_core::wire::{Choices, Part, VolumeDescription};
 use isinglass_formats::SavedVolume;
 
 /// Where a state's volume is, as seen from what the server shows.
@@ -16,7 +16,7 @@ pub(crate) enum StatePart {
 
 impl StatePart {
     /// Finds the volume `saved`. `shown` is what the server shows, `parts` what its file holds.
-    pub(crate) fn of(saved: &SavedVolume, shown: &VolumeDescription, parts: &Parts) -> Self {
+    pub(crate) fn of(saved: &SavedVolume, shown: &VolumeDescription, parts: &Choices) -> Self {
         if !names_part(saved) {
             return Self::Shown;
         }
@@ -104,15 +104,15 @@ mod tests {
         VolumeDescription::of(&volume, &Histogram::of(&volume))
     }
 
-    fn parts() -> Parts {
-        Parts {
+    fn parts() -> Choices {
+        Choices {
             shown: Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None },
             whole_dims: [8; 3],
             num_channels: 3,
             num_times: 4,
             num_series: 2,
             levels: vec![[8; 3], [4; 3]],
-            ..Parts::default()
+            ..Choices::default()
         }
     }
 
@@ -150,7 +150,7 @@ mod tests {
         let region = Some([[0, 4], [0, u32::MAX], [0, u32::MAX]]);
         assert_eq!(half, StatePart::Other(Part { region, ..now }));
         // And back to the whole.
-        let parts = Parts { shown: Part { region, ..now }, ..parts() };
+        let parts = Choices { shown: Part { region, ..now }, ..parts() };
         let half = VolumeDescription { dims: [4, 8, 8], ..shown() };
         assert_eq!(StatePart::of(&saved(|_| ()), &half, &parts), StatePart::Other(now));
         let again = save_part(SavedVolume::of(&half), &parts.shown);

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use egui::{Align2, ProgressBar, RichText, Ui, vec2};
 use isinglass_core::ids::LoadId;
-use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
+use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 
 use super::part_pickers::{label, list, numbered, time_field};
 use super::style::{named, pane_at, warning};
@@ -36,14 +36,14 @@ pub(crate) struct PartsBar {
 
 impl PartsBar {
     /// The part to count from: the requested one, or the one being read, or the one shown.
-    fn chosen(&self, parts: &Parts, load: Option<&LoadStatus>) -> Part {
+    fn chosen(&self, parts: &Choices, load: Option<&LoadStatus>) -> Part {
         let is_reading = |l: &&LoadStatus| matches!(l.state, LoadState::Reading { .. });
         let read = load.filter(is_reading).map(|l| whole(l.part, parts));
         self.asked.map(|(part, _)| part).or(read).unwrap_or(parts.shown)
     }
 
     /// A step in time, if there is another time.
-    pub(crate) fn step(&mut self, parts: &Parts, load: Option<&LoadStatus>, by: i32) -> Option<PartsWish> {
+    pub(crate) fn step(&mut self, parts: &Choices, load: Option<&LoadStatus>, by: i32) -> Option<PartsWish> {
         let chosen = self.chosen(parts, load);
         let now = chosen.time.unwrap_or(0);
         let time = now.saturating_add_signed(by).min(parts.num_times - 1);
@@ -79,7 +79,7 @@ impl PartsBar {
         now: Duration,
         right: f32,
         bindings: &Bindings,
-        parts: Option<&Parts>,
+        parts: Option<&Choices>,
         load: Option<&LoadStatus>,
     ) -> Option<PartsWish> {
         self.height = 0.0;
@@ -168,7 +168,7 @@ impl PartsBar {
 }
 
 /// A row with a picker for each axis with more than one entry.
-fn pickers(ui: &mut Ui, parts: &Parts, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
+fn pickers(ui: &mut Ui, parts: &Choices, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
     if parts.num_times > 1 {
         let last = parts.num_times - 1;
         let mut time = dragged.take().or(chosen.time).unwrap_or(0);
@@ -229,7 +229,7 @@ fn in_words(part: &Part) -> String {
 }
 
 /// Fills what a part does not name from the part shown.
-fn whole(part: Part, parts: &Parts) -> Part {
+fn whole(part: Part, parts: &Choices) -> Part {
     let shown = parts.shown;
     Part {
         channel: part.channel.or(shown.channel),
@@ -246,14 +246,14 @@ const FAILURE_TIME: Duration = Duration::from_secs(12);
 mod tests {
     use super::*;
 
-    fn parts() -> Parts {
-        Parts {
+    fn parts() -> Choices {
+        Choices {
             shown: Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None },
             whole_dims: [4; 3],
             num_channels: 2,
             num_times: 4,
             num_series: 1,
-            ..Parts::default()
+            ..Choices::default()
         }
     }
 

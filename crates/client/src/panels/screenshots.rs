@@ -9,9 +9,9 @@ use std::path::PathBuf;
 use egui::{Align2, Context, RichText, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
-use isinglass_core::ids::ShotId;
+use isinglass_core::ids::ScreenshotId;
 use isinglass_core::space::Aabb;
-use isinglass_core::wire::shot::MAX_SHOT_PIXELS;
+use isinglass_core::wire::screenshot::MAX_SCREENSHOT_PIXELS;
 use isinglass_net::State;
 use time::OffsetDateTime;
 
@@ -57,7 +57,7 @@ struct Series {
 /// The stage of the picture after the last that is done.
 enum PictureStage {
     Due,
-    Requested(ShotId),
+    Requested(ScreenshotId),
     Writing(Background<PathBuf>),
 }
 
@@ -234,9 +234,9 @@ impl Screenshots {
                 ui.end_row();
             });
             self.size = (size != of_window).then_some(size);
-            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SHOT_PIXELS && size[0] > 0;
+            let is_fitting = size[0] as usize * size[1] as usize <= MAX_SCREENSHOT_PIXELS && size[0] > 0;
             if !is_fitting {
-                ui.label(format!("at most {} million pixels", MAX_SHOT_PIXELS >> 20));
+                ui.label(format!("at most {} million pixels", MAX_SCREENSHOT_PIXELS >> 20));
             }
             if !is_connected {
                 ui.label("the server renders them, and there is no connection to it");

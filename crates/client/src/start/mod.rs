@@ -331,9 +331,7 @@ fn state_in(path: &Path) -> Result<Box<ReadState>, String> {
 
 impl eframe::App for StartWindow {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        let (ctx, is_watched, before) = (ui.ctx().clone(), self.app.is_watched(), *self.app.waits());
-        let after = before.watch(&ctx, is_watched, || self.show(ui));
-        *self.app.waits() = after;
+        self.show(ui);
     }
 }
 

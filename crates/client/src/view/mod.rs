@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-pub(crate) mod bell;
 pub(crate) mod foresight;
 pub(crate) mod frame_source;
 pub(crate) mod headless;
@@ -13,7 +12,6 @@ pub(crate) mod pick;
 pub(crate) mod quality_control;
 pub(crate) mod refresh_meter;
 pub(crate) mod viewing;
-pub(crate) mod waits;
 
 /// The frames of a window that can switch between sources.
 pub type BoxedSource = Box<dyn frame_source::FrameSource + Send>;
@@ -23,6 +21,6 @@ pub type Waker = Arc<dyn Fn() + Send + Sync>;
 
 /// The waker of a window.
 pub(crate) fn waker_of(ctx: &egui::Context) -> Waker {
-    let bell = bell::Bell::of(ctx);
-    Arc::new(move || bell.ring())
+    let ctx = ctx.clone();
+    Arc::new(move || ctx.request_repaint())
 }

@@ -36,10 +36,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::cancel::{ALWAYS, Wanted};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::{Compositing, Mode};
-use crate::wanted::{ALWAYS, Wanted};
 use bands::Borders;
 use blocks::{Reference, References};
 

@@ -14,11 +14,11 @@ pub struct ViewerId(pub u32);
 /// The places of a server.
 #[derive(Debug, Default)]
 pub struct Admission {
-    places: Vec<Place>,
+    places: Vec<ViewerPlace>,
 }
 
 #[derive(Debug)]
-struct Place {
+struct ViewerPlace {
     /// As handed out in a link: remembered only to tell its second user what happened.
     link: Token,
     current: Token,
@@ -37,7 +37,7 @@ impl Admission {
         if self.places.len() >= MAX_PLACES {
             return None;
         }
-        self.places.push(Place { link: token.clone(), current: token, bound: None });
+        self.places.push(ViewerPlace { link: token.clone(), current: token, bound: None });
         Some(ViewerId(self.places.len() as u32 - 1))
     }
 

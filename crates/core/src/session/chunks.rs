@@ -535,7 +535,7 @@ const MAX_POSES: usize = 512;
 /// Times that the frame rate is counted from; also the highest rate that is shown.
 const MAX_RATE_SAMPLES: usize = 512;
 /// Below every chunk: a picture to keep waits for what is looked at.
-pub const SHOT_PRIORITY: i32 = -1;
+pub const SCREENSHOT_PRIORITY: i32 = -1;
 /// Above every chunk.
 pub const CONTROL_PRIORITY: i32 = i32::MAX;
 /// Frame numbers that priorities tell apart.

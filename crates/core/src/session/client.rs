@@ -1,4 +1,4 @@
-//! The client's halves of all subjects, and which message goes to which.
+//! The client's halves of all subjects. Each looks at every message, and takes what is its own.
 
 use super::link::LinkClient;
 use super::look::LookClient;
@@ -7,7 +7,7 @@ use super::probe::ProbeClient;
 use super::screenshot::ScreenshotClient;
 use super::selection::SelectionClient;
 use crate::ids::LookVersion;
-use crate::wire::{ClientMessage, Refusal, ServerMessage, VolumeChange, Welcome};
+use crate::wire::{ClientMessage, Refusal, ServerMessage, Welcome};
 
 /// What a viewer says to its server and hears from it. It outlives connections.
 ///
@@ -64,24 +64,15 @@ impl ClientSession {
     /// If the connection is over because of it.
     pub fn handle_message(&mut self, now_micros: u64, message: ServerMessage) -> Result<(), Ended> {
         match message {
-            ServerMessage::LookChanged { version, look, is_draft } => {
-                self.look.handle_changed(now_micros, version, look, is_draft);
-            }
-            ServerMessage::VolumeChanged(change) => {
-                let VolumeChange { volume, look_version, look } = *change;
-                self.link.handle_volume_changed(volume, look_version, look.clone());
-                self.look.handle_volume_changed(look_version, look);
-                self.probe.handle_volume_changed();
-            }
-            ServerMessage::Parts(parts) => self.selection.handle_choices(*parts),
-            ServerMessage::Load(load) => self.selection.handle_load(load),
-            ServerMessage::Probed(probed) => self.probe.handle_answer(probed),
-            ServerMessage::ShotFailed { id, why } => self.screenshot.handle_failed(id, why),
-            ServerMessage::Notice(text) => self.link.handle_notice(text),
-            ServerMessage::Stats(stats) => self.link.handle_stats(stats),
             ServerMessage::Refused(refusal) => return Err(Ended::Refused(refusal)),
             ServerMessage::Welcome(_) => return Err(Ended::Broken("a second welcome")),
+            _ => {}
         }
+        self.link.handle_message(&message);
+        self.look.handle_message(now_micros, &message);
+        self.selection.handle_message(&message);
+        self.probe.handle_message(&message);
+        self.screenshot.handle_message(&message);
         Ok(())
     }
 
@@ -117,6 +108,7 @@ impl ClientSession {
 mod tests {
     use super::*;
     use crate::session::pair::{look, welcome};
+    use crate::wire::VolumeChange;
 
     #[test]
     fn nothing_is_said_without_a_connection() {

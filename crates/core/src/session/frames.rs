@@ -5,7 +5,7 @@
 //! one look. At rest the same frame goes out again, finer.
 
 use super::look::LookServer;
-use super::rate::{CodingControl, LinkState, Mode, Plan};
+use super::rate::{CodingControl, CodingMode, CodingPlan, LinkState};
 use crate::camera::{Camera, Intrinsics};
 use crate::codec::{Coding, Settings};
 use crate::ids::{FrameId, LookVersion, PoseId};
@@ -54,7 +54,7 @@ impl Sending {
 #[derive(Debug)]
 pub struct FramesServer {
     coding: CodingControl,
-    mode: Mode,
+    mode: CodingMode,
     newest: FrameId,
     /// When the newest frame was begun.
     begun_at: Option<u64>,
@@ -72,7 +72,7 @@ pub struct FramesServer {
 
 impl FramesServer {
     /// No frame has been made.
-    pub fn new(plan: Plan) -> Self {
+    pub fn new(plan: CodingPlan) -> Self {
         Self {
             coding: CodingControl::new(plan),
             mode: plan.mode,
@@ -245,7 +245,7 @@ impl FramesServer {
                 && is_same_picture(&of_sent.camera.intrinsics, &header.camera.intrinsics)
                 && of_sent.look == header.look
         });
-        self.mode == Mode::Auto && is_exact
+        self.mode == CodingMode::Auto && is_exact
     }
 }
 
@@ -287,7 +287,7 @@ mod tests {
     }
 
     fn of_server() -> (FramesServer, LookServer) {
-        (FramesServer::new(Plan::default()), LookServer::new(LookVersion(1), look("first")))
+        (FramesServer::new(CodingPlan::default()), LookServer::new(LookVersion(1), look("first")))
     }
 
     /// Makes and sends the frame for a pose.

@@ -13,10 +13,8 @@ use std::sync::Arc;
 
 use super::bucket::Bucket;
 use super::pace::Pace;
-use crate::ids::LookVersion;
-use crate::look::Look;
 use crate::wire::control::one_line;
-use crate::wire::{ClientMessage, ClientStats, ServerMessage, ServerStats, VolumeDescription, Welcome};
+use crate::wire::{ClientMessage, ClientStats, ServerMessage, ServerStats, VolumeChange, Welcome};
 
 /// The client's half.
 #[derive(Debug)]
@@ -74,26 +72,19 @@ impl LinkClient {
         names.is_some_and(|(before, now)| before.volume.name != now.volume.name)
     }
 
-    /// Another volume is shown.
-    pub fn handle_volume_changed(
-        &mut self,
-        volume: VolumeDescription,
-        look_version: LookVersion,
-        look: Look,
-    ) {
-        if let Some(welcome) = &mut self.description {
-            *welcome = Arc::new(Welcome { volume, look_version, look, ..(**welcome).clone() });
+    /// A message has arrived. A line for the person replaces the one before.
+    pub fn handle_message(&mut self, message: &ServerMessage) {
+        match message {
+            ServerMessage::Stats(stats) => self.server_stats = *stats,
+            ServerMessage::Notice(text) => self.notice = Some(text.clone()),
+            ServerMessage::VolumeChanged(change) => {
+                if let Some(welcome) = &mut self.description {
+                    let VolumeChange { volume, look_version, look } = (**change).clone();
+                    *welcome = Arc::new(Welcome { volume, look_version, look, ..(**welcome).clone() });
+                }
+            }
+            _ => {}
         }
-    }
-
-    /// The server says what its newest frame cost.
-    pub fn handle_stats(&mut self, stats: ServerStats) {
-        self.server_stats = stats;
-    }
-
-    /// The server has a line for the person. It replaces the one before.
-    pub fn handle_notice(&mut self, text: String) {
-        self.notice = Some(text);
     }
 
     /// The next message.
@@ -105,6 +96,13 @@ impl LinkClient {
     pub fn due(&self) -> Option<u64> {
         self.report.due()
     }
+}
+
+/// How long a client waits before it tries to connect again, µs, `attempt` counting from 1: 0.25 s, doubled each time up to
+/// 5 s. It is up to a quarter shorter by `random`, 0 to 1, so that many clients do not come at once.
+pub fn retry_wait_micros(attempt: u32, random: f64) -> u64 {
+    let whole = (FIRST_RETRY_MICROS << attempt.saturating_sub(1).min(8)).min(LONGEST_RETRY_MICROS);
+    (whole as f64 * (1.0 - 0.25 * random)) as u64
 }
 
 /// The server's half.
@@ -152,6 +150,8 @@ impl LinkServer {
 pub const MAX_MESSAGES_PER_SECOND: u32 = 100;
 /// After so long one more may be handled, µs.
 pub const MESSAGE_WAIT_MICROS: u64 = 1_000_000 / MAX_MESSAGES_PER_SECOND as u64;
+const FIRST_RETRY_MICROS: u64 = 250_000;
+const LONGEST_RETRY_MICROS: u64 = 5_000_000;
 /// Reports go out at most once a second.
 const REPORT_MICROS: u64 = 1_000_000;
 /// Lines that wait for the network; the oldest goes first.
@@ -180,6 +180,14 @@ mod tests {
         pair.run(1_000_000);
         assert_eq!(pair.client.link.take_notice().as_deref(), Some("999 "));
         assert_eq!((pair.client.link.take_notice(), pair.client.link.server_stats().bytes), (None, 999));
+    }
+
+    #[test]
+    fn waits_double_to_their_limit_and_are_up_to_a_quarter_shorter() {
+        for (attempt, ms) in [(1, 250), (2, 500), (3, 1000), (5, 4000), (6, 5000), (1000, 5000)] {
+            assert_eq!(retry_wait_micros(attempt, 0.0), ms * 1000);
+            assert_eq!(retry_wait_micros(attempt, 1.0), ms * 750);
+        }
     }
 
     #[test]

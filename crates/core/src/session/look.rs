@@ -123,6 +123,19 @@ impl LookClient {
         self.asked = in_force;
     }
 
+    /// A message has arrived.
+    pub fn handle_message(&mut self, now_micros: u64, message: &ServerMessage) {
+        match message {
+            ServerMessage::LookChanged { version, look, is_draft } => {
+                self.handle_changed(now_micros, *version, look.clone(), *is_draft);
+            }
+            ServerMessage::VolumeChanged(change) => {
+                self.handle_volume_changed(change.look_version, change.look.clone());
+            }
+            _ => {}
+        }
+    }
+
     /// The server has another look in force.
     pub fn handle_changed(&mut self, now_micros: u64, version: LookVersion, look: Look, is_draft: bool) {
         self.put_in_force(version, look, is_draft);
@@ -193,7 +206,7 @@ pub struct LookServer {
     /// The transfer function that suits the volume. The look has it unless somebody chose another.
     usual: TransferFunction,
     version: LookVersion,
-    shade: Shade,
+    shade: ShadeProgress,
     wanted: Option<Look>,
     /// A new volume that is not told yet.
     volume: Option<VolumeDescription>,
@@ -203,7 +216,7 @@ pub struct LookServer {
 
 /// How far the shade of the look is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Shade {
+enum ShadeProgress {
     Whole,
     /// A draft. All of it is worked out at this time, µs.
     Draft(u64),
@@ -226,7 +239,7 @@ impl LookServer {
     /// Begins with the look that the viewer was welcomed with.
     pub fn new(version: LookVersion, look: Look) -> Self {
         let usual = look.transfer.clone();
-        let (look, shade) = (Arc::new(look), Shade::Whole);
+        let (look, shade) = (Arc::new(look), ShadeProgress::Whole);
         Self { look, usual, version, shade, wanted: None, volume: None, is_untold: false }
     }
 
@@ -242,15 +255,17 @@ impl LookServer {
 
     /// Whether frames of this version show a draft of the shade.
     pub fn is_draft(&self) -> bool {
-        self.shade != Shade::Whole
+        self.shade != ShadeProgress::Whole
     }
 
-    /// The viewer wants another look.
-    pub fn handle_set(&mut self, look: Look) {
-        self.wanted = Some(look);
+    /// A message has arrived: of several looks the newest is left.
+    pub fn handle_message(&mut self, message: &ClientMessage) {
+        if let ClientMessage::SetLook(look) = message {
+            self.wanted = Some(look.clone());
+        }
     }
 
-    /// The look that the viewer wants. Of several the newest is left: none is rendered that is out of date.
+    /// The look that the viewer wants. None is rendered that is out of date.
     pub fn poll_wanted(&mut self) -> Option<Look> {
         self.wanted.take()
     }
@@ -296,14 +311,14 @@ impl LookServer {
         version: LookVersion,
         is_there: bool,
     ) -> Option<String> {
-        if version != self.version || self.shade != Shade::Refining {
+        if version != self.version || self.shade != ShadeProgress::Refining {
             return None;
         }
         if is_there {
             self.begin_version(now_micros, true);
             return None;
         }
-        self.shade = Shade::Failed;
+        self.shade = ShadeProgress::Failed;
         Some("the server cannot work out the shade of this look".into())
     }
 
@@ -323,27 +338,27 @@ impl LookServer {
             return GeneratedLook::Draft;
         }
         // Nothing of the shade had changed.
-        (self.shade, self.is_untold) = (Shade::Whole, true);
+        (self.shade, self.is_untold) = (ShadeProgress::Whole, true);
         GeneratedLook::Usable
     }
 
     /// The look whose shade is to be worked out now, with its version.
     pub fn poll_refine(&mut self, now_micros: u64) -> Option<(LookVersion, Arc<Look>)> {
-        if !matches!(self.shade, Shade::Draft(at) if at <= now_micros) {
+        if !matches!(self.shade, ShadeProgress::Draft(at) if at <= now_micros) {
             return None;
         }
-        self.shade = Shade::Refining;
+        self.shade = ShadeProgress::Refining;
         Some((self.version, self.look.clone()))
     }
 
     /// Whether the shade of this version is still to be worked out.
     pub fn is_refining(&self, version: LookVersion) -> bool {
-        version == self.version && self.shade == Shade::Refining
+        version == self.version && self.shade == ShadeProgress::Refining
     }
 
     /// When to ask `poll_refine` again, µs.
     pub fn due(&self) -> Option<u64> {
-        if let Shade::Draft(at) = self.shade { Some(at) } else { None }
+        if let ShadeProgress::Draft(at) = self.shade { Some(at) } else { None }
     }
 
     /// The next message to the viewer.
@@ -361,7 +376,8 @@ impl LookServer {
 
     fn begin_version(&mut self, now_micros: u64, is_whole: bool) {
         self.version = self.version.next();
-        self.shade = if is_whole { Shade::Whole } else { Shade::Draft(now_micros + REST_MICROS) };
+        self.shade =
+            if is_whole { ShadeProgress::Whole } else { ShadeProgress::Draft(now_micros + REST_MICROS) };
         self.is_untold = true;
     }
 }

@@ -3,7 +3,7 @@
 //! Bytes and times come in through `handle_*`; decisions come out of `poll_*`. Times are microseconds on the clock of the
 //! side that asks. No clock of one machine is ever subtracted from the other's.
 //!
-//! - [`client`], [`server`]: all halves of a side, and which message goes to which.
+//! - [`client`], [`server`]: all halves of a side.
 //! - [`link`]: the connection itself; [`admission`]: who is let in.
 //! - [`pose`]: where frames are wanted from; [`look`]: what they look like; [`selection`]: which part of the file they show.
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they are begun; [`chunks`]: what of

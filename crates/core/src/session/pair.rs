@@ -9,7 +9,7 @@ use super::chunks::{ChunkPlace, ChunksClient};
 use super::client::ClientSession;
 use super::pose::ReceiverReport;
 use super::server::ServerSession;
-use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId, ShotId};
+use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::Look;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::Volume;
@@ -37,7 +37,7 @@ pub(crate) struct Pair {
     /// Parts that the server was asked for.
     pub(crate) orders: Vec<Option<Part>>,
     /// Pictures that it was asked for, and the look that it had in force.
-    pub(crate) shots: Vec<(ShotId, String)>,
+    pub(crate) shots: Vec<(ScreenshotId, String)>,
     /// Frames that the client has shown, with the versions of their looks.
     pub(crate) shown: Vec<(FrameId, LookVersion)>,
 }

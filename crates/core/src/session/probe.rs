@@ -48,15 +48,19 @@ impl ProbeClient {
         self.outbox.offer(self.unanswered);
     }
 
+    /// A message has arrived. An answer of the volume before is of no use.
+    pub fn handle_message(&mut self, message: &ServerMessage) {
+        match message {
+            ServerMessage::Probed(answer) => self.handle_answer(*answer),
+            ServerMessage::VolumeChanged(_) => self.answer = None,
+            _ => {}
+        }
+    }
+
     /// The server has answered.
     pub fn handle_answer(&mut self, answer: Probed) {
         self.unanswered.take_if(|asked| asked.id == answer.id);
         self.answer = Some(answer);
-    }
-
-    /// Another volume is shown: the answer was of the one before.
-    pub fn handle_volume_changed(&mut self) {
-        self.answer = None;
     }
 
     /// The next message.
@@ -78,9 +82,11 @@ pub struct ProbeServer {
 }
 
 impl ProbeServer {
-    /// The viewer asks. An older question is dropped.
-    pub fn handle_question(&mut self, question: ProbeRequest) {
-        self.asked = Some(question);
+    /// A message has arrived: of several questions the newest is left.
+    pub fn handle_message(&mut self, message: &ClientMessage) {
+        if let ClientMessage::Probe(question) = message {
+            self.asked = Some(*question);
+        }
     }
 
     /// Answers what was asked, from the volume that is shown.
@@ -139,7 +145,10 @@ mod tests {
         client.handle_welcome();
         assert!(client.poll_message(200_000).is_none());
         assert!(client.answer().is_some());
-        client.handle_volume_changed();
+        let volume = crate::session::pair::volume("second");
+        let (look_version, look) = (crate::ids::LookVersion(2), crate::session::pair::look("second"));
+        let change = crate::wire::VolumeChange { volume, look_version, look };
+        client.handle_message(&ServerMessage::VolumeChanged(Box::new(change)));
         assert_eq!(client.answer(), None);
     }
 }

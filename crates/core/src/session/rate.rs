@@ -9,7 +9,7 @@ use crate::codec::{Coding, Settings};
 
 /// Which codings a connection uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
+pub enum CodingMode {
     /// Exact frames only.
     Exact,
     /// Frames in blocks only.
@@ -19,7 +19,7 @@ pub enum Mode {
     Auto,
 }
 
-impl Mode {
+impl CodingMode {
     /// As it is asked for.
     pub const fn name(self) -> &'static str {
         match self {
@@ -32,24 +32,25 @@ impl Mode {
 
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plan {
+pub struct CodingPlan {
     /// The codings.
-    pub mode: Mode,
+    pub mode: CodingMode,
     /// Best quality of frames in blocks while the camera moves, 0 to [`blocks::MAX_QUALITY`].
     pub quality: u8,
     /// Most bytes a second; none: what the link carries.
     pub bytes_per_second: Option<f64>,
 }
 
-impl Default for Plan {
+impl Default for CodingPlan {
     fn default() -> Self {
-        Self { mode: Mode::default(), quality: DEFAULT_QUALITY, bytes_per_second: None }
+        Self { mode: CodingMode::default(), quality: DEFAULT_QUALITY, bytes_per_second: None }
     }
 }
 
-impl Plan {
+impl CodingPlan {
     /// Nothing but exact frames.
-    pub const EXACT: Self = Self { mode: Mode::Exact, quality: DEFAULT_QUALITY, bytes_per_second: None };
+    pub const EXACT: Self =
+        Self { mode: CodingMode::Exact, quality: DEFAULT_QUALITY, bytes_per_second: None };
 }
 
 /// What the transport knows of the link.
@@ -86,7 +87,7 @@ impl LinkState {
 /// camera rests), and `handle_encoded` when that is done.
 #[derive(Clone, Debug)]
 pub struct CodingControl {
-    plan: Plan,
+    plan: CodingPlan,
     control: RateControl,
     /// What the link carries, bytes a second, as far as it has shown; none: no queue was seen.
     ceiling: Option<f64>,
@@ -111,7 +112,7 @@ pub struct CodingControl {
 
 impl CodingControl {
     /// Knows nothing of the link yet.
-    pub fn new(plan: Plan) -> Self {
+    pub fn new(plan: CodingPlan) -> Self {
         Self {
             plan,
             control: RateControl::new(usize::MAX),
@@ -201,9 +202,9 @@ impl CodingControl {
             turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
         let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
-            Mode::Exact => Coding::default(),
-            Mode::Blocks => in_blocks,
-            Mode::Auto => {
+            CodingMode::Exact => Coding::default(),
+            CodingMode::Blocks => in_blocks,
+            CodingMode::Auto => {
                 let bytes = self.control.expected_bytes(is_predicted, quality);
                 let (Some(bytes), true) = (bytes, self.exact_bytes.is_known()) else { return in_blocks };
                 let bytes = f64::from(bytes) / counted(num_lists);
@@ -224,13 +225,13 @@ impl CodingControl {
         let at = |quality| Coding::Blocks(blocks::Settings::of(quality));
         let Coding::Blocks(last) = sent else { return None };
         match self.plan.mode {
-            Mode::Exact => None,
-            Mode::Blocks => {
+            CodingMode::Exact => None,
+            CodingMode::Blocks => {
                 let is_for_turn = last.turn_deg.is_some();
                 let best = self.plan.quality.max(last.quality);
                 (is_for_turn || last.quality < best).then(|| at(best))
             }
-            Mode::Auto => {
+            CodingMode::Auto => {
                 let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
                 let takes_long = bytes / self.bytes_per_second() > LONG_SECONDS;
                 Some(if takes_long && last.quality < FINE_QUALITY { at(FINE_QUALITY) } else { exact })

@@ -2,9 +2,9 @@
 //!
 //! | message | says |
 //! |---|---|
-//! | [`ClientMessage::Shoot`], [`ClientMessage::CancelShot`] | the view, or that no picture is wanted any more; at most 30 a second |
-//! | [`ServerMessage::ShotFailed`] | why a picture does not come |
-//! | stream `IGLS` | the picture as PNG; see [`crate::wire::shot`] |
+//! | [`ClientMessage::TakeScreenshot`], [`ClientMessage::CancelScreenshot`] | the view, or that no picture is wanted any more; at most 30 a second |
+//! | [`ServerMessage::ScreenshotFailed`] | why a picture does not come |
+//! | stream `IGLS` | the picture as PNG; see [`crate::wire::screenshot`] |
 //!
 //! One picture is wanted at a time: a later request replaces the one before.
 
@@ -12,15 +12,15 @@ use std::sync::Arc;
 
 use super::pace::Pace;
 use crate::camera::{Intrinsics, Pose};
-use crate::ids::ShotId;
+use crate::ids::ScreenshotId;
 use crate::wire::control::one_line;
-use crate::wire::{ClientMessage, PoseRequest, ServerMessage, ShotRequest};
+use crate::wire::{ClientMessage, PoseRequest, ScreenshotRequest, ServerMessage};
 
 /// The outcome of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ReceivedShot {
+pub struct ReceivedScreenshot {
     /// The request.
-    pub id: ShotId,
+    pub id: ScreenshotId,
     /// A PNG file of the size that was asked for, or one line of why there is none.
     pub png: Result<Vec<u8>, String>,
 }
@@ -28,28 +28,28 @@ pub struct ReceivedShot {
 /// The client's half: the picture that is wanted, and its outcome.
 #[derive(Debug)]
 pub struct ScreenshotClient {
-    newest: ShotId,
-    wanted: Option<ShotRequest>,
+    newest: ScreenshotId,
+    wanted: Option<ScreenshotRequest>,
     /// The request that the server works on, as far as it was told over this connection.
-    asked: Option<ShotId>,
+    asked: Option<ScreenshotId>,
     /// What to tell it; none: that no picture is wanted.
-    outbox: Pace<Option<ShotRequest>>,
-    outcome: Option<Arc<ReceivedShot>>,
+    outbox: Pace<Option<ScreenshotRequest>>,
+    outcome: Option<Arc<ReceivedScreenshot>>,
 }
 
 impl Default for ScreenshotClient {
     fn default() -> Self {
         let outbox = Pace::new(PERIOD_MICROS);
-        Self { newest: ShotId(0), wanted: None, asked: None, outbox, outcome: None }
+        Self { newest: ScreenshotId(0), wanted: None, asked: None, outbox, outcome: None }
     }
 }
 
 impl ScreenshotClient {
     /// Asks for a picture, under the look that the viewer wants. A view that cannot be rendered fails at once.
-    pub fn request(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ShotId {
+    pub fn request(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ScreenshotId {
         self.newest = self.newest.next();
         let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
-        let request = ShotRequest { id: self.newest, view, background };
+        let request = ScreenshotRequest { id: self.newest, view, background };
         let problem = request.view().err();
         self.wanted = Some(request.clone());
         self.outbox.offer(Some(problem.is_none().then_some(request)));
@@ -66,12 +66,12 @@ impl ScreenshotClient {
     }
 
     /// Whether the picture of this request is still wanted: its stream is worth reading.
-    pub fn wants(&self, id: ShotId) -> bool {
+    pub fn wants(&self, id: ScreenshotId) -> bool {
         self.wanted.as_ref().is_some_and(|wanted| wanted.id == id)
     }
 
     /// The outcome of the newest request, once.
-    pub fn take_outcome(&mut self) -> Option<Arc<ReceivedShot>> {
+    pub fn take_outcome(&mut self) -> Option<Arc<ReceivedScreenshot>> {
         self.outcome.take()
     }
 
@@ -81,9 +81,16 @@ impl ScreenshotClient {
         self.outbox.offer(self.wanted.clone().map(Some));
     }
 
+    /// A message has arrived.
+    pub fn handle_message(&mut self, message: &ServerMessage) {
+        if let ServerMessage::ScreenshotFailed { id, why } = message {
+            self.handle_failed(*id, why.clone());
+        }
+    }
+
     /// The stream of a picture has ended.
-    pub fn handle_png(&mut self, id: ShotId, png: Vec<u8>) {
-        let Some(Ok(view)) = self.wanted.as_ref().filter(|w| w.id == id).map(ShotRequest::view) else {
+    pub fn handle_png(&mut self, id: ScreenshotId, png: Vec<u8>) {
+        let Some(Ok(view)) = self.wanted.as_ref().filter(|w| w.id == id).map(ScreenshotRequest::view) else {
             return;
         };
         let expected = [view.intrinsics.width, view.intrinsics.height];
@@ -95,7 +102,7 @@ impl ScreenshotClient {
     }
 
     /// The picture does not come.
-    pub fn handle_failed(&mut self, id: ShotId, why: String) {
+    pub fn handle_failed(&mut self, id: ScreenshotId, why: String) {
         self.settle(id, Err(why));
     }
 
@@ -104,8 +111,8 @@ impl ScreenshotClient {
         let wanted = self.outbox.poll(now_micros)?;
         let before = std::mem::replace(&mut self.asked, wanted.as_ref().map(|w| w.id));
         match wanted {
-            Some(shot) => Some(ClientMessage::Shoot(shot)),
-            None => before.map(|_| ClientMessage::CancelShot),
+            Some(shot) => Some(ClientMessage::TakeScreenshot(shot)),
+            None => before.map(|_| ClientMessage::CancelScreenshot),
         }
     }
 
@@ -114,9 +121,9 @@ impl ScreenshotClient {
         self.outbox.due()
     }
 
-    fn settle(&mut self, id: ShotId, png: Result<Vec<u8>, String>) {
+    fn settle(&mut self, id: ScreenshotId, png: Result<Vec<u8>, String>) {
         if self.wanted.take_if(|wanted| wanted.id == id).is_some() {
-            self.outcome = Some(Arc::new(ReceivedShot { id, png }));
+            self.outcome = Some(Arc::new(ReceivedScreenshot { id, png }));
             // The server knows that nothing is left to do.
             self.asked.take_if(|asked| *asked == id);
         }
@@ -126,29 +133,33 @@ impl ScreenshotClient {
 /// The server's half: what is wanted, and what has failed.
 #[derive(Debug, Default)]
 pub struct ScreenshotServer {
-    changed: Option<Option<ShotRequest>>,
-    failed: Option<(ShotId, String)>,
+    changed: Option<Option<ScreenshotRequest>>,
+    failed: Option<(ScreenshotId, String)>,
 }
 
 impl ScreenshotServer {
-    /// The viewer wants a picture, or none any more.
-    pub fn handle_request(&mut self, wanted: Option<ShotRequest>) {
-        self.changed = Some(wanted);
+    /// A message has arrived: of several requests the newest is left.
+    pub fn handle_message(&mut self, message: &ClientMessage) {
+        match message {
+            ClientMessage::TakeScreenshot(request) => self.changed = Some(Some(request.clone())),
+            ClientMessage::CancelScreenshot => self.changed = Some(None),
+            _ => {}
+        }
     }
 
     /// What to make now in place of what is in the making; its inside is none for nothing.
-    pub fn poll_request(&mut self) -> Option<Option<ShotRequest>> {
+    pub fn poll_request(&mut self) -> Option<Option<ScreenshotRequest>> {
         self.changed.take()
     }
 
     /// A picture cannot be made.
-    pub fn handle_failed(&mut self, id: ShotId, why: &str) {
+    pub fn handle_failed(&mut self, id: ScreenshotId, why: &str) {
         self.failed = Some((id, one_line(why)));
     }
 
     /// The next message.
     pub fn poll_message(&mut self) -> Option<ServerMessage> {
-        self.failed.take().map(|(id, why)| ServerMessage::ShotFailed { id, why })
+        self.failed.take().map(|(id, why)| ServerMessage::ScreenshotFailed { id, why })
     }
 }
 
@@ -199,7 +210,7 @@ mod tests {
             let id = pair.client.screenshot.request(pose(), VIEW, [0; 3]);
             pair.run(2_000_000);
             assert_eq!(pair.shots, [(id, "b".to_owned())]);
-            pair.client.screenshot.handle_png(ShotId(1), png());
+            pair.client.screenshot.handle_png(ScreenshotId(1), png());
             assert_eq!(pair.client.screenshot.take_outcome(), None, "it was replaced");
             pair.client.screenshot.handle_png(id, png());
             pair.client.screenshot.handle_failed(id, "late".into());
@@ -224,12 +235,12 @@ mod tests {
     fn what_is_wanted_is_asked_for_again_and_what_is_cancelled_is_not() {
         let mut client = ScreenshotClient::default();
         let id = client.request(pose(), VIEW, [0; 3]);
-        assert!(matches!(client.poll_message(0), Some(ClientMessage::Shoot(s)) if s.id == id));
+        assert!(matches!(client.poll_message(0), Some(ClientMessage::TakeScreenshot(s)) if s.id == id));
         client.handle_welcome();
-        assert!(matches!(client.poll_message(100_000), Some(ClientMessage::Shoot(s)) if s.id == id));
+        assert!(matches!(client.poll_message(100_000), Some(ClientMessage::TakeScreenshot(s)) if s.id == id));
         client.cancel();
         assert!(!client.wants(id));
-        assert!(matches!(client.poll_message(200_000), Some(ClientMessage::CancelShot)));
+        assert!(matches!(client.poll_message(200_000), Some(ClientMessage::CancelScreenshot)));
         client.handle_welcome();
         assert!(client.poll_message(300_000).is_none());
         // Cancelled before the server heard of it.

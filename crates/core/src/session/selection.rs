@@ -2,21 +2,21 @@
 //!
 //! | message | says |
 //! |---|---|
-//! | [`ClientMessage::OpenPart`], [`ClientMessage::CancelPart`] | the part to show instead, or that none is wanted any more |
-//! | [`ServerMessage::Parts`] | what the file holds, and which part is shown |
+//! | [`ClientMessage::Select`], [`ClientMessage::CancelSelection`] | the part to show instead, or that none is wanted any more |
+//! | [`ServerMessage::Choices`] | what the file holds, and which part is shown |
 //! | [`ServerMessage::Load`] | how the reading of another part stands; at most ten a second while it goes on |
 
 use std::sync::Arc;
 
 use super::admission::ViewerId;
 use crate::ids::LoadId;
-use crate::wire::{ClientMessage, LoadState, LoadStatus, Part, Parts, ServerMessage};
+use crate::wire::{Choices, ClientMessage, LoadState, LoadStatus, Part, ServerMessage};
 
 /// The client's half.
 #[derive(Debug, Default)]
 pub struct SelectionClient {
     unsent: Option<Option<Part>>,
-    choices: Option<Arc<Parts>>,
+    choices: Option<Arc<Choices>>,
     load: Option<LoadStatus>,
 }
 
@@ -27,7 +27,7 @@ impl SelectionClient {
     }
 
     /// What the file holds beside what is shown, once the server has said so.
-    pub fn choices(&self) -> Option<Arc<Parts>> {
+    pub fn choices(&self) -> Option<Arc<Choices>> {
         self.choices.clone()
     }
 
@@ -46,8 +46,17 @@ impl SelectionClient {
         (self.choices, self.load) = (None, None);
     }
 
+    /// A message has arrived.
+    pub fn handle_message(&mut self, message: &ServerMessage) {
+        match message {
+            ServerMessage::Choices(choices) => self.handle_choices((**choices).clone()),
+            ServerMessage::Load(load) => self.handle_load(load.clone()),
+            _ => {}
+        }
+    }
+
     /// The server has said what the file holds.
-    pub fn handle_choices(&mut self, choices: Parts) {
+    pub fn handle_choices(&mut self, choices: Choices) {
         self.choices = Some(Arc::new(choices));
     }
 
@@ -59,7 +68,7 @@ impl SelectionClient {
     /// The next message.
     pub fn poll_message(&mut self) -> Option<ClientMessage> {
         let part = self.unsent.take()?;
-        Some(part.map_or(ClientMessage::CancelPart, ClientMessage::OpenPart))
+        Some(part.map_or(ClientMessage::CancelSelection, ClientMessage::Select))
     }
 }
 
@@ -90,7 +99,7 @@ impl Load {
 pub struct SelectionServer {
     viewer: ViewerId,
     ordered: Option<Option<Part>>,
-    choices: Option<Parts>,
+    choices: Option<Choices>,
     load: Option<Load>,
     /// When a load that goes on may be told of again, µs.
     tell_at: u64,
@@ -102,9 +111,13 @@ impl SelectionServer {
         Self { viewer, ordered: None, choices: None, load: None, tell_at: 0 }
     }
 
-    /// The viewer asks for a part, or for none any more.
-    pub fn handle_order(&mut self, part: Option<Part>) {
-        self.ordered = Some(part);
+    /// A message has arrived: of several orders the newest is left.
+    pub fn handle_message(&mut self, message: &ClientMessage) {
+        match message {
+            ClientMessage::Select(part) => self.ordered = Some(Some(*part)),
+            ClientMessage::CancelSelection => self.ordered = Some(None),
+            _ => {}
+        }
     }
 
     /// What was asked for last, once.
@@ -113,7 +126,7 @@ impl SelectionServer {
     }
 
     /// The file holds this, and this part of it is shown.
-    pub fn handle_choices(&mut self, choices: Parts) {
+    pub fn handle_choices(&mut self, choices: Choices) {
         self.choices = Some(choices);
     }
 
@@ -125,7 +138,7 @@ impl SelectionServer {
     /// The next message.
     pub fn poll_message(&mut self, now_micros: u64) -> Option<ServerMessage> {
         if let Some(choices) = self.choices.take() {
-            return Some(ServerMessage::Parts(Box::new(choices)));
+            return Some(ServerMessage::Choices(Box::new(choices)));
         }
         if self.due()? > now_micros {
             return None;

@@ -1,4 +1,4 @@
-//! The server's halves of all subjects, for one viewer, and which message goes to which.
+//! The server's halves of all subjects, for one viewer. Each looks at every message, and takes what is its own.
 
 use super::admission::ViewerId;
 use super::chunks::ChunksServer;
@@ -78,17 +78,17 @@ impl ServerSession {
     /// # Errors
     /// If the viewer must be sent away for it.
     pub fn handle_message(&mut self, body: &[u8]) -> Result<Heard, Refusal> {
-        match control::decode(body).map_err(|e| violation(&e))? {
-            ClientMessage::SetLook(look) => self.look.handle_set(look),
-            ClientMessage::OpenPart(part) => self.selection.handle_order(Some(part)),
-            ClientMessage::CancelPart => self.selection.handle_order(None),
-            ClientMessage::Probe(question) => self.probe.handle_question(question),
-            ClientMessage::Shoot(shot) => self.screenshot.handle_request(Some(shot)),
-            ClientMessage::CancelShot => self.screenshot.handle_request(None),
+        let message: ClientMessage = control::decode(body).map_err(|e| violation(&e))?;
+        match message {
+            ClientMessage::Hello { .. } => return Err(Refusal::Protocol("a second hello".into())),
             ClientMessage::Stats(stats) => return Ok(Heard::Stats(stats)),
             ClientMessage::Bye => return Ok(Heard::Bye),
-            ClientMessage::Hello { .. } => return Err(Refusal::Protocol("a second hello".into())),
+            _ => {}
         }
+        self.look.handle_message(&message);
+        self.selection.handle_message(&message);
+        self.probe.handle_message(&message);
+        self.screenshot.handle_message(&message);
         Ok(Heard::Taken)
     }
 

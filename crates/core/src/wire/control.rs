@@ -8,10 +8,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, Parts, ProbeRequest, Probed, ShotRequest, Token,
+    Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, ScreenshotRequest,
+    Token,
 };
 use crate::camera::MAX_SIDE;
-use crate::ids::{FrameId, LookVersion, PoseId, ShotId};
+use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
 use crate::space::Aabb;
 use crate::volume::{Histogram, Placement, Volume};
@@ -37,15 +38,15 @@ pub enum ClientMessage {
     /// The client leaves on its own will.
     Bye,
     /// Asks for another part of the file, for all viewers.
-    OpenPart(Part),
+    Select(Part),
     /// The part that is being read is not wanted any more.
-    CancelPart,
+    CancelSelection,
     /// Asks for the value at a point.
     Probe(ProbeRequest),
     /// Asks for a picture to keep.
-    Shoot(ShotRequest),
+    TakeScreenshot(ScreenshotRequest),
     /// The picture that was asked for is no longer wanted.
-    CancelShot,
+    CancelScreenshot,
 }
 
 /// What a server says. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -72,15 +73,15 @@ pub enum ServerMessage {
     /// Frames from now on show another volume.
     VolumeChanged(Box<VolumeChange>),
     /// What else the file holds.
-    Parts(Box<Parts>),
+    Choices(Box<Choices>),
     /// How the reading of another part stands.
     Load(LoadStatus),
     /// What is at a point.
     Probed(Probed),
     /// A picture that was asked for will not come.
-    ShotFailed {
+    ScreenshotFailed {
         /// The request.
-        id: ShotId,
+        id: ScreenshotId,
         /// One line for the person.
         why: String,
     },
@@ -245,10 +246,10 @@ impl Message for ClientMessage {
             Self::Hello { name, .. } => text("name", name, MAX_NAME_BYTES),
             Self::SetLook(look) => Ok(look.validate()?),
             Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
-            Self::OpenPart(part) => part.validate(),
-            Self::Stats(_) | Self::Bye | Self::CancelPart | Self::CancelShot => Ok(()),
+            Self::Select(part) => part.validate(),
+            Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot => Ok(()),
             Self::Probe(probe) => probe.validate(),
-            Self::Shoot(shot) => shot.view().map(drop),
+            Self::TakeScreenshot(shot) => shot.view().map(drop),
         }
     }
 }
@@ -271,9 +272,9 @@ impl Message for ServerMessage {
                 change.volume.validate()?;
                 Ok(change.look.validate()?)
             }
-            Self::Parts(parts) => parts.validate(),
+            Self::Choices(choices) => choices.validate(),
             Self::Load(status) => status.validate(),
-            Self::ShotFailed { why, .. } => text("reason", why, MAX_NOTICE_BYTES),
+            Self::ScreenshotFailed { why, .. } => text("reason", why, MAX_NOTICE_BYTES),
             Self::Probed(probed) => probed.validate(),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
@@ -457,7 +458,7 @@ mod tests {
                 point: [1.0, -2.0, 0.5],
                 voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5 }),
             }),
-            ServerMessage::ShotFailed { id: ShotId(6), why: "too large".into() },
+            ServerMessage::ScreenshotFailed { id: ScreenshotId(6), why: "too large".into() },
         ]
     }
 

@@ -6,23 +6,23 @@
 //! | [`ClientMessage`], [`ServerMessage`] | both | one bidirectional stream that the client opens; see [`control`] |
 //! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
-//! | picture to keep | server to client | one unidirectional stream each; see [`shot`] |
+//! | picture to keep | server to client | one unidirectional stream each; see [`screenshot`] |
 
 pub mod control;
-mod parts;
 mod pose;
 mod probe;
-pub mod shot;
+pub mod screenshot;
+mod selection;
 mod token;
 
 pub use control::{
     ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
     VolumeDescription, Welcome,
 };
-pub use parts::{LoadState, LoadStatus, Part, Parts};
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
-pub use shot::ShotRequest;
+pub use screenshot::ScreenshotRequest;
+pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.

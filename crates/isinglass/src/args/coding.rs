@@ -3,7 +3,7 @@
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use isinglass_core::codec::blocks::MAX_TURN_DEG;
-use isinglass_core::session::rate::{DEFAULT_QUALITY, Mode, Plan};
+use isinglass_core::session::rate::{CodingMode, CodingPlan, DEFAULT_QUALITY};
 
 /// How the frames of a server become bytes.
 #[derive(Args, Clone, Debug)]
@@ -31,14 +31,14 @@ pub(crate) enum ModeChoice {
 
 impl PlanArgs {
     /// In the server's terms, with at most `rate_mbit` megabits a second.
-    pub(crate) fn plan(&self, rate_mbit: Option<f64>) -> Plan {
+    pub(crate) fn plan(&self, rate_mbit: Option<f64>) -> CodingPlan {
         let mode = match self.codec {
-            ModeChoice::Auto => Mode::Auto,
-            ModeChoice::Exact => Mode::Exact,
-            ModeChoice::Blocks => Mode::Blocks,
+            ModeChoice::Auto => CodingMode::Auto,
+            ModeChoice::Exact => CodingMode::Exact,
+            ModeChoice::Blocks => CodingMode::Blocks,
         };
         let bytes_per_second = rate_mbit.map(|mbit| mbit * 1e6 / 8.0);
-        Plan { mode, quality: self.quality, bytes_per_second }
+        CodingPlan { mode, quality: self.quality, bytes_per_second }
     }
 }
 

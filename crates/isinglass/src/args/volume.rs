@@ -100,7 +100,7 @@ fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> 
 
 /// Which part of a file becomes the volume.
 #[derive(Args, Clone, Debug, Default)]
-#[command(next_help_heading = "Parts of a file")]
+#[command(next_help_heading = "Choices of a file")]
 pub(crate) struct PartArgs {
     /// Channel, component or array of the file, from 0
     #[arg(long, value_name = "N")]

@@ -19,12 +19,12 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
+use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::{self, FrameMaker, Listing, OpenSegment, SegmentList, append};
 use isinglass_core::kernels::march::{Scene, Step, Texels};
 use isinglass_core::kernels::raycast::opacity;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
-use isinglass_core::wanted::{ALWAYS, Wanted};
 use isinglass_render::Renderer;
 
 pub use single_depth::Representative;

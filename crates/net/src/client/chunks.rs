@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
 use isinglass_core::session::chunks::{ChunkPlace, Prediction};
-use isinglass_core::wire::shot::shot_id;
+use isinglass_core::wire::screenshot::screenshot_id;
 use quinn::{Connection, RecvStream};
 
 use super::{Shared, screenshot};
@@ -53,7 +53,7 @@ async fn read(
             return Err(format!("a chunk of more than {} bytes is not read", bytes.len()));
         }
         bytes.extend_from_slice(&part.bytes);
-        if header.is_none() && shot_id(&bytes).is_some() {
+        if header.is_none() && screenshot_id(&bytes).is_some() {
             return screenshot::read(shared, stream, bytes, budget).await;
         }
         if header.is_none() && bytes.len() >= HEADER_BYTES {

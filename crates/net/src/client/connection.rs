@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::session::client;
+use isinglass_core::session::link::retry_wait_micros;
 use isinglass_core::session::pose::ReceiverReport;
 use isinglass_core::wire::control::hello;
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token};
@@ -36,7 +37,7 @@ pub(super) struct Dialer {
     /// The link's token first, then the last ticket.
     token: Token,
     instance: Token,
-    backoff: Backoff,
+    random: Xoshiro256PlusPlus,
 }
 
 /// A connection that has said hello and was welcomed.
@@ -60,7 +61,9 @@ impl Dialer {
             mismatch,
             token,
             instance: random_token()?,
-            backoff: Backoff::new(options.clock.now_micros() ^ u64::from(std::process::id()) << 32),
+            random: Xoshiro256PlusPlus::seed_from_u64(
+                options.clock.now_micros() ^ u64::from(std::process::id()) << 32,
+            ),
             link,
         })
     }
@@ -286,9 +289,10 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                 None => State::Connecting { attempt, problem: Some(problem) },
             };
         });
+        let wait = retry_wait_micros(attempt, dialer.random.random());
         tokio::select! {
             () = &mut stopped => return,
-            () = tokio::time::sleep(dialer.backoff.after(attempt)) => {}
+            () = tokio::time::sleep(Duration::from_micros(wait)) => {}
         }
     }
 }
@@ -416,45 +420,12 @@ async fn say_goodbye(endpoint: &Endpoint) {
     let _ = timeout(Duration::from_millis(100), endpoint.wait_idle()).await;
 }
 
-/// How long to wait before the next attempt.
-struct Backoff(Xoshiro256PlusPlus);
-
-impl Backoff {
-    fn new(seed: u64) -> Self {
-        Self(Xoshiro256PlusPlus::seed_from_u64(seed))
-    }
-
-    /// 0.25 s, doubled each time up to 5 s, then up to a quarter less, so that many clients do not come at once.
-    fn after(&mut self, attempt: u32) -> Duration {
-        let whole = (FIRST_BACKOFF * (1 << attempt.saturating_sub(1).min(8))).min(LONGEST_BACKOFF);
-        whole.mul_f64(1.0 - 0.25 * self.0.random::<f64>())
-    }
-}
-
 /// The TLS alert `no_application_protocol`, which QUIC carries in a crypto error (RFC 9001, section 4.8).
 const NO_COMMON_ALPN: u8 = 120;
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
 /// Why a connection is closed comes with the end of its streams, or soon after.
 const REASON_WAIT: Duration = Duration::from_secs(1);
-const FIRST_BACKOFF: Duration = Duration::from_millis(250);
-const LONGEST_BACKOFF: Duration = Duration::from_secs(5);
 /// Between the addresses of a host.
 const HEAD_START: Duration = Duration::from_millis(250);
 /// Addresses of a host that are tried.
 const MAX_ADDRESSES: usize = 4;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn backoff_doubles_to_its_limit_with_jitter() {
-        let mut backoff = Backoff::new(3);
-        for (attempt, whole) in [(1, 250), (2, 500), (3, 1000), (5, 4000), (6, 5000), (1000, 5000)] {
-            let d = backoff.after(attempt).as_millis();
-            assert!((whole * 3 / 4..=whole).contains(&d), "{attempt}: {d}");
-        }
-        let several: Vec<_> = (0..4).map(|_| backoff.after(1)).collect();
-        assert!(several.windows(2).any(|w| w[0] != w[1]));
-    }
-}

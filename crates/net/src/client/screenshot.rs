@@ -1,6 +1,6 @@
 //! The way in of a picture to keep.
 
-use isinglass_core::wire::shot::{MAX_SHOT_BYTES, SHOT_HEADER_BYTES, shot_id};
+use isinglass_core::wire::screenshot::{MAX_SCREENSHOT_BYTES, SCREENSHOT_HEADER_BYTES, screenshot_id};
 use quinn::RecvStream;
 
 use super::Shared;
@@ -14,15 +14,16 @@ pub(super) async fn read(
     mut bytes: Vec<u8>,
     mut budget: Budget,
 ) -> Result<(), String> {
-    let Some(id) = shot_id(&bytes) else { return Ok(()) };
+    let Some(id) = screenshot_id(&bytes) else { return Ok(()) };
     while let Ok(next) = stream.read_chunk(usize::MAX, true).await {
         let Some(part) = next else {
-            bytes.drain(..SHOT_HEADER_BYTES);
+            bytes.drain(..SCREENSHOT_HEADER_BYTES);
             shared.talk.lock().screenshot.handle_png(id, bytes);
             (shared.wake)();
             return Ok(());
         };
-        let is_bounded = bytes.len() + part.bytes.len() <= MAX_SHOT_BYTES && budget.take(part.bytes.len());
+        let is_bounded =
+            bytes.len() + part.bytes.len() <= MAX_SCREENSHOT_BYTES && budget.take(part.bytes.len());
         if !is_bounded || !shared.talk.lock().screenshot.wants(id) {
             let _ = stream.stop(STOP_UNUSABLE);
             if is_bounded {

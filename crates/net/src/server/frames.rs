@@ -8,27 +8,27 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
-use isinglass_core::ids::{FrameId, PoseId, ShotId};
-use isinglass_core::session::chunks::{Rank, SHOT_PRIORITY, priority};
+use isinglass_core::ids::{FrameId, PoseId, ScreenshotId};
+use isinglass_core::session::chunks::{Rank, SCREENSHOT_PRIORITY, priority};
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
-use isinglass_core::wire::shot::shot_header;
+use isinglass_core::wire::screenshot::screenshot_header;
 use quinn::{SendStream, WriteError};
 use tokio::time::Instant;
 use tracing::Instrument;
 
-use super::session::{CloseOnDrop, Link, SessionClosed};
+use super::session::{CloseOnDrop, SessionClosed, ViewerLink};
 use crate::transport;
 
 /// Sends frames to one viewer.
 #[derive(Clone, Debug)]
 pub struct FrameSender {
-    link: Arc<Link>,
+    link: Arc<ViewerLink>,
     _close: Arc<CloseOnDrop>,
 }
 
 impl FrameSender {
-    pub(super) fn new(link: Arc<Link>, close: Arc<CloseOnDrop>) -> Self {
+    pub(super) fn new(link: Arc<ViewerLink>, close: Arc<CloseOnDrop>) -> Self {
         Self { link, _close: close }
     }
 
@@ -65,16 +65,16 @@ impl FrameSender {
     ///
     /// # Errors
     /// If the connection is over.
-    pub async fn send_shot(&self, id: ShotId, png: &[u8]) -> Result<(), SessionClosed> {
+    pub async fn send_screenshot(&self, id: ScreenshotId, png: &[u8]) -> Result<(), SessionClosed> {
         let stream = self.link.connection.open_uni().await.map_err(|_| SessionClosed)?;
-        let _ = stream.set_priority(SHOT_PRIORITY);
+        let _ = stream.set_priority(SCREENSHOT_PRIORITY);
         let mut stream = ChunkStream { stream, first_of: None };
-        let header = shot_header(id);
+        let header = screenshot_header(id);
         for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
             // Priorities order what is in quinn's window; what gets in there, frames have the first choice of. But for a
             // piece now and then, or whoever never rests would wait for ever.
             let mut writing = self.link.num_writing.subscribe();
-            let _ = tokio::time::timeout(SHOT_PATIENCE, writing.wait_for(|num| *num == 0)).await;
+            let _ = tokio::time::timeout(SCREENSHOT_PATIENCE, writing.wait_for(|num| *num == 0)).await;
             if !stream.write_part(&self.link, part).await? {
                 return Ok(());
             }
@@ -138,7 +138,7 @@ impl FrameSender {
 }
 
 /// Waits until the base is acknowledged, or gives it up when a newer one is, unless it is kept.
-async fn deliver_base(link: &Link, frame: FrameId, streams: Vec<ChunkStream>, is_kept: bool) {
+async fn deliver_base(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStream>, is_kept: bool) {
     tokio::select! {
         biased;
         is_delivered = all_delivered(&streams) => {
@@ -153,7 +153,7 @@ async fn deliver_base(link: &Link, frame: FrameId, streams: Vec<ChunkStream>, is
 }
 
 /// Writes refinements in their order, and gives up what is not through when a newer frame is handed over.
-async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
+async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>) {
     let mut streams = Vec::with_capacity(chunks.len());
     let writing = async {
         let _writing = Writing::of(link);
@@ -181,10 +181,10 @@ async fn send_refinements(link: &Link, frame: FrameId, chunks: Vec<Chunk>) {
 }
 
 /// A frame is being written, as long as this lives.
-struct Writing<'a>(&'a Link);
+struct Writing<'a>(&'a ViewerLink);
 
 impl<'a> Writing<'a> {
-    fn of(link: &'a Link) -> Self {
+    fn of(link: &'a ViewerLink) -> Self {
         link.num_writing.send_modify(|num| *num += 1);
         Self(link)
     }
@@ -197,7 +197,7 @@ impl Drop for Writing<'_> {
 }
 
 /// Returns when the chunks of a frame are not worth sending any more.
-async fn superseded(link: &Link, frame: FrameId, is_base: bool) {
+async fn superseded(link: &ViewerLink, frame: FrameId, is_base: bool) {
     let mut progress = link.progress.subscribe();
     while !link.talk.lock_quietly().chunks.is_superseded(frame, is_base) {
         if progress.changed().await.is_err() {
@@ -226,7 +226,12 @@ struct ChunkStream {
 }
 
 impl ChunkStream {
-    async fn open(link: &Link, frame: FrameId, chunk: &Chunk, rank: Rank) -> Result<Self, SessionClosed> {
+    async fn open(
+        link: &ViewerLink,
+        frame: FrameId,
+        chunk: &Chunk,
+        rank: Rank,
+    ) -> Result<Self, SessionClosed> {
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(priority(frame, chunk.index, rank));
         Ok(Self { stream, first_of: Some(frame) })
@@ -234,7 +239,7 @@ impl ChunkStream {
 
     /// Writes a whole chunk as the window and the rate let it. A client that stops the stream has no use for it: not an
     /// error.
-    async fn write(&mut self, link: &Link, bytes: &[u8]) -> Result<(), SessionClosed> {
+    async fn write(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<(), SessionClosed> {
         if self.write_part(link, bytes).await? {
             let _ = self.stream.finish();
         }
@@ -242,7 +247,7 @@ impl ChunkStream {
     }
 
     /// The same for a part of what the stream carries; whether the client still takes it.
-    async fn write_part(&mut self, link: &Link, bytes: &[u8]) -> Result<bool, SessionClosed> {
+    async fn write_part(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<bool, SessionClosed> {
         // In pieces, so that the window follows the congestion window while a long chunk is written.
         for piece in bytes.chunks(PIECE) {
             let now = Instant::now();
@@ -300,7 +305,7 @@ const MAX_WAIT_SECONDS: f64 = 60.0;
 /// fills the window looks idle in between, and the congestion window is not widened.
 const PIECE: usize = 4_000;
 /// A picture to keep waits so long for frames before the next piece of it goes out all the same.
-const SHOT_PATIENCE: Duration = Duration::from_millis(250);
+const SCREENSHOT_PATIENCE: Duration = Duration::from_millis(250);
 /// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
 /// not widen the congestion window of those. What waits is older than what could be made instead: with 32 kB frames are
 /// twice as old where packets are lost (docs/BENCHMARKS.md).

@@ -1,8 +1,8 @@
 //! The server: lets viewers in and hands out one [`Session`] for each connection.
 
 mod frames;
+mod pending_hellos;
 mod session;
-mod strangers;
 
 use std::collections::HashMap;
 use std::io;
@@ -29,7 +29,7 @@ use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
 use crate::link::Link;
 use crate::transport;
 
-use strangers::{MAX_STRANGERS, Strangers};
+use pending_hellos::{MAX_PENDING, PendingHellos};
 
 pub use frames::FrameSender;
 pub use session::{Control, Session, SessionClosed};
@@ -38,7 +38,7 @@ pub use session::{Control, Session, SessionClosed};
 #[derive(Debug)]
 pub struct Server {
     endpoint: Endpoint,
-    shared: Arc<Shared>,
+    shared: Arc<ServerShared>,
     sessions: mpsc::Receiver<Session>,
     fingerprint: Fingerprint,
 }
@@ -92,12 +92,12 @@ pub enum BindError {
 }
 
 #[derive(Debug)]
-struct Shared {
+struct ServerShared {
     options: ServerOptions,
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     /// Connections that have not said who they are.
-    strangers: Arc<Strangers>,
+    pending: Arc<PendingHellos>,
     /// Told when a place is given back.
     left: Arc<Notify>,
 }
@@ -125,7 +125,7 @@ impl Server {
         let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
         config
             .transport_config(Arc::new(transport::server()))
-            .max_incoming(MAX_STRANGERS)
+            .max_incoming(MAX_PENDING)
             .incoming_buffer_size(64 << 10)
             .incoming_buffer_size_total(4 << 20);
         let io_error = |source: io::Error| match source.kind() {
@@ -135,11 +135,11 @@ impl Server {
         let socket = std::net::UdpSocket::bind(address).map_err(io_error)?;
         let endpoint = Endpoint::new(EndpointConfig::default(), Some(config), socket, Arc::new(TokioRuntime))
             .map_err(io_error)?;
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServerShared {
             options,
             greeting: Mutex::new(greeting.into()),
             doors: Mutex::default(),
-            strangers: Arc::default(),
+            pending: Arc::default(),
             left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
@@ -215,14 +215,14 @@ impl Drop for Server {
     }
 }
 
-impl Shared {
+impl ServerShared {
     fn doors(&self) -> MutexGuard<'_, Doors> {
         // Doors are changed in single steps that cannot fail half-way.
         self.doors.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-async fn accept_all(endpoint: Endpoint, shared: Arc<Shared>, sessions: mpsc::Sender<Session>) {
+async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mpsc::Sender<Session>) {
     while let Some(incoming) = endpoint.accept().await {
         let remote = incoming.remote_address();
         // A round trip more proves the address; on this machine nobody can lie about it.
@@ -234,7 +234,7 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<Shared>, sessions: mpsc::Sen
         let sessions = sessions.clone();
         tokio::spawn(
             async move {
-                let Some(mut seat) = shared.strangers.enter(remote.ip(), Instant::now()) else {
+                let Some(mut seat) = shared.pending.enter(remote.ip(), Instant::now()) else {
                     return incoming.refuse();
                 };
                 let admitted = tokio::select! {
@@ -266,7 +266,7 @@ struct Admitted {
 
 /// A viewer's place among those connected, given back however its task ends.
 struct Place {
-    shared: Arc<Shared>,
+    shared: Arc<ServerShared>,
     viewer: ViewerId,
     session: u64,
 }
@@ -279,7 +279,7 @@ impl Drop for Place {
 }
 
 /// From the first packet to the welcome; `None` if the connection came to nothing, which is logged.
-async fn admit(shared: &Arc<Shared>, incoming: Incoming) -> Option<Admitted> {
+async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Option<Admitted> {
     let greeted = async {
         let connection = incoming.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
@@ -330,7 +330,7 @@ async fn admit(shared: &Arc<Shared>, incoming: Incoming) -> Option<Admitted> {
 
 /// Decides on a hello and takes the place.
 fn welcome(
-    shared: &Shared,
+    shared: &ServerShared,
     connection: &Connection,
     protocol: u32,
     token: &Token,
@@ -363,7 +363,7 @@ fn welcome(
     Ok((viewer, session, Box::new(welcome), greeting))
 }
 
-impl Shared {
+impl ServerShared {
     /// The session is over; another one of the same viewer stays.
     fn leave(&self, viewer: ViewerId, session: u64) {
         let mut doors = self.doors();

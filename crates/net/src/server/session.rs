@@ -65,7 +65,7 @@ pub struct SessionClosed;
 /// A hold on the conversation with the viewer.
 #[derive(Clone, Debug)]
 pub struct Control {
-    link: Arc<Link>,
+    link: Arc<ViewerLink>,
     close: Arc<CloseOnDrop>,
 }
 
@@ -83,7 +83,7 @@ impl Control {
 
 /// The connection and the state that decides about it; closes when the last user is gone.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct ViewerLink {
     pub(super) connection: Connection,
     pub(super) talk: Talk<ServerSession>,
     pace: Mutex<Pace>,
@@ -94,7 +94,7 @@ pub(super) struct Link {
     pub(super) num_writing: watch::Sender<usize>,
 }
 
-impl Link {
+impl ViewerLink {
     pub(super) fn pace(&self) -> MutexGuard<'_, Pace> {
         self.pace.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -118,7 +118,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let clock = place.shared.options.clock.clone();
     let journal = Journal::new(clock.clone());
     let (version, look) = (greeting.look_version, greeting.look.clone());
-    let link = Arc::new(Link {
+    let link = Arc::new(ViewerLink {
         connection: connection.clone(),
         talk: Talk::new(ServerSession::new(clock.now_micros(), viewer, version, look)),
         pace: Mutex::default(),
@@ -163,7 +163,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     serving.instrument(span).await;
 }
 
-async fn read_poses(link: &Link, clock: &Clock, heard: &watch::Sender<()>) {
+async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>) {
     while let Ok(bytes) = link.connection.read_datagram().await {
         let handled = link.talk.lock_quietly().handle_datagram(clock.now_micros(), &bytes);
         match handled {
@@ -176,7 +176,7 @@ async fn read_poses(link: &Link, clock: &Clock, heard: &watch::Sender<()>) {
 
 /// Ends with what the client has done wrong, or with nothing when the connection is over.
 async fn read_messages(
-    link: &Link,
+    link: &ViewerLink,
     clock: &Clock,
     mut stream: RecvStream,
     heard: &watch::Sender<()>,
@@ -206,7 +206,7 @@ async fn read_messages(
     }
 }
 
-async fn write_messages(link: &Link, clock: &Clock, stream: &mut SendStream) {
+async fn write_messages(link: &ViewerLink, clock: &Clock, stream: &mut SendStream) {
     let mut changed = link.talk.subscribe();
     loop {
         let (message, due) = {

@@ -1,7 +1,7 @@
 //! Can everything be named, reached and used without a mouse?
 
 use isinglass_core::ids::LoadId;
-use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
+use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 
 use super::*;
 use crate::app::side_panel;
@@ -13,7 +13,7 @@ use crate::app::tests::window_walk::{
 fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
     let shown = Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None };
     let mut talk = w.state().viewing.source().talk();
-    talk.selection.handle_choices(Parts {
+    talk.selection.handle_choices(Choices {
         shown,
         whole_dims: [24; 3],
         num_channels: 2,
@@ -21,7 +21,7 @@ fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
         num_times: 9,
         levels: vec![[24; 3], [12; 3]],
         num_series: 3,
-        ..Parts::default()
+        ..Choices::default()
     });
     let state = LoadState::Reading { permille: 250 };
     let part = Part { time: Some(2), ..shown };

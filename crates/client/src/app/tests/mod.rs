@@ -17,7 +17,7 @@ use isinglass_core::mode::Mode;
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::wire::{ClientMessage, ShotRequest, Token, VolumeDescription, Welcome};
+use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
 use super::*;
@@ -96,13 +96,13 @@ impl HereSource {
                     here.num_probes += 1;
                     session.probe.handle_answer(question.answer(&here.scene.volume));
                 }
-                ClientMessage::Shoot(shot) => {
+                ClientMessage::TakeScreenshot(shot) => {
                     here.num_shots += 1;
                     if !here.sleeps {
                         session.screenshot.handle_png(shot.id, here.png(&shot));
                     }
                 }
-                ClientMessage::CancelShot => here.num_cancelled += 1,
+                ClientMessage::CancelScreenshot => here.num_cancelled += 1,
                 _ => {}
             }
         }
@@ -130,7 +130,7 @@ impl Here {
         }
     }
 
-    fn png(&self, shot: &ShotRequest) -> Vec<u8> {
+    fn png(&self, shot: &ScreenshotRequest) -> Vec<u8> {
         let view = shot.view().unwrap();
         let camera = Camera::new(view.pose, view.intrinsics, &self.scene.volume.bounds());
         let linear = ViewAids { background: shot.background, ..ViewAids::default() }.linear_background();

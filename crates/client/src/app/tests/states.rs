@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use isinglass_core::ids::LoadId;
-use isinglass_core::wire::{LoadState, LoadStatus, Part, Parts};
+use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 use isinglass_formats::{SavedState, VolumeSource, read_state};
 
 use super::*;
@@ -222,17 +222,17 @@ fn a_copied_link_names_the_server_and_holds_no_token() {
 }
 
 /// A file of two levels of which the first is shown, and a state of the other with another look.
-fn with_level_to_come() -> (Harness<'static, ViewerApp<HereSource>>, Parts) {
+fn with_level_to_come() -> (Harness<'static, ViewerApp<HereSource>>, Choices) {
     let mut w = window([640.0, 480.0]);
     let now = Part { channel: Some(0), time: Some(0), level: Some(0), series: Some(0), region: None };
-    let parts = Parts {
+    let parts = Choices {
         shown: now,
         whole_dims: [24; 3],
         num_channels: 1,
         num_times: 1,
         num_series: 1,
         levels: vec![[24; 3], [12; 3]],
-        ..Parts::default()
+        ..Choices::default()
     };
     w.state().viewing.source().talk().selection.handle_choices(parts.clone());
     rest(&mut w);
@@ -344,7 +344,7 @@ fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_no
     {
         let mut talk = w.state().viewing.source().talk();
         talk.selection.handle_load(load);
-        talk.selection.handle_choices(Parts { shown: part, whole_dims: [24; 3], ..parts });
+        talk.selection.handle_choices(Choices { shown: part, whole_dims: [24; 3], ..parts });
     }
     rest(&mut w);
     assert!(w.state().coming.is_some(), "its description may be on the way");

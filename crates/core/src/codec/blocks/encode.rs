@@ -13,8 +13,8 @@ use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
 use super::steps::Steps;
 use super::transform::Plane;
+use crate::cancel::Wanted;
 use crate::layer::LayeredFrame;
-use crate::wanted::Wanted;
 
 /// An encoded band.
 pub(super) struct EncodedBand {
@@ -316,8 +316,8 @@ mod tests {
     use super::super::model::DepthPlane;
     use super::super::relayer::tests::{RULE, frame, slab};
     use super::*;
+    use crate::cancel::ALWAYS;
     use crate::layer::Segment;
-    use crate::wanted::ALWAYS;
 
     /// What is planned for a block with these lists, where the frame before had layers between these depths.
     fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {

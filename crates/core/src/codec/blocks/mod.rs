@@ -42,9 +42,9 @@ use rayon::prelude::*;
 
 use super::header::{self, ChunkHeader};
 use super::{Chunk, CodecError, EncodedFrame, MAX_CHUNK_BYTES, MAX_FRAME_LISTS, at_most};
+use crate::cancel::{ALWAYS, Wanted};
 use crate::ids::ChunkIndex;
 use crate::layer::{FrameHeader, LayeredFrame};
-use crate::wanted::{ALWAYS, Wanted};
 use chunk::Head;
 use model::MAX_LAYERS;
 use motion::Motion;

@@ -19,9 +19,9 @@ use rayon::prelude::*;
 use self::budget::Budget;
 use super::march::{Lattice, Marcher, Scene, Sink, Step, Texels, with_texels};
 use crate::camera::{Basis, Intrinsics};
+use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::space::Ray;
-use crate::wanted::{ALWAYS, Wanted};
 
 /// How the steps of a ray become a list, where it is not by this module's own way.
 pub trait Rule: Sync {

@@ -461,6 +461,6 @@ fn priorities_never_mix_ranks() {
         assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
         assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Base));
         assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
-        assert!(p(FrameId(0), 15, Refinement) > SHOT_PRIORITY);
+        assert!(p(FrameId(0), 15, Refinement) > SCREENSHOT_PRIORITY);
     }
 }

@@ -46,7 +46,7 @@ fn bytes_at(quality: u8, hardness: f64) -> f64 {
 
 #[test]
 fn frames_are_made_for_the_turn_they_are_seen_at() {
-    let mut pilot = CodingControl::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+    let mut pilot = CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
     let mut next = |turned| {
         pilot.handle_turned(turned);
         let Coding::Blocks(settings) = pilot.next(LISTS, true) else { panic!("not in blocks") };
@@ -67,7 +67,7 @@ fn frames_are_made_for_the_turn_they_are_seen_at() {
         |turn_deg| Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(DEFAULT_QUALITY) });
     assert_eq!(pilot.finer(LISTS, &sent(Some(5))), Some(sent(None)));
     assert_eq!(pilot.finer(LISTS, &sent(None)), None);
-    let plan = Plan { mode: Mode::Blocks, quality: 0, ..Plan::default() };
+    let plan = CodingPlan { mode: CodingMode::Blocks, quality: 0, ..CodingPlan::default() };
     let moving = blocks::Settings { turn_deg: Some(5), ..blocks::Settings::of(LEAST_QUALITY) };
     let finer = CodingControl::new(plan).finer(LISTS, &Coding::Blocks(moving));
     assert_eq!(finer.and_then(quality), Some(LEAST_QUALITY));
@@ -77,7 +77,8 @@ fn frames_are_made_for_the_turn_they_are_seen_at() {
 fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
     for megabytes in [0.6, 1.25, 6.0] {
         let mut link = FakeLink::new(megabytes);
-        let mut pilot = CodingControl::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+        let mut pilot =
+            CodingControl::new(CodingPlan { mode: CodingMode::Blocks, quality: 90, bytes_per_second: None });
         let mut waits = vec![];
         for n in 0..300 {
             // A harder scene from the 150th frame on.
@@ -104,7 +105,8 @@ fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
 
 #[test]
 fn a_way_that_has_become_longer_is_no_queue() {
-    let mut pilot = CodingControl::new(Plan { mode: Mode::Blocks, quality: 90, bytes_per_second: None });
+    let mut pilot =
+        CodingControl::new(CodingPlan { mode: CodingMode::Blocks, quality: 90, bytes_per_second: None });
     let mut link = FakeLink::new(2.5);
     let mut rates = vec![];
     for n in 0..900 {
@@ -138,7 +140,7 @@ fn a_way_that_has_become_longer_is_no_queue() {
 fn a_quality_that_takes_too_long_to_encode_is_left_out() {
     let wide = LinkState { window_bytes: 100_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
     let settled = |generate_micros: u64, micros_at_best: f64| {
-        let mut pilot = CodingControl::new(Plan { mode: Mode::Blocks, ..Plan::default() });
+        let mut pilot = CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
         let (mut last, mut micros) = (0, 0.0);
         for n in 0..60 {
             pilot.handle_generated(generate_micros);
@@ -161,7 +163,7 @@ fn a_quality_that_takes_too_long_to_encode_is_left_out() {
 
 #[test]
 fn a_rate_is_kept_whatever_the_link_carries() {
-    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(1e6) };
+    let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(1e6) };
     let mut pilot = CodingControl::new(plan);
     let wide = LinkState { window_bytes: 10_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
     let mut last = 0.0;
@@ -179,7 +181,7 @@ fn a_rate_is_kept_whatever_the_link_carries() {
 #[test]
 fn frames_over_a_long_way_may_take_a_part_of_it() {
     let bytes_over = |rtt_micros, generate_micros| {
-        let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(3e5) };
+        let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(3e5) };
         let mut pilot = CodingControl::new(plan);
         let mut last = 0.0;
         for _ in 0..20 {
@@ -201,7 +203,7 @@ fn frames_over_a_long_way_may_take_a_part_of_it() {
 
 #[test]
 fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
-    let plan = Plan { mode: Mode::Blocks, quality: 100, bytes_per_second: Some(300_000.0) };
+    let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(300_000.0) };
     let mut pilot = CodingControl::new(plan);
     let mut at = |num_lists: usize| {
         let coding = pilot.next(num_lists, true);
@@ -224,7 +226,7 @@ fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
 
 #[test]
 fn a_rest_ends_exactly_and_by_a_finer_frame_only_where_that_takes_long() {
-    let mut pilot = CodingControl::new(Plan { quality: 50, ..Plan::default() });
+    let mut pilot = CodingControl::new(CodingPlan { quality: 50, ..CodingPlan::default() });
     let first = pilot.next(LISTS, false);
     assert_eq!(quality(first), Some(50), "nothing is known of the link or of exact frames");
     pilot.handle_encoded(&first, false, LISTS, 30_000, 20_000);
@@ -242,17 +244,17 @@ fn a_rest_ends_exactly_and_by_a_finer_frame_only_where_that_takes_long() {
     assert_eq!(steps(&pilot), [None]);
     pilot.handle_link(0, link(80_000));
     assert_eq!(steps(&pilot), [Some(FINE_QUALITY), None]);
-    pilot.plan.mode = Mode::Blocks;
+    pilot.plan.mode = CodingMode::Blocks;
     assert_eq!(steps(&pilot), []);
     pilot.plan.quality = 70;
     assert_eq!(steps(&pilot), [Some(70)]);
-    pilot.plan.mode = Mode::Exact;
+    pilot.plan.mode = CodingMode::Exact;
     assert_eq!(steps(&pilot), []);
 }
 
 #[test]
 fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
-    let mut pilot = CodingControl::new(Plan::default());
+    let mut pilot = CodingControl::new(CodingPlan::default());
     let blocks = Coding::Blocks(blocks::Settings::of(60));
     pilot.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
     let mut coding = |exact_micros: u64, window_bytes| {

@@ -10,27 +10,27 @@ use serde::{Deserialize, Serialize};
 
 use super::control::ControlError;
 use super::pose::PoseRequest;
-use crate::ids::ShotId;
+use crate::ids::ScreenshotId;
 
 /// Asks for a picture under the look that was asked for last. A later request takes the place of one that is not answered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ShotRequest {
+pub struct ScreenshotRequest {
     /// Number of the request.
-    pub id: ShotId,
+    pub id: ScreenshotId,
     /// The view: the bytes of a pose datagram, of which pose, size and field of view count.
     pub view: Vec<u8>,
     /// sRGB behind the volume.
     pub background: [u8; 3],
 }
 
-impl ShotRequest {
+impl ScreenshotRequest {
     /// The view that is asked for.
     ///
     /// # Errors
     /// If it is none, or larger than is rendered.
     pub fn view(&self) -> Result<PoseRequest, ControlError> {
         let view = PoseRequest::decode(&self.view).map_err(|_| ControlError::Value("view of a picture"))?;
-        if view.intrinsics.num_pixels() > MAX_SHOT_PIXELS {
+        if view.intrinsics.num_pixels() > MAX_SCREENSHOT_PIXELS {
             return Err(ControlError::Value("size of a picture"));
         }
         Ok(view)
@@ -38,28 +38,28 @@ impl ShotRequest {
 }
 
 /// The first bytes of the stream.
-pub fn shot_header(id: ShotId) -> [u8; SHOT_HEADER_BYTES] {
-    let mut header = [0; SHOT_HEADER_BYTES];
-    header[..4].copy_from_slice(&SHOT_MAGIC);
+pub fn screenshot_header(id: ScreenshotId) -> [u8; SCREENSHOT_HEADER_BYTES] {
+    let mut header = [0; SCREENSHOT_HEADER_BYTES];
+    header[..4].copy_from_slice(&SCREENSHOT_MAGIC);
     header[4..].copy_from_slice(&id.0.to_le_bytes());
     header
 }
 
 /// The request that a stream answers; none if these are not the first bytes of such a stream.
-pub fn shot_id(header: &[u8]) -> Option<ShotId> {
-    let header: &[u8; SHOT_HEADER_BYTES] = header.first_chunk()?;
+pub fn screenshot_id(header: &[u8]) -> Option<ScreenshotId> {
+    let header: &[u8; SCREENSHOT_HEADER_BYTES] = header.first_chunk()?;
     let id = u32::from_le_bytes([header[4], header[5], header[6], header[7]]);
-    (header[..4] == SHOT_MAGIC).then_some(ShotId(id))
+    (header[..4] == SCREENSHOT_MAGIC).then_some(ScreenshotId(id))
 }
 
 /// What the stream of a picture begins with.
-pub const SHOT_MAGIC: [u8; 4] = *b"IGLS";
+pub const SCREENSHOT_MAGIC: [u8; 4] = *b"IGLS";
 /// Bytes before the PNG file.
-pub const SHOT_HEADER_BYTES: usize = 8;
+pub const SCREENSHOT_HEADER_BYTES: usize = 8;
 /// Pixels of the largest picture: 7680×4320 and a little more.
-pub const MAX_SHOT_PIXELS: usize = 1 << 25;
+pub const MAX_SCREENSHOT_PIXELS: usize = 1 << 25;
 /// Bytes of the longest stream: three a pixel, and what PNG puts around them.
-pub const MAX_SHOT_BYTES: usize = 3 * MAX_SHOT_PIXELS + (1 << 20);
+pub const MAX_SCREENSHOT_BYTES: usize = 3 * MAX_SCREENSHOT_PIXELS + (1 << 20);
 
 #[cfg(test)]
 mod tests {
@@ -67,11 +67,11 @@ mod tests {
     use crate::camera::{Intrinsics, Pose};
     use glam::Vec3;
 
-    fn request(width: u32, height: u32) -> ShotRequest {
+    fn request(width: u32, height: u32) -> ScreenshotRequest {
         let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0);
         let intrinsics = Intrinsics::perspective(width, height, 0.5);
         let view = PoseRequest::of_view(pose, intrinsics);
-        ShotRequest { id: ShotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
+        ScreenshotRequest { id: ScreenshotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
     }
 
     #[test]
@@ -80,13 +80,16 @@ mod tests {
         assert!(request(7680, 4320).view().is_ok());
         assert!(request(8192, 8192).view().is_err());
         let good = request(640, 480);
-        assert!(ShotRequest { view: good.view[1..].to_vec(), ..good }.view().is_err());
+        assert!(ScreenshotRequest { view: good.view[1..].to_vec(), ..good }.view().is_err());
     }
 
     #[test]
     fn a_stream_says_what_it_answers() {
-        assert_eq!(shot_id(&shot_header(ShotId(0x0102_0304))), Some(ShotId(0x0102_0304)));
-        assert_eq!(shot_id(b"IGLC\x01\x02\x03\x04"), None);
-        assert_eq!(shot_id(b"IGLS\x01"), None);
+        assert_eq!(
+            screenshot_id(&screenshot_header(ScreenshotId(0x0102_0304))),
+            Some(ScreenshotId(0x0102_0304))
+        );
+        assert_eq!(screenshot_id(b"IGLC\x01\x02\x03\x04"), None);
+        assert_eq!(screenshot_id(b"IGLS\x01"), None);
     }
 }

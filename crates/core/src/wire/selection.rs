@@ -28,7 +28,7 @@ pub struct Part {
 
 /// What there is to choose from, and what is shown of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Parts {
+pub struct Choices {
     /// What is shown. Channel, time, level and series are named.
     pub shown: Part,
     /// Voxels along x, y, z of the whole at the level and in the series that are shown.
@@ -90,7 +90,7 @@ impl Part {
     }
 }
 
-impl Parts {
+impl Choices {
     /// Whether there is anything to choose.
     pub fn has_choice(&self) -> bool {
         self.num_channels > 1 || self.num_times > 1 || self.levels.len() > 1 || self.num_series > 1
@@ -154,8 +154,8 @@ mod tests {
     use crate::wire::control::{decode, encode, one_line};
     use crate::wire::{ClientMessage, MAX_CONTROL_BYTES, ServerMessage};
 
-    fn parts() -> Parts {
-        Parts {
+    fn parts() -> Choices {
+        Choices {
             shown: Part { channel: Some(1), time: Some(0), level: Some(0), series: Some(0), region: None },
             whole_dims: [5, 4, 3],
             num_channels: 3,
@@ -175,7 +175,7 @@ mod tests {
     #[test]
     fn the_longest_lists_fit_a_message_once_they_are_bounded() {
         let long = |n: usize| vec!["\u{10ffff}".repeat(500); n];
-        let huge = Parts {
+        let huge = Choices {
             num_channels: u32::MAX,
             channels: long(1000),
             num_series: 5000,
@@ -183,8 +183,8 @@ mod tests {
             levels: vec![[u64::MAX; 3]; 99],
             ..parts()
         };
-        assert!(encode(&ServerMessage::Parts(Box::new(huge.clone()))).is_err());
-        let bytes = encode(&ServerMessage::Parts(Box::new(huge.bounded()))).unwrap();
+        assert!(encode(&ServerMessage::Choices(Box::new(huge.clone()))).is_err());
+        let bytes = encode(&ServerMessage::Choices(Box::new(huge.bounded()))).unwrap();
         assert!(bytes.len() < MAX_CONTROL_BYTES);
         let again: ServerMessage = decode(&bytes[4..]).unwrap();
         assert_eq!(encode(&again).unwrap(), bytes);
@@ -192,16 +192,16 @@ mod tests {
 
     #[test]
     fn what_makes_no_sense_is_refused_on_both_ways() {
-        assert!(encode(&ServerMessage::Parts(Box::new(parts()))).is_ok());
+        assert!(encode(&ServerMessage::Choices(Box::new(parts()))).is_ok());
         for bad in [
-            Parts { num_times: 0, ..parts() },
-            Parts { num_channels: 2, ..parts() },
-            Parts { whole_dims: [1, 0, 1], ..parts() },
-            Parts { levels: vec![[0; 3]], ..parts() },
-            Parts { channels: vec!["\u{1b}[2J".into()], ..parts() },
-            Parts { series: vec!["two".into(), "of one".into()], ..parts() },
+            Choices { num_times: 0, ..parts() },
+            Choices { num_channels: 2, ..parts() },
+            Choices { whole_dims: [1, 0, 1], ..parts() },
+            Choices { levels: vec![[0; 3]], ..parts() },
+            Choices { channels: vec!["\u{1b}[2J".into()], ..parts() },
+            Choices { series: vec!["two".into(), "of one".into()], ..parts() },
         ] {
-            assert!(encode(&ServerMessage::Parts(Box::new(bad.clone()))).is_err(), "{bad:?}");
+            assert!(encode(&ServerMessage::Choices(Box::new(bad.clone()))).is_err(), "{bad:?}");
         }
         for (state, is_good) in [
             (LoadState::Reading { permille: 1000 }, true),
@@ -215,14 +215,14 @@ mod tests {
         }
         for (region, is_good) in [([[0, 1]; 3], true), ([[0, 1], [4, 4], [0, 1]], false)] {
             let part = Part { region: Some(region), ..Part::default() };
-            assert_eq!(encode(&ClientMessage::OpenPart(part)).is_ok(), is_good);
+            assert_eq!(encode(&ClientMessage::Select(part)).is_ok(), is_good);
         }
     }
 
     #[test]
     fn flipped_and_cut_messages_never_panic_and_decode_only_to_valid_ones() {
         let messages = [
-            encode(&ServerMessage::Parts(Box::new(parts()))).unwrap(),
+            encode(&ServerMessage::Choices(Box::new(parts()))).unwrap(),
             encode(&ServerMessage::Load(status(LoadState::Failed("no such file".into())))).unwrap(),
             encode(&ServerMessage::Load(status(LoadState::Reading { permille: 500 }))).unwrap(),
         ];

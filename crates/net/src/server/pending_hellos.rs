@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 /// The room in front of the doors.
 #[derive(Debug, Default)]
-pub(super) struct Strangers {
+pub(super) struct PendingHellos {
     room: Mutex<Room>,
 }
 
@@ -35,12 +35,12 @@ struct Occupied {
 /// A seat in the room, given back when dropped.
 #[derive(Debug)]
 pub(super) struct Seat {
-    strangers: Arc<Strangers>,
+    pending: Arc<PendingHellos>,
     number: u64,
     stays: oneshot::Receiver<()>,
 }
 
-impl Strangers {
+impl PendingHellos {
     /// A seat for a connection from an address. Where there is none, whoever of the same place, or of all if the room is
     /// full, came first gives way, once it has had the time that a hello takes. `None` if all have come just now.
     pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
@@ -49,7 +49,7 @@ impl Strangers {
         let is_of_place = |seat: &Occupied| seat.from == from;
         let num_of_place = room.seats.iter().filter(|seat| is_of_place(seat)).count();
         let is_crowded = num_of_place >= MAX_OF_PLACE && !from.is_loopback();
-        if is_crowded || room.seats.len() >= MAX_STRANGERS {
+        if is_crowded || room.seats.len() >= MAX_PENDING {
             let first = room.seats.iter().position(|seat| !is_crowded || is_of_place(seat));
             let tired = first.filter(|&i| now.duration_since(room.seats[i].since) >= PATIENCE);
             let Some(tired) = tired else {
@@ -62,7 +62,7 @@ impl Strangers {
         let number = room.next;
         room.next += 1;
         room.seats.push(Occupied { number, from, since: now, _stays: sender });
-        Some(Seat { strangers: self.clone(), number, stays })
+        Some(Seat { pending: self.clone(), number, stays })
     }
 
     fn room(&self) -> MutexGuard<'_, Room> {
@@ -92,7 +92,7 @@ impl Seat {
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        self.strangers.room().seats.retain(|seat| seat.number != self.number);
+        self.pending.room().seats.retain(|seat| seat.number != self.number);
     }
 }
 
@@ -107,7 +107,7 @@ fn place_of(address: IpAddr) -> IpAddr {
 }
 
 /// Connections in handshake or before their hello.
-pub(super) const MAX_STRANGERS: usize = 64;
+pub(super) const MAX_PENDING: usize = 64;
 /// Of these, from one place: an office behind one address may have eight viewers connect in the same second.
 const MAX_OF_PLACE: usize = 8;
 /// How long nobody is sent away: a hello is there a round trip after the handshake, which takes two.
@@ -133,8 +133,8 @@ mod tests {
 
     #[test]
     fn who_holds_seats_keeps_nobody_out() {
-        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
-        let mut seats: Vec<_> = (0..MAX_STRANGERS).map(|i| room.enter(four(i), start).unwrap()).collect();
+        let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
+        let mut seats: Vec<_> = (0..MAX_PENDING).map(|i| room.enter(four(i), start).unwrap()).collect();
         assert!(room.enter(four(999), start).is_none(), "nobody is sent away at once");
         let late = start + PATIENCE;
         let mut guest = room.enter(four(999), late).unwrap();
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn one_place_has_few_seats_and_others_keep_theirs() {
-        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
+        let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
         let mut other = room.enter(four(1), start).unwrap();
         let of_net = |i: u128| IpAddr::from(Ipv6Addr::from_bits((0x2001_0db8 << 96) + i));
         let mut seats: Vec<_> =
@@ -163,8 +163,8 @@ mod tests {
 
     #[test]
     fn a_flood_is_told_of_once_in_a_while() {
-        let (room, start) = (Arc::new(Strangers::default()), Instant::now());
-        let _seats: Vec<_> = (0..MAX_STRANGERS).map(|i| room.enter(four(i), start).unwrap()).collect();
+        let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
+        let _seats: Vec<_> = (0..MAX_PENDING).map(|i| room.enter(four(i), start).unwrap()).collect();
         for _ in 0..100 {
             assert!(room.enter(four(999), start).is_none());
         }

@@ -12,7 +12,7 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::Volume;
 use isinglass_core::wire::control::one_line;
-use isinglass_core::wire::{LoadState, Part, Parts, VolumeDescription};
+use isinglass_core::wire::{Choices, LoadState, Part, VolumeDescription};
 use isinglass_net::Greeting;
 use isinglass_render::{Backend, Renderer};
 use tokio::sync::{mpsc, watch};
@@ -41,7 +41,7 @@ pub trait Loader: Send + Sync {
 #[derive(Clone, Debug)]
 pub struct Survey {
     /// What there is to choose, and what this part is of it.
-    pub parts: Parts,
+    pub parts: Choices,
     /// Bytes of memory that the part takes, those while it is read included.
     pub bytes_needed: u64,
 }
@@ -67,7 +67,7 @@ pub(crate) struct Present {
     /// The scene of the generator.
     pub(crate) scene: SceneNumber,
     /// What else the file holds.
-    pub(crate) parts: Option<Parts>,
+    pub(crate) parts: Option<Choices>,
     /// Bytes of memory.
     bytes: u64,
 }
@@ -80,7 +80,7 @@ pub(crate) struct SceneNumber(pub(crate) u32);
 pub(crate) type Order = (ViewerId, Option<Part>);
 
 impl Present {
-    pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Parts>) -> Self {
+    pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Choices>) -> Self {
         let lights = Lights::new(scene, &look);
         let greeting = Greeting {
             volume: VolumeDescription::of(&scene.volume, &scene.histogram),
@@ -92,7 +92,7 @@ impl Present {
             bounds: scene.volume.bounds(),
             lights,
             scene: number,
-            parts: parts.map(Parts::bounded),
+            parts: parts.map(Choices::bounded),
             bytes: scene.volume.bytes_in_memory(),
         }
     }
@@ -105,7 +105,7 @@ impl Present {
 }
 
 /// Reads what is ordered, the newest order at a time, until nobody can order any more.
-pub(crate) struct Librarian {
+pub(crate) struct SelectionReader {
     pub(crate) loader: Option<Arc<dyn Loader>>,
     pub(crate) backend: Backend,
     pub(crate) generator: Generator,
@@ -122,7 +122,7 @@ enum Ended {
     Interrupted(Option<Order>),
 }
 
-impl Librarian {
+impl SelectionReader {
     pub(crate) async fn run(mut self) {
         let mut next = self.orders.recv().await;
         let mut id = LoadId(0);
