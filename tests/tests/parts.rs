@@ -152,7 +152,7 @@ fn another_time_changes_picture_and_description_of_all_viewers() {
     // Of two frames at one pose, the budget of the second follows from the first.
     assert!(greatest_difference(&before[0], &before[1]) <= 1);
     for time in [1, 2, 0] {
-        asking.open_part(at(time));
+        asking.talk().selection.open(at(time));
         let after = both.map(|c| picture_of(c, time));
         assert!(greatest_difference(&after[0], &after[1]) <= 1, "{time}");
         let difference = greatest_difference(&after[0], &before[0]);
@@ -178,12 +178,12 @@ fn another_time_changes_picture_and_description_of_all_viewers() {
         }
     }
     // Who comes later is told at once of what is shown then.
-    asking.open_part(at(2));
+    asking.talk().selection.open(at(2));
     picture_of(&asking, 2);
     let late = stage.viewer();
-    assert_eq!(late.description().unwrap().volume.dims, [16; 3]);
+    assert_eq!(late.talk().link.description().unwrap().volume.dims, [16; 3]);
     assert!(greatest_difference(&picture_of(&late, 2), &picture_of(&asking, 2)) <= 1);
-    assert!(late.load().is_none(), "what was read before is no news");
+    assert!(late.talk().selection.load().is_none(), "what was read before is no news");
     stage.end();
 }
 
@@ -193,11 +193,11 @@ fn a_look_that_was_chosen_stays_over_a_change() {
     let (choosing, other) = (stage.viewer(), stage.viewer());
     picture_of(&choosing, 0);
     choosing.set_look(Look::new(load_transfer("ct").unwrap())).unwrap();
-    until("the look", || choosing.look().filter(|(_, look)| look.transfer.name == "ct"));
+    until("the look", || choosing.talk().look.in_force().filter(|(_, look)| look.transfer.name == "ct"));
     other.talk().selection.open(at(1));
     picture_of(&choosing, 1);
     picture_of(&other, 1);
-    assert_eq!(choosing.look().unwrap().1.transfer.name, "ct");
+    assert_eq!(choosing.talk().look.in_force().unwrap().1.transfer.name, "ct");
     assert_eq!(other.talk().look.in_force().unwrap().1.transfer.name, "cubus");
     // And one can be taken back that the volume before came with.
     other.set_look(Look::new(load_transfer("shells").unwrap())).unwrap();
@@ -232,7 +232,8 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     let (asking, watching) = (stage.viewer(), stage.viewer());
     let both = [&asking, &watching];
     let before = both.map(|c| picture_of(c, 0));
-    let (dims, version) = (asking.description().unwrap().volume.dims, asking.look().unwrap().0);
+    let dims = asking.talk().link.description().unwrap().volume.dims;
+    let version = asking.talk().look.in_force().unwrap().0;
     let ended = |state: LoadState| {
         for client in both {
             let load = until("the end of a load", || {
@@ -246,7 +247,7 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
             assert_eq!(client.talk().look.in_force().unwrap().0, version, "no frame is to be made anew");
         }
     };
-    asking.open_part(at(9));
+    asking.talk().selection.open(at(9));
     ended(LoadState::Failed("film: there is no such time".into()));
 
     let half = |client: &Client| {
@@ -254,7 +255,7 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
             client.talk().selection.load().filter(|l| l.state == LoadState::Reading { permille: 500 })
         })
     };
-    asking.open_part(at(1));
+    asking.talk().selection.open(at(1));
     let loads = both.map(half);
     assert_eq!((loads[0].bytes_needed, loads[0].is_own, loads[1].is_own), (4711, true, false));
     // While it is read, poses are answered.
@@ -263,7 +264,7 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
         asking.latest_frame().filter(|f| f.is_complete && f.frame.header.pose == moved)
     });
     // Anybody may say that it is not wanted.
-    watching.open_part(None);
+    watching.talk().selection.open(None);
     ended(LoadState::Cancelled);
     asking.set_pose(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 6.0), SIZE);
     for (client, before) in both.into_iter().zip(&before) {
@@ -273,9 +274,9 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     }
 
     // The newest wish ends the one before.
-    asking.open_part(at(1));
+    asking.talk().selection.open(at(1));
     half(&asking);
-    watching.open_part(at(2));
+    watching.talk().selection.open(at(2));
     until("the newer load", || {
         asking.load().filter(|l| l.part == at(2).unwrap() && l.state == LoadState::Reading { permille: 500 })
     });

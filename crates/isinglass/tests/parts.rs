@@ -152,11 +152,11 @@ fn another_time_of_a_file_moves_the_matter_for_two_viewers() {
     bench.write("film.nii", film());
     let served = serve(&bench, "--time 1");
     let viewers = [&served.1[0], &served.1[1]].map(|link| viewer(link));
-    let parts = until("parts", || viewers[1].parts());
+    let parts = until("parts", || viewers[1].talk().selection.choices());
     assert_eq!((parts.num_times, parts.num_channels, parts.shown.time), (3, 1, Some(1)));
     assert_eq!(parts.bytes_in_memory, 3 * SIDE.pow(3) as u64);
     for (time, place) in [(1, 0.5), (2, 0.7), (0, 0.3)] {
-        viewers[0].open_part(Some(Part { time: Some(time), ..parts.shown }));
+        viewers[0].talk().selection.open(Some(Part { time: Some(time), ..parts.shown }));
         for client in &viewers {
             let found = middle(&picture_of(client, time));
             // NIfTI's x runs to the right of a body, which is seen from the front; a pixel is .025.
@@ -166,17 +166,17 @@ fn another_time_of_a_file_moves_the_matter_for_two_viewers() {
         }
     }
     // What has one value has one colour at all times, whichever of them the curve was made for.
-    let domain = viewers[0].look().unwrap().1.transfer.domain;
+    let domain = viewers[0].talk().look.in_force().unwrap().1.transfer.domain;
     assert!(matches!(domain, Domain::Values(..)), "{domain:?}");
     let [ends, middle_time] = [0, 1].map(|time| {
-        viewers[1].open_part(Some(Part { time: Some(time), ..parts.shown }));
+        viewers[1].talk().selection.open(Some(Part { time: Some(time), ..parts.shown }));
         middle(&picture_of(&viewers[1], time))
     });
-    assert_eq!(viewers[0].look().unwrap().1.transfer.domain, domain);
+    assert_eq!(viewers[0].talk().look.in_force().unwrap().1.transfer.domain, domain);
     assert!((ends - middle_time).abs() > 0.1, "the control: {ends} and {middle_time}");
     let problem = refusal_of(&viewers[0], Part { time: Some(3), ..parts.shown });
     assert_eq!(problem, "film.nii: time 3 was asked for, expected 0 to 2");
-    assert_eq!(viewers[0].parts().unwrap().shown.time, Some(1));
+    assert_eq!(viewers[0].talk().selection.choices().unwrap().shown.time, Some(1));
 }
 
 /// A time takes 12 kB and as much while it is read: two at a time do not fit into 20 kB.
