@@ -232,8 +232,8 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     let (asking, watching) = (stage.viewer(), stage.viewer());
     let both = [&asking, &watching];
     let before = both.map(|c| picture_of(c, 0));
-    let (dims, version) =
-        (asking.talk().link.description().unwrap().volume.dims, asking.talk().look.in_force().unwrap().0);
+    let dims = asking.talk().link.description().unwrap().volume.dims;
+    let version = asking.talk().look.in_force().unwrap().0;
     let ended = |state: LoadState| {
         for client in both {
             let load = until("the end of a load", || {
@@ -278,11 +278,7 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     half(&asking);
     watching.talk().selection.open(at(2));
     until("the newer load", || {
-        asking
-            .talk()
-            .selection
-            .load()
-            .filter(|l| l.part == at(2).unwrap() && l.state == LoadState::Reading { permille: 500 })
+        asking.load().filter(|l| l.part == at(2).unwrap() && l.state == LoadState::Reading { permille: 500 })
     });
     stage.gate.send(()).unwrap();
     for client in both {

@@ -76,9 +76,9 @@ impl Stage {
 
     /// The first channel is shown again.
     fn turn_back(&self) {
-        self.other.open_part(Some(parts(0).shown));
+        self.other.talk().selection.open(Some(parts(0).shown));
         let patience = Instant::now() + Duration::from_secs(120);
-        while self.other.parts().is_none_or(|parts| parts.shown.channel != Some(0)) {
+        while self.other.talk().selection.choices().is_none_or(|parts| parts.shown.channel != Some(0)) {
             assert!(Instant::now() < patience);
             std::thread::sleep(Duration::from_millis(2));
         }
@@ -190,7 +190,7 @@ fn saved(stage: &Stage, folder: &Path) -> SavedState {
         w.harness
             .query_by_role_and_label(egui::Role::ComboBox, "channel")
             .filter(|c| c.value().as_deref() == Some(name))?;
-        stage.other.parts().filter(|p| p.shown.channel == Some(2))
+        stage.other.talk().selection.choices().filter(|p| p.shown.channel == Some(2))
     });
     // Its description is on the way to this window too.
     window.until("the look of the channel", |w| {
@@ -234,7 +234,7 @@ fn a_state_of_another_channel_gives_the_very_same_picture_by_every_way() {
             }
             _ => {}
         }
-        window.until(way, |_| stage.other.parts().filter(|p| p.shown.channel == Some(2)));
+        window.until(way, |_| stage.other.talk().selection.choices().filter(|p| p.shown.channel == Some(2)));
         let difference = window.difference(&state, 2);
         assert!(difference.max <= 1, "{way}: {difference:?}");
         // The controls: the same state's picture of another channel, and of another look.
@@ -252,7 +252,7 @@ fn a_state_of_another_channel_gives_the_very_same_picture_by_every_way() {
     let mut window = stage.window(Some(unnamed));
     let difference = window.difference(&state, 0);
     assert!(difference.max <= 1, "{difference:?}");
-    assert_eq!(stage.other.parts().unwrap().shown.channel, Some(0));
+    assert_eq!(stage.other.talk().selection.choices().unwrap().shown.channel, Some(0));
 
     // What is not there is named, in one line over the picture.
     for (channel, dims, line) in [
@@ -266,7 +266,7 @@ fn a_state_of_another_channel_gives_the_very_same_picture_by_every_way() {
         std::fs::write(&path, other.to_toml()).unwrap();
         drop_file(&mut window, &path);
         window.until_label(line);
-        assert_eq!(stage.other.parts().unwrap().shown.channel, Some(0), "{line}");
+        assert_eq!(stage.other.talk().selection.choices().unwrap().shown.channel, Some(0), "{line}");
     }
     drop(window);
     stage.end();
