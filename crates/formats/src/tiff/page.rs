@@ -288,7 +288,7 @@ pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageErr
         samples > 1 && planar.and_then(PlanarConfiguration::from_u16) == Some(PlanarConfiguration::Planar);
     if width == 0 || height == 0 || samples == 0 {
         return Err(PageError::Kind(format!(
-            "{width}×{height} pixels of {samples} samples, expected more than none"
+            "{width}×{height} pixels of {samples} samples, expected at least one of each"
         )));
     }
     Ok(PageShape { width, height, samples, is_planar, dtype })
