@@ -73,7 +73,7 @@ fn expand<'a>(base: &[String], text: &'a str, found: &mut Vec<Vec<String>>) -> &
     if let Some(mut rest) = text.strip_prefix('{') {
         while !rest.is_empty() && !rest.starts_with('}') {
             rest = expand(base, rest, found).trim_start();
-            rest = rest.trim_start_matches(|c| c == ',' || c == ' ');
+            rest = rest.trim_start_matches([',', ' ']);
         }
         return rest.strip_prefix('}').unwrap_or_default();
     }
