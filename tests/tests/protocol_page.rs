@@ -6,8 +6,9 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 25] = [
+const SOURCES: [&str; 26] = [
     "crates/core/src/wire",
+    "crates/core/src/codec/bands.rs",
     "crates/core/src/codec/header.rs",
     "crates/core/src/codec/planes.rs",
     "crates/core/src/codec/scale.rs",

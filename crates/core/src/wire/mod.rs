@@ -14,6 +14,8 @@ mod probe;
 pub mod screenshot;
 mod selection;
 mod token;
+#[cfg(test)]
+mod vectors;
 
 pub use control::{
     ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
@@ -26,8 +28,8 @@ pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use token::{Token, TokenError};
 
 /// Version of everything that is said on a connection.
-pub const PROTOCOL_VERSION: u32 = 10;
+pub const PROTOCOL_VERSION: u32 = 11;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/10";
+pub const ALPN: &[u8] = b"isinglass/11";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;
