@@ -43,7 +43,7 @@ fn bad_usage_is_code_2() {
         ("reproject a.iglf -o out.png --aperture 0.1 --focus 0", &["0.001", "radii"]),
         ("reproject a.iglf -o out.png --shutter 40", &["AZ,EL"]),
         ("layers builtin:cloud@8 -o a.iglf --k 33", &["33", "1 to 32"]),
-        ("layers builtin:cloud@8 -o a.iglf --turn 2", &["--turn", "--codec blocks", "--bound"]),
+        ("layers builtin:cloud@8 -o a.iglf --turn 2", &["--turn", "--codec blocks"]),
         ("layers builtin:cloud@8 -o a.iglf --codec blocks --turn 11", &["--turn", "11", "at most 10"]),
         // Told before anything is read.
         ("layers nothing.nrrd -o a.iglf --turn 2", &["--turn", "--codec blocks"]),

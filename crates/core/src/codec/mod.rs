@@ -15,7 +15,6 @@
 mod assembly;
 mod bands;
 pub mod blocks;
-mod bounded;
 mod contexts;
 mod either;
 mod header;
@@ -43,7 +42,6 @@ use crate::mode::{Compositing, Mode};
 use bands::Borders;
 use blocks::{Reference, References};
 
-pub use bounded::{Bound, Misfit};
 pub use either::{Assembly, DecodedChunk, decode_chunk, spent};
 pub use header::{ChunkHeader, HEADER_BYTES, peek};
 pub use spent::{Spent, TileClass};
@@ -215,9 +213,6 @@ pub enum CodecError {
     /// Nobody waits for the frame any more.
     #[error("the frame is no longer wanted")]
     Abandoned,
-    /// No coding is as good as was asked for.
-    #[error("the exact coding is off by {0}/255 or too far in depth, expected within the bound")]
-    Bound(u8),
     /// Blocks correct their picture by *over*.
     #[error("a frame of mode {0} in blocks, expected the exact coding")]
     Projection(Mode),

@@ -54,15 +54,8 @@ pub(crate) struct CodecArgs {
     /// The best quality of --codec blocks that makes the frame no larger than so many bytes
     #[arg(long, value_name = "N", conflicts_with = "quality")]
     pub(crate) bytes: Option<usize>,
-    /// The fewest bytes of any codec with which no channel of the picture at the frame's own pose is off by more than so many
-    /// 255ths, and no list's middle by more than --shift
-    #[arg(long, value_name = "E", conflicts_with_all = ["quality", "bytes", "codec"])]
-    pub(crate) bound: Option<u8>,
-    /// Greatest shift of a list's middle for --bound, in pixels at a turn of --turn
-    #[arg(long, value_name = "PIXELS", default_value_t = 1.0, value_parser = parse_pixels, requires = "bound")]
-    pub(crate) shift: f32,
-    /// The turn that the frame is seen at, degrees: for --shift [default: 10], and for --codec blocks, which spends its bytes
-    /// where they show at that turn, at most 10 and rounded [default: fit for all]
+    /// The turn that the frame is seen at, degrees, at most 10 and rounded: --codec blocks spends its bytes where they show at
+    /// that turn [default: fit for all]
     #[arg(long, value_name = "DEG", value_parser = parse_turn)]
     pub(crate) turn: Option<f32>,
 }
@@ -73,9 +66,6 @@ impl CodecArgs {
     /// Of usage, where an argument has no meaning for the codec.
     pub(crate) fn check(&self) -> Result<(), clap::Error> {
         let usage = |text| Err(clap::Error::raw(ErrorKind::ArgumentConflict, text));
-        if self.bound.is_some() {
-            return Ok(());
-        }
         if self.codec == CodecChoice::Blocks {
             let most = f32::from(MAX_TURN_DEG);
             return match self.turn {
@@ -86,12 +76,12 @@ impl CodecArgs {
             };
         }
         let given = [
-            ("--quality", self.quality.is_some(), "--codec blocks"),
-            ("--bytes", self.bytes.is_some(), "--codec blocks"),
-            ("--turn", self.turn.is_some(), "--codec blocks or --bound"),
+            ("--quality", self.quality.is_some()),
+            ("--bytes", self.bytes.is_some()),
+            ("--turn", self.turn.is_some()),
         ];
-        given.iter().find(|(_, is_given, _)| *is_given).map_or(Ok(()), |(name, _, codec)| {
-            usage(format!("{name}: found --codec exact, expected {codec}"))
+        given.iter().find(|(_, is_given)| *is_given).map_or(Ok(()), |(name, _)| {
+            usage(format!("{name}: found --codec exact, expected --codec blocks"))
         })
     }
 }
@@ -103,11 +93,6 @@ pub(crate) enum CodecChoice {
     Exact,
     /// Lists in blocks.
     Blocks,
-}
-
-fn parse_pixels(text: &str) -> Result<f32, String> {
-    let pixels = text.parse::<f32>().ok().filter(|p| (0.0..=10_000.0).contains(p));
-    pixels.ok_or_else(|| "expected 0 to 10000 pixels".into())
 }
 
 fn parse_turn(text: &str) -> Result<f32, String> {

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use isinglass_core::codec::{Bound, Coding, EncodedFrame, Misfit, Settings, blocks};
+use isinglass_core::codec::{Coding, EncodedFrame, Settings, blocks};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 use isinglass_core::orbit::Orbit;
@@ -63,7 +63,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
-    if args.codec.codec == CodecChoice::Blocks && args.codec.bound.is_none() && look.mode.is_projection() {
+    if args.codec.codec == CodecChoice::Blocks && look.mode.is_projection() {
         let found = format!("--codec blocks: found --mode {}, expected --codec exact with it", look.mode);
         return Err(usage_error(found));
     }
@@ -75,7 +75,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     let frame = renderer.generate(FrameHeader::alone(camera, look.k))?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
-    let (encoded, coding, misfit) = encode(&args.codec, &frame)?;
+    let (encoded, coding) = encode(&args.codec, &frame)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded, &Origin { orientation, bounds: left })?;
     if args.json {
@@ -96,8 +96,6 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
                 Coding::Exact(_) => None,
                 Coding::Blocks(settings) => Some(settings.quality),
             },
-            "max_abs_255": misfit.map(|m| m.picture_255),
-            "shift_pixels": misfit.map(|m| m.shift_pixels),
             "generate_ms": generate_ms,
             "encode_ms": encode_ms,
         }))?;
@@ -105,14 +103,8 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     Ok(())
 }
 
-/// The frame as it was asked for, what it became, and how far it is off where that was bounded.
-fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding, Option<Misfit>)> {
-    if let Some(picture_255) = args.bound {
-        let turn_radians = args.turn.unwrap_or(BOUND_TURN_DEG).to_radians();
-        let bound = Bound { picture_255, shift_pixels: args.shift, turn_radians };
-        let (encoded, coding, misfit) = bound.encode(frame)?;
-        return Ok((encoded, coding, Some(misfit)));
-    }
+/// The frame as it was asked for, and what it became.
+fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding)> {
     let turn_deg = args.turn.map(|t| t.round() as u8);
     let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
@@ -121,14 +113,11 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
         (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality.unwrap_or(QUALITY))),
         (CodecChoice::Blocks, Some(bytes)) => {
             let (encoded, _, quality) = blocks::encode_within(frame, bytes, &in_blocks(0), None)?;
-            return Ok((encoded, Coding::Blocks(in_blocks(quality)), None));
+            return Ok((encoded, Coding::Blocks(in_blocks(quality))));
         }
     };
-    Ok((coding.encode(frame, None)?.0, coding, None))
+    Ok((coding.encode(frame, None)?.0, coding))
 }
 
 /// The quality of frames in blocks if none is said.
 const QUALITY: u8 = 60;
-
-/// The turn that --shift is meant at if none is said, degrees.
-const BOUND_TURN_DEG: f32 = 10.0;

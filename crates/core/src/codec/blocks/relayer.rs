@@ -43,7 +43,7 @@ impl Rule {
 }
 
 /// Depth units that are as long as a pixel is wide, in the middle between near and far.
-pub fn units_per_pixel(camera: &crate::camera::Camera) -> f32 {
+pub(super) fn units_per_pixel(camera: &crate::camera::Camera) -> f32 {
     let units_per_world = crate::layer::DEPTH_UNITS / (camera.far - camera.near);
     let middle = 0.5 * (camera.far + camera.near);
     let (_, half_height) = camera.intrinsics.half_size_at(middle);
