@@ -278,7 +278,11 @@ fn a_load_that_is_refused_or_cancelled_leaves_all_as_it_was() {
     half(&asking);
     watching.talk().selection.open(at(2));
     until("the newer load", || {
-        asking.load().filter(|l| l.part == at(2).unwrap() && l.state == LoadState::Reading { permille: 500 })
+        asking
+            .talk()
+            .selection
+            .load()
+            .filter(|l| l.part == at(2).unwrap() && l.state == LoadState::Reading { permille: 500 })
     });
     stage.gate.send(()).unwrap();
     for client in both {
