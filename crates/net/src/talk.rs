@@ -55,6 +55,11 @@ impl<'a, S> Talking<'a, S> {
         let session = session.lock().unwrap_or_else(PoisonError::into_inner);
         Self { changed: None, is_changed: false, session }
     }
+
+    /// For what leaves nothing to send: the network's tasks are not told.
+    pub fn quietly(&mut self) -> &mut S {
+        &mut self.session
+    }
 }
 
 impl<S> Deref for Talking<'_, S> {

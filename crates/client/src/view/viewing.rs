@@ -211,7 +211,7 @@ impl<S: FrameSource> Viewing<S> {
         // How exact frames are seen says nothing of frames in blocks: they are there at rest, or come another way.
         let tells = |f: &&ReceivedFrame| !f.is_exact && is_of_volume && self.is_moving(now);
         let told = frame.as_deref().filter(tells).map(|f| turned_degrees(f, &camera, bounds));
-        self.source.talk().pose.note_turn(told);
+        self.source.talk().quietly().pose.note_turn(told);
         let wish = (ahead, size);
         if self.asked.replace(wish) != Some(wish) {
             self.source.set_pose(now, ahead, size);

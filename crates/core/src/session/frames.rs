@@ -222,7 +222,8 @@ impl FramesServer {
     pub fn is_outdated(sending: &Sending, newest: &PoseRequest, version: LookVersion) -> bool {
         let Asked { request, header, .. } = &sending.asked;
         let is_same = request.pose == newest.pose && is_same_picture(&request.intrinsics, &newest.intrinsics);
-        !(sending.is_usual() || is_same && header.look == version)
+        let is_wanted = is_same && header.look == version;
+        !sending.is_usual() && !is_wanted
     }
 
     /// How a frame that was sent is sent again if the camera rests where it is.

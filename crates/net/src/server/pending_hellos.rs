@@ -1,4 +1,5 @@
-//! Connections that have not said who they are: not many at once, few of them from one place, and who takes long gives way.
+//! Connections before their hello. Their number is bounded, in all and for each network. Where there is no room, the one that
+//! has waited longest gives way.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,7 +8,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-/// The room in front of the doors.
+/// The connections that have not said hello.
 #[derive(Debug, Default)]
 pub(super) struct PendingHellos {
     room: Mutex<Room>,

@@ -167,9 +167,7 @@ async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>)
     while let Ok(bytes) = link.connection.read_datagram().await {
         let handled = link.talk.lock_quietly().handle_datagram(clock.now_micros(), &bytes);
         match handled {
-            Ok(()) => {
-                heard.send_replace(());
-            }
+            Ok(()) => heard.send_replace(()),
             Err(e) => tracing::debug!("ignored: {e}"),
         }
         link.progress.send_replace(());
@@ -197,9 +195,7 @@ async fn read_messages(
         }
         let handled = link.talk.lock_quietly().handle_message(&body);
         match handled {
-            Ok(Heard::Taken) => {
-                heard.send_replace(());
-            }
+            Ok(Heard::Taken) => heard.send_replace(()),
             Ok(Heard::Stats(stats)) => tracing::debug!(?stats, "viewer"),
             Ok(Heard::Bye) => {
                 link.connection.close(transport::CLOSE_BYE, b"");

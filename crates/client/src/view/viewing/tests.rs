@@ -205,7 +205,7 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
     v.source.in_blocks = true;
     v.source.answer(12, ms(11 * 16), true);
     let r = v.refresh(ms(21 * 16), at(21.0), PICTURE, &BOUNDS);
-    assert!(r.turned_degrees > Some(8.0) && v.source.turned() == Some(9), "{r:?}");
+    assert!(r.turned_degrees > Some(8.0) && v.source.turned() == Some(10), "{r:?}");
     // A rest is told before anything is asked for because of it.
     v.refresh(ms(21 * 16 + 200), at(21.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.turned(), None);

@@ -46,10 +46,10 @@ fn bytes_at(quality: u8, hardness: f64) -> f64 {
 
 #[test]
 fn frames_are_made_for_the_turn_they_are_seen_at() {
-    let mut pilot = CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
+    let mut control = CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
     let mut next = |turned| {
-        pilot.handle_turned(turned);
-        let Coding::Blocks(settings) = pilot.next(LISTS, true) else { panic!("not in blocks") };
+        control.handle_turned(turned);
+        let Coding::Blocks(settings) = control.next(LISTS, true) else { panic!("not in blocks") };
         settings.turn_deg
     };
     assert_eq!(next(None), None);
@@ -65,8 +65,8 @@ fn frames_are_made_for_the_turn_they_are_seen_at() {
     // Where it rests, it is made once more for any turn, though it be at the best quality, and never worse.
     let sent =
         |turn_deg| Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(DEFAULT_QUALITY) });
-    assert_eq!(pilot.finer(LISTS, &sent(Some(5))), Some(sent(None)));
-    assert_eq!(pilot.finer(LISTS, &sent(None)), None);
+    assert_eq!(control.finer(LISTS, &sent(Some(5))), Some(sent(None)));
+    assert_eq!(control.finer(LISTS, &sent(None)), None);
     let plan = CodingPlan { mode: CodingMode::Blocks, quality: 0, ..CodingPlan::default() };
     let moving = blocks::Settings { turn_deg: Some(5), ..blocks::Settings::of(LEAST_QUALITY) };
     let finer = CodingControl::new(plan).finer(LISTS, &Coding::Blocks(moving));
@@ -77,22 +77,22 @@ fn frames_are_made_for_the_turn_they_are_seen_at() {
 fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
     for megabytes in [0.6, 1.25, 6.0] {
         let mut link = FakeLink::new(megabytes);
-        let mut pilot =
+        let mut control =
             CodingControl::new(CodingPlan { mode: CodingMode::Blocks, quality: 90, bytes_per_second: None });
         let mut waits = vec![];
         for n in 0..300 {
             // A harder scene from the 150th frame on.
             let hardness = if n < 150 { 1.0 } else { 1.6 };
-            let coding = pilot.next(LISTS, n > 0);
+            let coding = control.next(LISTS, n > 0);
             let bytes = bytes_at(quality(coding).unwrap(), hardness);
-            pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
-            pilot.handle_link(n * 33_000, link.send(bytes));
+            control.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+            control.handle_link(n * 33_000, link.send(bytes));
             waits.push(link.queued / link.bytes_per_second);
         }
         // Half a second to settle, each time; then what queues is a few frames' worth.
         let calm = waits[15..150].iter().chain(&waits[165..]).fold(0f64, |a, &b| a.max(b));
         assert!(calm < 0.1, "{megabytes}: {calm} s of queue");
-        let best = pilot.bytes_per_second();
+        let best = control.bytes_per_second();
         assert!(best > megabytes * 0.5e6, "{megabytes}: {best} of the link is used");
         // The control: a fixed quality fills the narrow link's queue.
         let mut link = FakeLink::new(megabytes);
@@ -105,7 +105,7 @@ fn frames_fit_the_link_and_come_back_after_a_harder_scene() {
 
 #[test]
 fn a_way_that_has_become_longer_is_no_queue() {
-    let mut pilot =
+    let mut control =
         CodingControl::new(CodingPlan { mode: CodingMode::Blocks, quality: 90, bytes_per_second: None });
     let mut link = FakeLink::new(2.5);
     let mut rates = vec![];
@@ -117,11 +117,11 @@ fn a_way_that_has_become_longer_is_no_queue() {
         if (200..350).contains(&n) && n % 10 == 0 {
             link.window = (link.window * 0.5).max(5_000.0);
         }
-        let coding = pilot.next(LISTS, n > 0);
+        let coding = control.next(LISTS, n > 0);
         let bytes = bytes_at(quality(coding).unwrap(), 1.0);
-        pilot.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
-        pilot.handle_link(n * 33_000, link.send(bytes));
-        rates.push(pilot.bytes_per_second());
+        control.handle_encoded(&coding, n > 0, LISTS, bytes as usize, 10_000);
+        control.handle_link(n * 33_000, link.send(bytes));
+        rates.push(control.bytes_per_second());
     }
     let mean = |range: std::ops::Range<usize>| rates[range.clone()].iter().sum::<f64>() / range.len() as f64;
     // Ten seconds after the last loss.
@@ -140,16 +140,17 @@ fn a_way_that_has_become_longer_is_no_queue() {
 fn a_quality_that_takes_too_long_to_encode_is_left_out() {
     let wide = LinkState { window_bytes: 100_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
     let settled = |generate_micros: u64, micros_at_best: f64| {
-        let mut pilot = CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
+        let mut control =
+            CodingControl::new(CodingPlan { mode: CodingMode::Blocks, ..CodingPlan::default() });
         let (mut last, mut micros) = (0, 0.0);
         for n in 0..60 {
-            pilot.handle_generated(generate_micros);
-            pilot.handle_link(n * 33_000, wide);
-            let coding = pilot.next(LISTS, n > 0);
+            control.handle_generated(generate_micros);
+            control.handle_link(n * 33_000, wide);
+            let coding = control.next(LISTS, n > 0);
             last = quality(coding).unwrap();
             // Half the time with every 30 less.
             micros = micros_at_best * ((f64::from(last) - 100.0) / 30.0).exp2();
-            pilot.handle_encoded(&coding, n > 0, LISTS, 1000, micros as u64);
+            control.handle_encoded(&coding, n > 0, LISTS, 1000, micros as u64);
         }
         (last, micros)
     };
@@ -164,33 +165,33 @@ fn a_quality_that_takes_too_long_to_encode_is_left_out() {
 #[test]
 fn a_rate_is_kept_whatever_the_link_carries() {
     let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(1e6) };
-    let mut pilot = CodingControl::new(plan);
+    let mut control = CodingControl::new(plan);
     let wide = LinkState { window_bytes: 10_000_000, rtt_micros: 1000, least_rtt_micros: 1000 };
     let mut last = 0.0;
     for n in 0..20 {
-        pilot.handle_link(n * 33_000, wide);
-        let coding = pilot.next(LISTS, n > 0);
+        control.handle_link(n * 33_000, wide);
+        let coding = control.next(LISTS, n > 0);
         last = bytes_at(quality(coding).unwrap(), 1.0);
-        pilot.handle_encoded(&coding, n > 0, LISTS, last as usize, 1000);
+        control.handle_encoded(&coding, n > 0, LISTS, last as usize, 1000);
     }
     assert!((20_000.0..=33_400.0).contains(&last), "{last} bytes a frame");
-    pilot.plan.bytes_per_second = None;
-    assert!(bytes_at(quality(pilot.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
+    control.plan.bytes_per_second = None;
+    assert!(bytes_at(quality(control.next(LISTS, true)).unwrap(), 1.0) > 36_000.0);
 }
 
 #[test]
 fn frames_over_a_long_way_may_take_a_part_of_it() {
     let bytes_over = |rtt_micros, generate_micros| {
         let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(3e5) };
-        let mut pilot = CodingControl::new(plan);
+        let mut control = CodingControl::new(plan);
         let mut last = 0.0;
         for _ in 0..20 {
-            pilot.handle_generated(generate_micros);
+            control.handle_generated(generate_micros);
             let link = LinkState { window_bytes: 10_000_000, rtt_micros, least_rtt_micros: rtt_micros };
-            pilot.handle_link(0, link);
-            let coding = pilot.next(LISTS, true);
+            control.handle_link(0, link);
+            let coding = control.next(LISTS, true);
             last = bytes_at(quality(coding).unwrap(), 1.0);
-            pilot.handle_encoded(&coding, true, LISTS, last as usize, 1000);
+            control.handle_encoded(&coding, true, LISTS, last as usize, 1000);
         }
         last / 3e5
     };
@@ -204,11 +205,11 @@ fn frames_over_a_long_way_may_take_a_part_of_it() {
 #[test]
 fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
     let plan = CodingPlan { mode: CodingMode::Blocks, quality: 100, bytes_per_second: Some(300_000.0) };
-    let mut pilot = CodingControl::new(plan);
+    let mut control = CodingControl::new(plan);
     let mut at = |num_lists: usize| {
-        let coding = pilot.next(num_lists, true);
+        let coding = control.next(num_lists, true);
         let bytes = bytes_at(quality(coding).unwrap(), 1.0) * num_lists as f64 / LISTS as f64;
-        pilot.handle_encoded(&coding, true, num_lists, bytes as usize, 1000);
+        control.handle_encoded(&coding, true, num_lists, bytes as usize, 1000);
         (f64::from(quality(coding).unwrap()), bytes)
     };
     for _ in 0..10 {
@@ -226,43 +227,43 @@ fn a_frame_of_fewer_lists_has_its_better_quality_at_once() {
 
 #[test]
 fn a_rest_ends_exactly_and_by_a_finer_frame_only_where_that_takes_long() {
-    let mut pilot = CodingControl::new(CodingPlan { quality: 50, ..CodingPlan::default() });
-    let first = pilot.next(LISTS, false);
+    let mut control = CodingControl::new(CodingPlan { quality: 50, ..CodingPlan::default() });
+    let first = control.next(LISTS, false);
     assert_eq!(quality(first), Some(50), "nothing is known of the link or of exact frames");
-    pilot.handle_encoded(&first, false, LISTS, 30_000, 20_000);
+    control.handle_encoded(&first, false, LISTS, 30_000, 20_000);
     let link = |window_bytes| LinkState { window_bytes, rtt_micros: 100_000, least_rtt_micros: 100_000 };
-    let steps = |pilot: &CodingControl| {
+    let steps = |control: &CodingControl| {
         let mut steps = vec![];
         let mut last = first;
-        while let Some(finer) = pilot.finer(LISTS, &last) {
+        while let Some(finer) = control.finer(LISTS, &last) {
             steps.push(quality(finer));
             last = finer;
         }
         steps
     };
-    pilot.handle_link(0, link(10_000_000));
-    assert_eq!(steps(&pilot), [None]);
-    pilot.handle_link(0, link(80_000));
-    assert_eq!(steps(&pilot), [Some(FINE_QUALITY), None]);
-    pilot.plan.mode = CodingMode::Blocks;
-    assert_eq!(steps(&pilot), []);
-    pilot.plan.quality = 70;
-    assert_eq!(steps(&pilot), [Some(70)]);
-    pilot.plan.mode = CodingMode::Exact;
-    assert_eq!(steps(&pilot), []);
+    control.handle_link(0, link(10_000_000));
+    assert_eq!(steps(&control), [None]);
+    control.handle_link(0, link(80_000));
+    assert_eq!(steps(&control), [Some(FINE_QUALITY), None]);
+    control.plan.mode = CodingMode::Blocks;
+    assert_eq!(steps(&control), []);
+    control.plan.quality = 70;
+    assert_eq!(steps(&control), [Some(70)]);
+    control.plan.mode = CodingMode::Exact;
+    assert_eq!(steps(&control), []);
 }
 
 #[test]
 fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
-    let mut pilot = CodingControl::new(CodingPlan::default());
+    let mut control = CodingControl::new(CodingPlan::default());
     let blocks = Coding::Blocks(blocks::Settings::of(60));
-    pilot.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
+    control.handle_encoded(&blocks, true, LISTS, 20_000, 20_000);
     let mut coding = |exact_micros: u64, window_bytes| {
-        pilot.exact_bytes = Mean::default();
-        pilot.exact_micros = Mean::default();
-        pilot.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
-        pilot.handle_link(0, LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
-        quality(pilot.next(LISTS, true))
+        control.exact_bytes = Mean::default();
+        control.exact_micros = Mean::default();
+        control.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
+        control.handle_link(0, LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
+        quality(control.next(LISTS, true))
     };
     assert_eq!(coding(20_000, 2_000_000), None);
     assert_eq!(coding(20_000, 100_000), Some(100), "too narrow");
