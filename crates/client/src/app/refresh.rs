@@ -62,7 +62,7 @@ impl<S: FrameSource> ViewerApp<S> {
             .filter(|_| self.stereo().is_mono())
             .map(|r| clip_editor::ClipView { rect, camera: r.camera, bounds: r.bounds });
         let state = self.viewing.source().state();
-        let notice = self.viewing.source().talk().link.take_notice();
+        let notice = self.viewing.source().talk().quietly().link.take_notice();
         if let Some(notice) = notice {
             self.notice = Some((notice, now));
         }
