@@ -45,7 +45,7 @@ fn look() -> Look {
         k: 5,
         clip: Clip {
             bounds: Some(Aabb { min: Vec3::NEG_ONE, max: Vec3::new(1.0, 2.0, 3.0) }),
-            plane: Some(Plane::new(Vec3::Y, 0.5)),
+            plane: Plane::new(Vec3::Y, 0.5),
         },
         mode: Mode::Iso,
         isos: Isos::new(&[Iso { value: 300.0, opacity: 0.5 }]).unwrap(),
