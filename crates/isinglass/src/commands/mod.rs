@@ -36,7 +36,7 @@ pub(crate) enum Command {
     Compare(compare::CompareArgs),
     /// Tell what is in a volume or in a stored layered frame
     Info(info::InfoArgs),
-    /// Measure quality, speed, latency or codecs
+    /// Measure speed, latency or where the time of a frame goes
     Bench(bench::BenchArgs),
     /// Tell what this machine lacks, and what to install
     Doctor(doctor::DoctorArgs),
