@@ -84,7 +84,7 @@ pub(crate) struct Pipeline {
     after_work: AfterWork,
     coders: Coders,
     schedule: Schedule,
-    generating: Option<At<Option<Result<Generated, GenerateError>>, (Asked, Wish)>>,
+    generating: Option<At<Made, (Asked, Wish)>>,
     /// Generated, in front of the coder.
     made: Option<(Asked, Generated)>,
     coding: Option<At<Result<Coded, CodecError>, Ticket>>,
@@ -92,6 +92,9 @@ pub(crate) struct Pipeline {
     coded: Option<Coded>,
     sending: Option<At<Result<Sent, SessionClosed>, Ticket>>,
 }
+
+/// What the renderer has made. None: its thread has ended.
+type Made = Option<Result<Generated, GenerateError>>;
 
 /// A task and what it works on. It ends with this, but for work on threads, which ends with its wish.
 struct At<T, F> {
