@@ -123,25 +123,6 @@ fn is_beaten(brick: u32) -> bool {
     return false;
 }
 
-struct Parts {
-    near: Step,
-    far: Step,
-}
-
-// The two parts of a step that is cut, as a homogeneous medium, behind the share `part` of its length.
-fn split(step: Step, part: f32) -> Parts {
-    let s_cut = step.s0 + (step.s1 - step.s0) * part;
-    return Parts(
-        piece(step, step.s0, s_cut, step.tau * part),
-        piece(step, s_cut, step.s1, step.tau * (1.0 - part)),
-    );
-}
-
-fn piece(step: Step, s0: f32, s1: f32, tau: f32) -> Step {
-    let alpha = opacity(tau);
-    return Step(step.c * (alpha / max(step.alpha, ALPHA_LEAST)), tau, s0, s1, alpha);
-}
-
 @compute @workgroup_size(8, 4)
 fn generate(
     @builtin(global_invocation_id) id: vec3u,

@@ -212,7 +212,7 @@ fn what_does_not_fit_is_refused_by_name() {
     match renderer.generate(header(camera(&scene, 0.0, (1920, 1080)), 30)) {
         Ok(frame) => frame.validate().unwrap(),
         Err(e) => {
-            assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000, .. }), "{e}");
+            assert!(matches!(e, GpuError::TooLarge { needed: 248_832_000.., .. }), "{e}");
             assert!(!e.to_string().contains('\n'));
         }
     }

@@ -68,7 +68,7 @@ struct QualityArgs {
     #[arg(long, value_name = "K", value_parser = parse_k, value_delimiter = ',', default_values_t = [DEFAULT_K])]
     k: Vec<u8>,
     /// Turns of azimuth to either side, degrees, between commas; 0 is the generating camera
-    #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10,30")]
+    #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10,30", allow_hyphen_values = true)]
     angles: Vec<f32>,
     /// Columns and rows of lists [default: those of the pictures]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
@@ -303,11 +303,12 @@ fn run_picture(args: PictureArgs) -> Result<()> {
     let opened = subject.open(scene)?;
     let bounds = opened.scene.volume.bounds();
     let orbit = subject.orbit(&opened.scene.volume);
-    let mut renderer = Backend::Cpu.renderer(opened.scene)?;
+    let backend = Backend::open(BackendChoice::default())?;
+    let mut renderer = backend.renderer(opened.scene)?;
     let header = FrameHeader::alone(orbit.camera(subject.intrinsics, &bounds), args.k);
     let frame = args.method.rule.unwrap_or_default().generate(&mut renderer, header)?;
     let camera = orbit.turned(args.angle).camera(subject.intrinsics, &bounds);
-    let picture = args.method.method.draw(&Backend::Cpu, &frame, &bounds, &camera)?;
+    let picture = args.method.method.draw(&backend, &frame, &bounds, &camera)?;
     Ok(Rgb8::of(&picture, [0; 3]).write(&args.png)?)
 }
 
@@ -321,8 +322,10 @@ fn run_view(args: ViewArgs) -> Result<()> {
     let [scene] = &scenes[..] else { bail!("expected one scene, found {}", scenes.len()) };
     let (opened, options) =
         DemoOptions { source: scene.volume.source.clone(), ..demo(&common, args.k) }.open()?;
-    let maker = args.method.rule.and_then(Rule::frame_maker);
-    let backend = maker.map_or(Backend::Cpu, Backend::Rule);
+    let backend = match args.method.rule.and_then(Rule::frame_maker) {
+        Some(maker) => Backend::Rule(maker),
+        None => Backend::open(BackendChoice::default())?,
+    };
     let host = Host::start(&options, &opened, &backend, Timing::default())?;
     let method = args.method.method;
     let shown = isinglass_client::run(ViewerOptions {

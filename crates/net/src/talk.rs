@@ -45,7 +45,8 @@ pub struct Talking<'a, S> {
     /// Behind it are the tasks that poll the session.
     changed: Option<&'a watch::Sender<()>>,
     is_changed: bool,
-    session: MutexGuard<'a, S>,
+    /// None while this is dropped.
+    session: Option<MutexGuard<'a, S>>,
 }
 
 impl<'a, S> Talking<'a, S> {
@@ -53,12 +54,12 @@ impl<'a, S> Talking<'a, S> {
     pub fn alone(session: &'a Mutex<S>) -> Self {
         // A panic on another thread leaves state that is still in order: every change is one step.
         let session = session.lock().unwrap_or_else(PoisonError::into_inner);
-        Self { changed: None, is_changed: false, session }
+        Self { changed: None, is_changed: false, session: Some(session) }
     }
 
     /// For what leaves nothing to send: the network's tasks are not told.
     pub fn quietly(&mut self) -> &mut S {
-        &mut self.session
+        self.session.as_mut().expect(HELD)
     }
 }
 
@@ -66,24 +67,28 @@ impl<S> Deref for Talking<'_, S> {
     type Target = S;
 
     fn deref(&self) -> &S {
-        &self.session
+        self.session.as_ref().expect(HELD)
     }
 }
 
 impl<S> DerefMut for Talking<'_, S> {
     fn deref_mut(&mut self) -> &mut S {
         self.is_changed = true;
-        &mut self.session
+        self.session.as_mut().expect(HELD)
     }
 }
 
 impl<S> Drop for Talking<'_, S> {
     fn drop(&mut self) {
+        // First, so that whoever is told does not run into the lock.
+        self.session = None;
         if let Some(changed) = self.changed.filter(|_| self.is_changed) {
             changed.send_replace(());
         }
     }
 }
+
+const HELD: &str = "held until it is dropped";
 
 /// Returns when a session is to be polled again: it was changed, or its time has come.
 pub(crate) async fn until_due(changed: &mut watch::Receiver<()>, clock: &Clock, due: Option<u64>) {

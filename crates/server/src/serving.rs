@@ -190,14 +190,17 @@ impl Viewer {
         let (pose, order, shot, look);
         {
             let mut talk = self.session.talk();
-            if let Some(look) = talk.look.poll_wanted() {
+            if let Some(look) = talk.quietly().look.poll_wanted() {
                 tracing::info!(transfer = look.transfer.name, k = look.k, "new look");
                 let is_whole = self.present.lights.is_fine(&look);
                 talk.look.begin(now, look, is_whole);
             }
-            talk.probe.answer(self.present.lights.volume());
-            (pose, order) = (talk.pose.poll_new(), talk.selection.poll_order());
-            (shot, look) = (talk.screenshot.poll_request(), talk.look.look().clone());
+            if talk.probe.is_asked() {
+                talk.probe.answer(self.present.lights.volume());
+            }
+            let quiet = talk.quietly();
+            (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
+            (shot, look) = (quiet.screenshot.poll_request(), quiet.look.look().clone());
         }
         if let Some(pose) = pose {
             self.note_pose(&pose);
@@ -251,7 +254,7 @@ impl Viewer {
         if let Some((_, outdated)) = self.refining.take_if(|(version, _)| !talk.look.is_refining(*version)) {
             outdated.abort();
         }
-        if let Some((version, look)) = talk.look.poll_refine(now) {
+        if let Some((version, look)) = talk.quietly().look.poll_refine(now) {
             let lights = self.present.lights.clone();
             let work = tokio::spawn(async move { lights.scene(&look).await.is_some() });
             self.refining = Some((version, work));

@@ -115,7 +115,7 @@ impl Screenshots {
                 None
             }
             PictureStage::Requested(id) => {
-                let shot = source.talk().screenshot.take_outcome().filter(|shot| shot.id == *id)?;
+                let shot = source.talk().quietly().screenshot.take_outcome().filter(|shot| shot.id == *id)?;
                 match &shot.png {
                     Ok(_) => {
                         let path = series.file();

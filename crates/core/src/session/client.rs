@@ -99,7 +99,8 @@ impl ClientSession {
 
     /// When to poll messages again though nothing has happened, µs.
     pub fn due(&self) -> Option<u64> {
-        let dues = [self.look.due(), self.screenshot.due(), self.probe.due(), self.link.due()];
+        let screenshot = self.screenshot.due().filter(|_| !self.look.is_waiting());
+        let dues = [self.look.due(), screenshot, self.probe.due(), self.link.due()];
         dues.into_iter().flatten().filter(|_| self.is_up).min()
     }
 }

@@ -155,6 +155,7 @@ impl LookClient {
         if !is_pending {
             self.unanswered = None;
             self.own = self.own.take().and(in_force.clone());
+            self.outbox.offer(None);
         }
         self.asked = if is_pending && has_sent { self.own.clone() } else { in_force };
     }
@@ -363,15 +364,19 @@ impl LookServer {
 
     /// The next message to the viewer.
     pub fn poll_message(&mut self) -> Option<ServerMessage> {
-        let (version, look) = (self.version, (*self.look).clone());
+        let look = |server: &Self| (*server.look).clone();
         if let Some(volume) = self.volume.take() {
             // The change of volume tells the version, unless it is a draft.
             self.is_untold = self.is_draft();
-            let change = VolumeChange { volume, look_version: version, look };
+            let change = VolumeChange { volume, look_version: self.version, look: look(self) };
             return Some(ServerMessage::VolumeChanged(Box::new(change)));
         }
-        let is_draft = self.is_draft();
-        std::mem::take(&mut self.is_untold).then_some(ServerMessage::LookChanged { version, look, is_draft })
+        let (version, is_draft) = (self.version, self.is_draft());
+        std::mem::take(&mut self.is_untold).then(|| ServerMessage::LookChanged {
+            version,
+            look: look(self),
+            is_draft,
+        })
     }
 
     fn begin_version(&mut self, now_micros: u64, is_whole: bool) {

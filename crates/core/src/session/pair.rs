@@ -184,7 +184,7 @@ impl Pair {
         for what in arrived(&mut self.link.up, now) {
             match what {
                 Up::Message(bytes) => _ = server.handle_message(&bytes[4..]).unwrap(),
-                Up::Datagram(bytes) => server.handle_datagram(now, &bytes).unwrap(),
+                Up::Datagram(bytes) => _ = server.handle_datagram(now, &bytes).unwrap(),
             }
         }
     }

@@ -89,6 +89,11 @@ impl ProbeServer {
         }
     }
 
+    /// Whether a question waits for its answer.
+    pub fn is_asked(&self) -> bool {
+        self.asked.is_some()
+    }
+
     /// Answers what was asked, from the volume that is shown.
     pub fn answer(&mut self, volume: &Volume) {
         if let Some(question) = self.asked.take() {

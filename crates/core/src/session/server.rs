@@ -60,17 +60,18 @@ impl ServerSession {
         }
     }
 
-    /// A datagram has arrived.
+    /// A datagram has arrived. Returns whether it brought a new pose.
     ///
     /// # Errors
     /// If it is not a pose; the connection can go on.
-    pub fn handle_datagram(&mut self, now_micros: u64, bytes: &[u8]) -> Result<(), PoseError> {
+    pub fn handle_datagram(&mut self, now_micros: u64, bytes: &[u8]) -> Result<bool, PoseError> {
+        let before = self.pose.newest().map(|pose| pose.id);
         if let Some((request, is_newest)) = self.pose.handle_datagram(now_micros, bytes)?
             && let Some(frame) = request.newest_complete
         {
             self.chunks.handle_report(frame, is_newest);
         }
-        Ok(())
+        Ok(self.pose.newest().map(|pose| pose.id) != before)
     }
 
     /// A control message has arrived after the hello.

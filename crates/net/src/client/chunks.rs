@@ -39,9 +39,10 @@ async fn read(
             let header = header.ok_or_else(|| format!("a stream of {} bytes is no chunk", bytes.len()))?;
             let now = shared.clock.now_micros();
             let first = first_byte_micros.unwrap_or(now);
+            let place = place(&header, &bytes);
             let mut chunks = shared.chunks();
             if chunks.connection() == number {
-                chunks.handle_chunk(now, first, place(&header, &bytes), bytes).map_err(|e| e.to_string())?;
+                chunks.handle_chunk(now, first, place, bytes).map_err(|e| e.to_string())?;
                 shared.decode_wanted.notify_one();
             }
             return Ok(());

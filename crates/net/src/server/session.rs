@@ -167,7 +167,8 @@ async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>)
     while let Ok(bytes) = link.connection.read_datagram().await {
         let handled = link.talk.lock_quietly().handle_datagram(clock.now_micros(), &bytes);
         match handled {
-            Ok(()) => heard.send_replace(()),
+            Ok(true) => heard.send_replace(()),
+            Ok(false) => {}
             Err(e) => tracing::debug!("ignored: {e}"),
         }
         link.progress.send_replace(());
