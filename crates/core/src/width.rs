@@ -76,6 +76,14 @@ fn of_machine() -> Width {
     *OF_MACHINE
 }
 
+/// Whether this processor has the instructions of functions called `_avx2`.
+pub(crate) fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return std::arch::is_x86_feature_detected!("avx2");
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     #[cfg(target_arch = "x86_64")]

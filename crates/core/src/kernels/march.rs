@@ -38,6 +38,7 @@ pub use crate::volume::Shading;
 use crate::volume::{
     Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Matter, Occupancy, Volume,
 };
+use crate::width::has_avx2;
 
 /// How to march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -503,14 +504,6 @@ fn behind(first: f32, backs: &Lanes) -> Lanes {
     let mut fronts = [first; LANES];
     fronts[1..].copy_from_slice(&backs[..LANES - 1]);
     fronts
-}
-
-/// Whether this processor has the instructions of functions called `_avx2`.
-pub(crate) fn has_avx2() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    return std::arch::is_x86_feature_detected!("avx2");
-    #[cfg(not(target_arch = "x86_64"))]
-    return false;
 }
 
 /// Composites steps front to back until no more than `stop_at` of what is behind can be seen.

@@ -42,13 +42,14 @@ use self::pieces::{Crossing, Pieces, Sum};
 use self::projected::Way;
 use self::reach::Reach;
 use super::empty_space::{EmptySpace, TILE, cell_bits, cell_of_depth};
-use super::march::{TRANSMITTANCE_MIN, has_avx2};
+use super::march::TRANSMITTANCE_MIN;
 use crate::camera::{Basis, Camera, PixelLine};
 use crate::clip::{Clip, Region};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::mode::Compositing;
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
+use crate::width::has_avx2;
 
 /// How a ray reads the lists that it runs between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
