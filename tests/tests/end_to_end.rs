@@ -328,32 +328,6 @@ fn a_larger_frame_comes_in_blocks_before_it_is_exact() {
     runtime.block_on(server.close());
 }
 
-/// The frame of a resting camera is large; it is not finished when the camera moves. Sizes are counted, not times: the first
-/// frame takes some seconds on a few cores, and the camera moves after a third of one.
-#[test]
-fn a_frame_for_a_rest_that_is_over_is_given_up() {
-    let runtime = runtime();
-    let server = runtime.block_on(serve(Builtin::Cloud));
-    let address = runtime.block_on(server.mint_link(None)).unwrap();
-    let client = Client::connect(&address, ClientOptions::default()).unwrap();
-    let bounds = Builtin::Cloud.volume(48).bounds();
-    let pose = |azimuth| Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * SIZE.fit_distance());
-    frame_for(&client, client.set_pose(pose(0.0), SIZE));
-    let large = Intrinsics { width: 1600, height: 1200, ..SIZE };
-    let resting = client.set_pose(pose(0.1), large);
-    std::thread::sleep(Duration::from_millis(350));
-    if client.ledger().iter().any(|t| t.pose == resting) {
-        // So many cores are in no hurry.
-        return runtime.block_on(server.close());
-    }
-    let moving = client.set_pose(pose(0.2), SIZE);
-    frame_for(&client, moving);
-    assert!(client.ledger().iter().all(|t| t.pose != resting), "the frame at rest was made to its end");
-    // The control: where the camera stays, it is.
-    assert_eq!(frame_for(&client, client.set_pose(pose(0.1), large)).frame.header.camera.intrinsics, large);
-    runtime.block_on(server.close());
-}
-
 /// A renderer that takes as long for wide frames as it is let, and how many it has begun and made.
 #[derive(Default)]
 struct Slow {
@@ -384,6 +358,41 @@ impl Slow {
 
 const WIDE: Intrinsics = Intrinsics { width: 320, height: 240, ..SIZE };
 
+impl Slow {
+    /// Waits until a wide frame is begun.
+    fn wait_for_begin(&self) {
+        let patience = Instant::now() + Duration::from_secs(60);
+        while self.begun.load(Ordering::SeqCst) == 0 {
+            assert!(Instant::now() < patience, "no wide frame is begun");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+/// The frame of a camera at rest is not done when the camera moves.
+#[test]
+fn a_frame_for_a_rest_that_is_over_is_given_up() {
+    let runtime = runtime();
+    let slow = Arc::new(Slow::default());
+    let server = runtime.block_on(serve_with(Builtin::Cloud, CodingPlan::EXACT, slow.clone().backend()));
+    let link = runtime.block_on(server.mint_link(None)).unwrap();
+    let client = Client::connect(&link, ClientOptions::default()).unwrap();
+    let bounds = Builtin::Cloud.volume(8).bounds();
+    let pose = |azimuth| Pose::orbit(Vec3::ZERO, azimuth, 0.3, bounds.radius() * SIZE.fit_distance());
+    frame_for(&client, client.set_pose(pose(0.0), SIZE));
+    client.set_pose(pose(0.1), WIDE);
+    slow.wait_for_begin();
+    // Longer than the camera must have rested.
+    std::thread::sleep(Duration::from_millis(350));
+    frame_for(&client, client.set_pose(pose(0.2), SIZE));
+    assert_eq!(slow.made.load(Ordering::SeqCst), 0, "the frame at rest was made to its end");
+    // The control: where the camera stays, it is.
+    slow.is_open.store(true, Ordering::SeqCst);
+    frame_for(&client, client.set_pose(pose(0.1), WIDE));
+    assert_eq!(slow.made.load(Ordering::SeqCst), 1);
+    runtime.block_on(server.close());
+}
+
 /// Viewers that leave at once have asked for frames that take for ever: nobody else waits for them, and none is made.
 #[test]
 fn what_viewers_that_have_left_asked_for_is_not_made() {
@@ -404,11 +413,7 @@ fn what_viewers_that_have_left_asked_for_is_not_made() {
     for viewer in &leaving {
         viewer.set_pose(pose, WIDE);
     }
-    let patience = Instant::now() + Duration::from_secs(60);
-    while slow.begun.load(Ordering::SeqCst) == 0 {
-        assert!(Instant::now() < patience, "no wide frame is begun");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    slow.wait_for_begin();
     drop(leaving);
     let staying = connect();
     frame_for(&staying, staying.set_pose(pose, SIZE));
