@@ -24,7 +24,7 @@ pub enum Representative {
     Peak,
     /// Step that the accumulated opacity grows by most.
     Gradient,
-    /// Where the accumulated opacity reaches [`THRESHOLD_SHARE`] of that of the whole ray; two marches.
+    /// Where the accumulated opacity reaches `THRESHOLD_SHARE` of that of the whole ray; two marches.
     Threshold,
 }
 

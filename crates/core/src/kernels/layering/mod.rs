@@ -1,7 +1,7 @@
 //! Layered frames from a march: the steps of each ray become the segments of its list.
 //!
-//! [`visibility_merge`] makes the lists of modes that composite with *over*, [`projection`] those of projections. Both are
-//! [`stream`]s under one [`budget`]. A laboratory may bring a [`Rule`] of its own, which sees the same steps.
+//! `visibility_merge` makes the lists of modes that composite with *over*, [`projection`] those of projections. Both are
+//! `stream`s under one [`budget`]. A laboratory may bring a [`Rule`] of its own, which sees the same steps.
 
 pub mod budget;
 pub mod close;
