@@ -1,10 +1,10 @@
 // Lists of segments from the steps of a march. Twin of crates/core/src/kernels/layering/mod.rs.
 //
-// The part after this one is the rule:
+// The parts after this one have
 //   fn generate_list(ray: Ray, lattice: Lattice)
-// marches and hands its segments to push, front to back, and
+// which marches and hands its segments to push, front to back, and
 //   fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment
-// makes of two segments one that a ray through both sees as them. Segments go to slots as they come, and
+// which makes of two segments one that a ray through both sees as them. Segments go to slots as they come, and
 // layering/compact.wgsl packs them.
 
 @group(1) @binding(0) var<uniform> camera: Basis;
@@ -101,10 +101,6 @@ fn close_list() {
 // The depth unit nearest to a view depth, with room for a segment behind it.
 fn units(depth: f32) -> f32 {
     return floor(clamp(depth_to_units(camera, depth) + 0.5, 0.0, DEPTH_UNITS - f32(MIN_UNITS)));
-}
-
-fn no_segment() -> OpenSegment {
-    return OpenSegment(vec3f(0.0), 0.0, 0.0, 0.0, 0.0);
 }
 
 // An open segment with a piece added to its back.

@@ -10,13 +10,13 @@
 //!
 //! | folder | responsibility |
 //! |---|---|
-//! | `input` | from keys and mouse to actions and a camera |
-//! | `view` | where frames come from, what is requested, and which frame is shown |
-//! | `paint` | the ray cast inside egui's pass; lines and handles over the picture |
-//! | `panels` | panels that show what they are given; they do not know each other |
-//! | `app` | one viewer in a window: at each refresh input, view, paint, panels |
-//! | `start` | the page that chooses what the viewer shows, and the way there |
-//! | `window` | opens the window of the system, and closes it |
+//! | `input` | Turns keys and mouse into actions and a camera. |
+//! | `view` | Knows where frames come from, what is requested, and which frame is shown. |
+//! | `paint` | Casts rays inside egui's pass, and draws lines and handles over the picture. |
+//! | `panels` | Show what they are given. They do not know each other. |
+//! | `app` | One viewer in a window: at each refresh input, view, paint, panels. |
+//! | `start` | The page that chooses what the viewer shows, and the way there. |
+//! | `window` | Opens the window of the system, and closes it. |
 
 mod app;
 mod input;

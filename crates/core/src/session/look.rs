@@ -1,10 +1,8 @@
 //! The look of the frames: a viewer chooses it, the server counts its versions, and each frame names its version.
 //!
-//! | message | says |
-//! |---|---|
-//! | [`ClientMessage::SetLook`] | the look that the viewer wants; at most 30 a second, the newest wins |
-//! | [`ServerMessage::LookChanged`] | later frames have this version, and whether they show a draft of its shade |
-//! | [`ServerMessage::VolumeChanged`] | the same for a new volume, which is never a draft |
+//! [`ClientMessage::SetLook`] has the look that the viewer wants. At most 30 go out a second, and the newest wins.
+//! [`ServerMessage::LookChanged`] tells the version of later frames, and whether they show a draft of its shade.
+//! [`ServerMessage::VolumeChanged`] tells the same for a new volume, which is never a draft.
 //!
 //! A look with shade that is not worked out yet is a draft. When it has not changed for [`REST_MICROS`], the server works
 //! out the shade beside the frames, and tells the version anew.

@@ -1,10 +1,8 @@
 //! Which part of the file all viewers of a server see.
 //!
-//! | message | says |
-//! |---|---|
-//! | [`ClientMessage::Select`], [`ClientMessage::CancelSelection`] | the part to show instead, or that none is wanted any more |
-//! | [`ServerMessage::Choices`] | what the file holds, and which part is shown |
-//! | [`ServerMessage::Load`] | how the reading of another part stands; at most ten a second while it goes on |
+//! [`ClientMessage::Select`] names the part to show instead, and [`ClientMessage::CancelSelection`] takes it back.
+//! [`ServerMessage::Choices`] says what the file holds, and which part is shown. [`ServerMessage::Load`] says how the
+//! reading of another part stands, at most ten times a second.
 
 use std::sync::Arc;
 
