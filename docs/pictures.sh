@@ -37,7 +37,7 @@ isinglass_state = 1
 [camera]
 center = [0.0, 0.0, -8.0]
 rotation = [-0.15933, 0.57523, 0.77321, -0.21417]
-eye_from_center = [0.0, 0.0, 420.0]
+eye_from_center = [-30.0, 0.0, 400.0]
 fov_degrees = 40.0
 size = [1100, 760]
 STATE
@@ -62,13 +62,13 @@ close() {
     jobs_to_end=()
 }
 
-# Waits until the middle of the picture has not changed for 20 seconds, and is not black.
+# Waits until the lower right of the picture has not changed for 20 seconds, and is not black.
 settle() {
     local before="" now same=0
     for _ in $(seq 150); do
         sleep 2
         kill -0 "${jobs_to_end[1]}" || { cat "$home/log"; exit 1; }
-        now=$(import -window root -gravity center -crop 60x60%+0+0 rgb:- | md5sum)
+        now=$(import -window root -gravity southeast -crop 70x50%+0+0 rgb:- | md5sum)
         if [ "$now" = "$before" ]; then same=$((same + 1)); else same=0; fi
         before=$now
         if [ $same -ge 10 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi
@@ -91,39 +91,40 @@ picture() {
     echo "docs/$name.png"
 }
 
-# moving NAME ARGUMENTS…: a drag to the right and back, as it looks, with the times between pictures as they are.
+# moving NAME ARGUMENTS…: a drag to both sides and back, in real time, until the first picture is there again.
 moving() {
     local name=$1
     shift
     [[ $chosen == "  " || $chosen == *" $name.webp "* ]] || return 0
-    open 640x440 "$@"
+    open 640x420 "$@"
     settle
-    xdotool mousemove 250 200 mousedown 1
+    xwd -root -silent -out "$home/still.xwd"
+    xdotool mousemove 320 210 mousedown 1
     (
-        for x in $(seq 250 4 430) $(seq 426 -4 254) $(seq 250 4 340); do
-            xdotool mousemove "$x" $((200 + (x - 250) / 8))
+        for x in $(seq 320 3 500) $(seq 500 -3 200) $(seq 200 3 320); do
+            xdotool mousemove "$x" $((210 + (x - 320) / 8))
             sleep 0.03
         done
         xdotool mouseup 1
     ) &
-    local drag=$! shots=() times=() i=0 rest=0
-    while [ $rest -lt 60 ]; do
-        kill -0 $drag 2>/dev/null || rest=$((rest + 1))
+    local drag=$! shots=() times=() i=0 same=0
+    while [ $same -lt 20 ] && [ $i -lt 200 ]; do
         xwd -root -silent -out "$home/$i.xwd"
         times+=("$(date +%s%3N)")
+        if kill -0 $drag 2>/dev/null || ! cmp -s "$home/$i.xwd" "$home/still.xwd"; then same=0; else same=$((same + 1)); fi
         i=$((i + 1))
         sleep 0.06
     done
     for ((n = 0; n + 1 < i; n++)); do
         shots+=(-delay $(((times[n + 1] - times[n]) / 10)) "xwd:$home/$n.xwd")
     done
-    convert -loop 0 "${shots[@]}" -quality 60 -define webp:method=6 "docs/$name.webp"
+    convert -loop 0 "${shots[@]}" -quality 75 -define webp:method=6 "docs/$name.webp"
     close
     echo "docs/$name.webp"
 }
 
 picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
-moving viewer demo "${bonsai[@]}" --rtt 200ms --size 640x440
+moving viewer demo "${bonsai[@]}" --rtt 200ms --overlay off --size 640x420
 picture guide-start "" view
 picture guide-editor l demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
 picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,70
