@@ -1,8 +1,10 @@
 //! The messages of the control stream.
 //!
 //! A message is a little-endian `u32` length, at most [`MAX_CONTROL_BYTES`], and so many bytes: the message in
-//! bincode 2 (standard configuration: variable-length little-endian integers). Both sides check every message with
-//! its `validate` before using it. Adding a variant at the end of an enum is a new protocol version too.
+//! bincode 2 (standard configuration: variable-length little-endian integers). A message above [`PACKED_ABOVE_BYTES`]
+//! (a histogram, a list of parts, a long look) is sent as a Zstandard frame if that is shorter. A reader knows it by
+//! the format's magic number, with which no message begins. Both sides check every message with its `validate` before
+//! they use it. Adding a variant at the end of an enum is a new protocol version too.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -217,6 +219,9 @@ pub enum ControlError {
     /// A message could not be written.
     #[error("a control message that does not encode: {0}")]
     Encode(#[from] bincode::error::EncodeError),
+    /// The Zstandard frame does not decode, or holds more than a message may.
+    #[error("a control message that does not unpack: {0}")]
+    Packing(#[from] std::io::Error),
     /// Bytes are left after the message.
     #[error("a control message with {0} bytes too many")]
     Trailing(usize),
@@ -348,9 +353,16 @@ impl VolumeDescription {
 /// If the message breaks its own promises or is too long: the peer would hang up.
 pub fn encode<M: Message>(message: &M) -> Result<Vec<u8>, ControlError> {
     message.validate()?;
-    let body = bincode::serde::encode_to_vec(message, bincode::config::standard())?;
+    let mut body = bincode::serde::encode_to_vec(message, bincode::config::standard())?;
+    check_length(body.len())?;
+    if body.len() > PACKED_ABOVE_BYTES {
+        let packed = zstd::bulk::compress(&body, 0)?;
+        if packed.len() < body.len() {
+            body = packed;
+        }
+    }
     let mut out = Vec::with_capacity(4 + body.len());
-    out.extend_from_slice(&(check_length(body.len())? as u32).to_le_bytes());
+    out.extend_from_slice(&(body.len() as u32).to_le_bytes());
     out.extend_from_slice(&body);
     Ok(out)
 }
@@ -369,6 +381,11 @@ pub fn body_length(prefix: [u8; 4]) -> Result<usize, ControlError> {
 /// If the bytes are no message, are followed by others, or break a promise of the message.
 pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
     check_length(body.len())?;
+    let unpacked = match body.starts_with(&zstd::zstd_safe::MAGICNUMBER.to_le_bytes()) {
+        true => zstd::bulk::decompress(body, MAX_CONTROL_BYTES)?,
+        false => Vec::new(),
+    };
+    let body = if unpacked.is_empty() { body } else { &unpacked };
     let config = bincode::config::standard().with_limit::<MAX_CONTROL_BYTES>();
     let (message, used): (M, usize) = bincode::serde::decode_from_slice(body, config)?;
     if used != body.len() {
@@ -405,6 +422,8 @@ pub(super) fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), 
 /// Bins of a description's histogram: forty in a window of a hundredth of the range. Of nine bytes each they leave room in a
 /// message.
 pub const MAX_BINS: usize = 4096;
+/// Longest message that is sent as it is.
+const PACKED_ABOVE_BYTES: usize = 1024;
 /// Longest notice.
 pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 
@@ -494,6 +513,21 @@ mod tests {
                 let _ = decode::<ClientMessage>(&bytes);
             }
         }
+    }
+
+    /// A histogram packs, short messages stay readable as they are, and a small frame cannot claim much memory.
+    #[test]
+    fn long_messages_are_packed_within_bounds() {
+        let magic = zstd::zstd_safe::MAGICNUMBER.to_le_bytes();
+        let ServerMessage::Welcome(mut w) = messages().swap_remove(0) else { panic!("no welcome") };
+        w.volume.histogram = (0..2000).map(|i| 100_000 / (i % 100 + 1)).collect();
+        let plain = bincode::serde::encode_to_vec(&ServerMessage::Welcome(w.clone()), bincode::config::standard());
+        let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
+        assert!(bytes[4..].starts_with(&magic) && bytes.len() * 2 < plain.unwrap().len());
+        assert!(messages().iter().all(|m| !encode(m).unwrap()[4..].starts_with(&magic)));
+        let bomb = zstd::bulk::compress(&vec![0; 100 * MAX_CONTROL_BYTES], 3).unwrap();
+        assert!(bomb.len() < MAX_CONTROL_BYTES);
+        assert!(matches!(decode::<ServerMessage>(&bomb), Err(ControlError::Packing(_))));
     }
 
     #[test]
