@@ -77,15 +77,17 @@ settle() {
     exit 1
 }
 
-# picture NAME KEYS ARGUMENTS…: the window at rest, after KEYS were pressed.
+# picture NAME KEY ARGUMENTS…: the window at rest, after KEY was pressed.
 picture() {
-    local name=$1 keys=$2
+    local name=$1 key=$2
     shift 2
     [[ $chosen == "  " || $chosen == *" $name "* ]] || return 0
     open 1100x760 "$@"
     settle
-    for key in $keys; do xdotool key "$key"; done
-    [ -z "$keys" ] || settle
+    if [ -n "$key" ]; then
+        xdotool mousemove 500 600 search --onlyvisible --name isinglass windowfocus key "$key"
+        settle
+    fi
     import -window root -depth 8 -strip "docs/$name.png"
     close
     echo "docs/$name.png"
@@ -127,7 +129,7 @@ picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
 moving viewer demo "${bonsai[@]}" --rtt 200ms --overlay off --size 640x420
 picture guide-start "" view
 picture guide-editor l demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
-picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,70
-picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,60
-picture guide-light "" demo heptane.nrrd --rtt 50ms --ambient-occlusion 0.8 --shadows 0.7
-picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --clip-box=-20,20,-20,1,-20,20
+picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
+picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
+picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
+picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
