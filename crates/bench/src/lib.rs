@@ -8,7 +8,6 @@
 pub mod demo;
 mod error;
 pub mod latency;
-pub mod output;
 pub mod paths;
 pub mod pipeline;
 pub mod progress;

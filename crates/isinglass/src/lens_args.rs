@@ -2,12 +2,12 @@
 
 use anyhow::{Context, Result};
 use clap::Args;
-use isinglass_bench::output::Rgb8;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::lens::{Exposure, MAX_SAMPLES, View};
 use isinglass_core::orbit::Orbit;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_formats::png::Rgb8;
 use serde_json::{Value, json};
 
 /// Lengths are in radii of the volume's bounding sphere, as DIST of `--orbit` is.
@@ -125,11 +125,27 @@ impl Plan {
         match pictures {
             [left, right] => {
                 let (left, right) = (Rgb8::of(left, background), Rgb8::of(right, background));
-                if self.is_anaglyph { left.anaglyph(&right) } else { left.stereo_pair(&right) }
+                if self.is_anaglyph { anaglyph(&left, &right) } else { stereo_pair(&left, &right) }
             }
             pictures => Rgb8::of(&pictures[0], background),
         }
     }
+}
+
+/// What the left eye sees on the left of what the right eye sees. Nothing lies between them: a stereo display splits the
+/// picture in its middle.
+fn stereo_pair(left: &Rgb8, right: &Rgb8) -> Rgb8 {
+    let row_bytes = left.width as usize * 3;
+    let rows = left.bytes.chunks_exact(row_bytes).zip(right.bytes.chunks_exact(row_bytes));
+    let bytes = rows.flat_map(|(left, right)| [left, right]).flatten().copied().collect();
+    Rgb8 { width: left.width * 2, height: left.height, bytes }
+}
+
+/// What the left eye sees in red, and what the right eye sees in green and blue.
+fn anaglyph(left: &Rgb8, right: &Rgb8) -> Rgb8 {
+    let pixels = left.bytes.chunks_exact(3).zip(right.bytes.chunks_exact(3));
+    let bytes = pixels.flat_map(|(left, right)| [left[0], right[1], right[2]]).collect();
+    Rgb8 { bytes, ..*left }
 }
 
 fn parse_ipd(text: &str) -> Result<f32, String> {
@@ -184,5 +200,16 @@ mod tests {
             assert!(parse_focus(bad).is_err(), "{bad}");
         }
         assert!(parse_samples("0").is_err() && parse_samples("4097").is_err());
+    }
+
+    #[test]
+    fn eyes_stay_on_their_side_and_in_their_channels() {
+        let left = Rgb8 { width: 1, height: 2, bytes: vec![1, 2, 3, 4, 5, 6] };
+        let right = Rgb8 { bytes: left.bytes.iter().map(|b| b + 10).collect(), ..left };
+        let pair = stereo_pair(&left, &right);
+        assert_eq!((pair.width, pair.height), (2, 2));
+        assert_eq!(pair.bytes, [1, 2, 3, 11, 12, 13, 4, 5, 6, 14, 15, 16]);
+        assert_eq!(anaglyph(&left, &right).bytes, [1, 12, 13, 4, 15, 16]);
+        assert_ne!(anaglyph(&left, &right), anaglyph(&right, &left));
     }
 }

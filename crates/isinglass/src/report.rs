@@ -7,7 +7,6 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::error::ErrorKind;
 use isinglass_bench::BenchError;
-use isinglass_bench::output::one_line;
 use isinglass_bench::progress::note;
 use serde::Serialize;
 use tracing_subscriber::EnvFilter;
@@ -45,6 +44,11 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
     let cause = cause.strip_prefix("error: ").unwrap_or(cause);
     note(&format!("isinglass: {}; see --help", without_tokens(&one_line(cause))));
     ExitCode::from(USAGE)
+}
+
+/// Text of several lines as one.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Tells of a failure in one line.

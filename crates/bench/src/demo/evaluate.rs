@@ -3,6 +3,7 @@
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_formats::png::Rgb8;
 use isinglass_render::Backend;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,7 +11,6 @@ use std::time::{Duration, Instant};
 use super::DemoOptions;
 use super::play::Played;
 use crate::error::BenchError;
-use crate::output::Rgb8;
 use crate::progress::Progress;
 
 /// What the compared pictures showed.

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use isinglass_client::Standing;
 use isinglass_core::camera::{Camera, Pose};
-use isinglass_formats::Selection;
+use isinglass_formats::png::Rgb8;
+use isinglass_formats::{Selection, write_whole};
 use isinglass_render::Backend;
 use serde::Serialize;
 
@@ -14,7 +15,6 @@ use super::play::{Played, Tick};
 use super::script::Script;
 use super::{DemoOptions, plot};
 use crate::error::BenchError;
-use crate::output::{Rgb8, write_whole};
 
 /// The figures: the object in `report.json`. Means of DSSIM are over the pictures compared while the camera moved and
 /// for 1.5 s after each stop; the first frame was on the screen before it began to move.
@@ -151,7 +151,7 @@ pub(super) fn write(
         let name = format!("t{:04.1}s-az{:+06.1}.png", sample.at.as_secs_f32(), sample.azimuth_degrees);
         let [shown, truth, last] = &sample.pictures;
         files.push(out.join(name));
-        Rgb8::beside(&[shown, truth, last]).write(&files[files.len() - 1])?;
+        beside(&[shown, truth, last]).write(&files[files.len() - 1])?;
     }
     let text_file = |name: &str, text: String| {
         let path = out.join(name);
@@ -163,6 +163,24 @@ pub(super) fn write(
         .map_err(|e| BenchError::Demo(format!("the report cannot be written: {e}")))?;
     files.push(text_file("report.json", json + "\n")?);
     Ok(files)
+}
+
+/// Pictures of the same height, from left to right with a thin grey line between them.
+fn beside(pictures: &[&Rgb8]) -> Rgb8 {
+    let height = pictures.iter().map(|p| p.height).min().unwrap_or(0);
+    let gap = if pictures.is_empty() { 0 } else { pictures.len() as u32 - 1 };
+    let width = pictures.iter().map(|p| p.width).sum::<u32>() + gap * GAP_PIXELS;
+    let mut bytes = Vec::with_capacity(width as usize * height as usize * 3);
+    for y in 0..height as usize {
+        for (i, p) in pictures.iter().enumerate() {
+            if i > 0 {
+                bytes.extend([GAP_GREY; 3 * GAP_PIXELS as usize]);
+            }
+            let row = p.width as usize * 3;
+            bytes.extend_from_slice(&p.bytes[y * row..(y + 1) * row]);
+        }
+    }
+    Rgb8 { width, height, bytes }
 }
 
 /// A few lines for people.
@@ -334,6 +352,9 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     let at = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len().max(1)) - 1;
     values.get(at).copied().unwrap_or(0.0)
 }
+
+const GAP_PIXELS: u32 = 4;
+const GAP_GREY: u8 = 96;
 
 #[cfg(test)]
 mod tests {

@@ -12,11 +12,11 @@ mod trace;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use isinglass_formats::{check_writable, write_whole};
 use isinglass_render::Backend;
 
 use crate::demo::DemoOptions;
 use crate::error::BenchError;
-use crate::output::{check_writable, write_whole};
 
 pub use report::{GivenUp, PipelineReport, Spread, StageRow, table};
 

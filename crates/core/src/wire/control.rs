@@ -521,7 +521,8 @@ mod tests {
         let magic = zstd::zstd_safe::MAGICNUMBER.to_le_bytes();
         let ServerMessage::Welcome(mut w) = messages().swap_remove(0) else { panic!("no welcome") };
         w.volume.histogram = (0..2000).map(|i| 100_000 / (i % 100 + 1)).collect();
-        let plain = bincode::serde::encode_to_vec(&ServerMessage::Welcome(w.clone()), bincode::config::standard());
+        let plain =
+            bincode::serde::encode_to_vec(&ServerMessage::Welcome(w.clone()), bincode::config::standard());
         let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
         assert!(bytes[4..].starts_with(&magic) && bytes.len() * 2 < plain.unwrap().len());
         assert!(messages().iter().all(|m| !encode(m).unwrap()[4..].starts_with(&magic)));

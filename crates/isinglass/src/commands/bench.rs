@@ -1,16 +1,12 @@
 //! `bench`: tables of speed, latency and the pipeline.
 
-use std::future::{Future, poll_fn};
 use std::path::PathBuf;
-use std::pin::pin;
-use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use isinglass_bench::demo::DemoOptions;
 use isinglass_bench::latency::Contender;
-use isinglass_bench::output::{check_writable, exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::distinct;
 use isinglass_bench::subject::Subject;
@@ -18,7 +14,7 @@ use isinglass_bench::{latency, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::look::DEFAULT_K;
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::VolumeSource;
+use isinglass_formats::{VolumeSource, check_writable, write_whole};
 use isinglass_render::{Backend, BackendChoice};
 use serde::Serialize;
 
@@ -192,37 +188,11 @@ struct LatencyArgs {
 }
 
 pub(crate) fn run(args: BenchArgs) -> Result<()> {
-    exit_on_interrupt()?;
     match args.table {
         Table::Speed(args) => run_speed(args),
         Table::Latency(args) => run_latency(args),
         Table::Pipeline(args) => pipeline::run(*args),
     }
-}
-
-/// From now on Ctrl-C ends the process at once, and leaves no half of a file.
-fn exit_on_interrupt() -> Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let (listening, listens) = std::sync::mpsc::sync_channel(1);
-    let wait = move || {
-        let interrupted = runtime.block_on(async {
-            let mut interrupt = pin!(tokio::signal::ctrl_c());
-            // Its first poll is what listens.
-            let first = poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context))).await;
-            // Fails only if the process is about to end.
-            let _ = listening.send(());
-            match first {
-                Poll::Ready(result) => result,
-                Poll::Pending => interrupt.await,
-            }
-        });
-        if interrupted.is_ok() {
-            note("isinglass: interrupted");
-            exit_between_writes(INTERRUPTED);
-        }
-    };
-    std::thread::Builder::new().name("interrupt".into()).spawn(wait)?;
-    Ok(listens.recv()?)
 }
 
 fn run_speed(args: SpeedArgs) -> Result<()> {
@@ -292,6 +262,3 @@ fn parse_angle(text: &str) -> Result<f32, String> {
     let degrees = text.parse::<f32>().ok().filter(|d| d.abs() <= 360.0);
     degrees.ok_or_else(|| "expected degrees, -360 to 360".into())
 }
-
-/// As a shell tells of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;

@@ -7,11 +7,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use isinglass_bench::output::write_whole;
 use isinglass_bench::progress::note;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer};
+use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer, write_whole};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
 use super::demo::initial_orbit;
