@@ -522,7 +522,7 @@ mod tests {
         let ServerMessage::Welcome(mut w) = messages().swap_remove(0) else { panic!("no welcome") };
         w.volume.histogram = (0..2000).map(|i| 100_000 / (i % 100 + 1)).collect();
         let plain =
-            bincode::serde::encode_to_vec(&ServerMessage::Welcome(w.clone()), bincode::config::standard());
+            bincode::serde::encode_to_vec(ServerMessage::Welcome(w.clone()), bincode::config::standard());
         let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
         assert!(bytes[4..].starts_with(&magic) && bytes.len() * 2 < plain.unwrap().len());
         assert!(messages().iter().all(|m| !encode(m).unwrap()[4..].starts_with(&magic)));
