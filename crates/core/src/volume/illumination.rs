@@ -1,5 +1,5 @@
-//! All that light does to a volume under a look, kept apart by what it depends on: a change of one thing works out no
-//! other again.
+//! Everything that light does to a volume under a look. Results with different inputs are stored apart, so that a
+//! change recomputes only what depends on it.
 
 use std::sync::Arc;
 
@@ -13,21 +13,21 @@ use super::shade::Shade;
 use crate::clip::Region;
 use crate::transfer::TransferTable;
 
-/// Brightness of the voxels of a volume under a look.
+/// Brightness of a volume's voxels under a look.
 ///
-/// Light comes from all around (ambient) and from a source (diffuse, by the angle of the gradient). With strengths a of
-/// the occlusion O and s of the shadow S, and A = 1 − a·(1 − O), a brightness is
+/// Light comes from all around (ambient) and from a source (diffuse, by the angle of the gradient). With strengths a
+/// of the occlusion O and s of the shadow S, and A = 1 − a·(1 − O), a brightness is
 ///
-///   ambient·A + diffuse·share·((1 − s)·A + s·S):
+/// ambient·A + diffuse·share·((1 − s)·A + s·S):
 ///
-/// what of the source's light throws no shadow comes from around it as well. Without shading the share is 1, and both
-/// lights together are 1. Of surfaces it is no less than a part of what it is without shade: a body that a face of the volume
-/// cuts open shows its inside, where no light comes.
+/// the part of the source's light that throws no shadow is occluded like ambient light. Without shading the share is
+/// 1, and both lights sum to 1. A surface keeps a part of its unshaded brightness: where a face of the volume cuts a
+/// body open, no light reaches its inside.
 #[derive(Clone, Debug)]
 pub struct Illumination {
     shading: Option<Shading>,
     lighting: Lighting,
-    /// What the extinction of matter depends on.
+    /// The inputs of the extinction.
     classes: Arc<Classes>,
     extinction: Option<Arc<(Detail, Extinction)>>,
     gradients: Option<Arc<Lit>>,
@@ -36,11 +36,10 @@ pub struct Illumination {
     lit: Option<Arc<Lit>>,
 }
 
-/// A shade, and how finely it was worked out.
+/// A shade and its level of detail.
 type Part = (Detail, Arc<Shade>);
 
-/// What the extinction of matter depends on: that at the nodes of a table and how stored numbers find them, or surfaces; and
-/// where.
+/// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.
 #[derive(Debug, PartialEq)]
 struct Classes {
     sigma: Vec<f32>,
@@ -59,7 +58,7 @@ impl Classes {
         Self { sigma, x_map, sheets, region: *region }
     }
 
-    /// Whether light is held up alike.
+    /// Whether both attenuate light alike.
     fn shades_like(&self, other: &Self) -> bool {
         let is_alike = self.sheets.is_some() || self.x_map == other.x_map;
         is_alike && self.sigma == other.sigma && self.sheets == other.sheets && self.region == other.region
@@ -67,9 +66,8 @@ impl Classes {
 }
 
 impl Illumination {
-    /// Lights a volume in the domain of `table`, where `matter` holds up light; what is not in `region`, which is a part of its
-    /// box, throws no shade. What is as it was `before`, for the same volume, is taken from there, if it is as fine as is
-    /// asked for.
+    /// Lights a volume in the domain of `table`, where `matter` attenuates light. Matter outside `region`, a part of
+    /// its box, throws no shadow. Unchanged results of the same detail are taken from `before`, of the same volume.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that brightness depends on")]
     pub fn of(
         volume: &Volume,
@@ -137,17 +135,17 @@ impl Illumination {
         self.extinction = extinction;
     }
 
-    /// What a march reads; none where matter shines by itself.
+    /// The brightness that a march reads; `None` where matter is not lit.
     pub fn lit(&self) -> Option<&Arc<Lit>> {
         self.lit.as_ref()
     }
 
-    /// Whether shade was worked out for the picture that stays, or there is none.
+    /// Whether the shade has its final detail, or there is none.
     pub fn is_final(&self) -> bool {
         [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
     }
 
-    /// The brightness of every voxel, in one number.
+    /// The brightness of every voxel, as one number.
     fn combined(&self, volume: &Volume) -> Lit {
         let [nx, ny, _] = volume.dims().map(|d| d as usize);
         let (ambient, diffuse) =
@@ -179,10 +177,10 @@ impl Illumination {
     }
 }
 
-/// A shade at the middles of the voxels of one row after the other.
+/// A shade at the centres of voxels, row by row.
 struct Rows<'a> {
     shade: &'a Shade,
-    /// For each voxel the cell before it and the share of the next.
+    /// For each voxel, the cell before it and the weight of the next.
     places: Vec<(u32, f32)>,
     across: Vec<f32>,
     row: Vec<f32>,
@@ -206,7 +204,7 @@ impl<'a> Rows<'a> {
             let (near, far) = (a + (b - a) * ty, c + (d - c) * ty);
             *across = near + (far - near) * tz;
         }
-        // Beyond the middle of the last cell its own share holds.
+        // Beyond the centre of the last cell its value continues.
         self.across[cx] = self.across[cx - 1];
         for (out, &(cell, part)) in self.row.iter_mut().zip(&self.places) {
             let (a, b) = (self.across[cell as usize], self.across[cell as usize + 1]);
@@ -216,17 +214,16 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Between which cells the middle of a voxel lies along an axis.
+/// The cells around the centre of a voxel along an axis.
 fn place(shade: &Shade, axis: usize, voxel: usize) -> (usize, f32) {
     let at =
         ((voxel as f32 + 0.5) / shade.voxels[axis] as f32 - 0.5).max(0.0).min(shade.dims[axis] as f32 - 1.0);
     (at as usize, at.fract())
 }
 
-/// Of matter that is not shaded, the share of light that comes from all around where it is shown: as of shaded matter that
-/// looks at the light.
+/// Ambient fraction of light for unshaded matter where shade is shown: that of shaded matter facing the light.
 const UNSHADED_AMBIENT: f32 = 0.25;
-/// Least part of the brightness without shade that a surface keeps: a third of it as sRGB shows it.
+/// Least fraction of its unshaded brightness that a surface keeps: a third of it in sRGB.
 const LEAST_OF_SURFACES: f32 = 0.1;
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Cuts at equal shares of the accumulated opacity (Lochmann 2016, section 3.1).
 //!
 //! March 1 finds the opacity of the whole ray; march 2 cuts where (1 − κ(s))/(1 − κ(∞)) reaches i/k, so the k
-//! segments run without a gap from the first to the last content and each adds an equal share (design, trap 2). A
+//! segments run without a gap from the first to the last content and each adds an equal share. A
 //! step that a cut falls into is split as a homogeneous medium. As published, nothing is kept behind opaque matter.
 
 use isinglass_core::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN};

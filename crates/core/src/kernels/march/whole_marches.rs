@@ -1,4 +1,4 @@
-//! Whole marches with the widest instructions of this processor against the portable ones: the same steps, to the bit.
+//! Whole marches with the processor's widest instructions and with portable ones take the same steps, to the bit.
 
 use super::*;
 use crate::camera::{Intrinsics, Pose};
