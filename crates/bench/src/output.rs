@@ -9,7 +9,7 @@ use image::ImageReader;
 use crate::error::BenchError;
 use crate::progress::note;
 
-/// Writes `bytes` to `path` as [`isinglass_formats::write_whole`] does, and never while the process ends.
+/// Writes `bytes` to `path` like [`isinglass_formats::write_whole`], but never while the process ends.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BenchError> {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     isinglass_formats::write_whole(path, bytes).map_err(BenchError::io(path))
@@ -21,7 +21,7 @@ pub fn check_writable(path: &Path) -> Result<(), BenchError> {
     isinglass_formats::check_writable(path).map_err(BenchError::io(path))
 }
 
-/// Ends the process when no file is being written, so that nothing half written is left.
+/// Ends the process when no file is being written, so that none is left half-written.
 pub fn exit_between_writes(code: i32) -> ! {
     let _none_is_written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     std::process::exit(code)
@@ -34,18 +34,18 @@ pub struct Rgb8 {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Three bytes a pixel.
+    /// Three bytes per pixel.
     pub bytes: Vec<u8>,
 }
 
 impl Rgb8 {
-    /// The picture on a background of 8-bit sRGB.
+    /// The picture over a background of 8-bit sRGB.
     pub fn of(picture: &isinglass_core::picture::Picture, background: [u8; 3]) -> Self {
         let linear = background.map(|c| isinglass_core::picture::linear_from_srgb(f32::from(c) / 255.0));
         Self { width: picture.width, height: picture.height, bytes: picture.to_srgb8(linear) }
     }
 
-    /// Reads a PNG file. Transparent pixels are put on `background`.
+    /// Reads a PNG file. Transparent pixels are composited over `background`.
     pub fn read(path: &Path, background: [u8; 3]) -> Result<Self, BenchError> {
         let broken = |cause: image::ImageError| BenchError::Picture {
             path: path.display().to_string(),
@@ -115,8 +115,8 @@ impl Rgb8 {
 }
 
 impl Rgb8 {
-    /// This picture, seen by the left eye, on the left of what the right eye sees. Nothing lies between them: a stereo
-    /// display splits the picture in its middle.
+    /// This picture for the left eye beside that of the right eye. There is no gap: a stereo display splits the
+    /// picture in the middle.
     pub fn stereo_pair(&self, right: &Self) -> Self {
         let row_bytes = self.width as usize * 3;
         let rows = self.bytes.chunks_exact(row_bytes).zip(right.bytes.chunks_exact(row_bytes));
@@ -124,7 +124,7 @@ impl Rgb8 {
         Self { width: self.width * 2, height: self.height, bytes }
     }
 
-    /// This picture, seen by the left eye, in red, and what the right eye sees in green and blue.
+    /// This picture for the left eye in red, and that of the right eye in green and blue.
     pub fn anaglyph(&self, right: &Self) -> Self {
         let pixels = self.bytes.chunks_exact(3).zip(right.bytes.chunks_exact(3));
         let bytes = pixels.flat_map(|(left, right)| [left[0], right[1], right[2]]).collect();
@@ -132,7 +132,7 @@ impl Rgb8 {
     }
 }
 
-/// Text of several lines as one.
+/// Joins a text of several lines.
 pub fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -170,8 +170,8 @@ async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>)
         () = superseded(link, frame, false) => {}
         written = writing => if written.is_err() { return },
     }
-    // Streams delivered by then stay. They are awaited together: quinn remembers a question for each reset stream as
-    // long as the connection lasts.
+    // Streams delivered by then stay. Their delivery is not awaited one by one: quinn would remember a question
+    // for each reset stream as long as the connection lasts.
     tokio::select! {
         biased;
         () = superseded(link, frame, false) => tracing::trace!("refinements given up, if any are left"),
