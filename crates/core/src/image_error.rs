@@ -137,7 +137,7 @@ fn ssim_sums(a: &[f64], b: &[f64], width: usize, height: usize, rect: Rect) -> (
     let rows: Vec<(f64, f64)> = (0..height)
         .into_par_iter()
         .map_init(
-            || Scratch::new(width),
+            || RowMoments::new(width),
             |scratch, y| {
                 scratch.filter_vertically(a, b, y, height, &window);
                 let mut all = 0.0;
@@ -158,12 +158,12 @@ fn ssim_sums(a: &[f64], b: &[f64], width: usize, height: usize, rect: Rect) -> (
 }
 
 /// The five vertically filtered moments of one row (a, b, a², b², ab), with mirrored margins of [`REACH`].
-struct Scratch {
+struct RowMoments {
     width: usize,
     moments: [Vec<f64>; 5],
 }
 
-impl Scratch {
+impl RowMoments {
     fn new(width: usize) -> Self {
         Self { width, moments: std::array::from_fn(|_| vec![0.0; width + 2 * REACH]) }
     }

@@ -22,7 +22,7 @@ use crate::camera::Pose;
 #[derive(Clone, Debug, Default)]
 pub struct Predictor {
     center: Vec3,
-    samples: VecDeque<Sample>,
+    samples: VecDeque<Observation>,
     moved_at: Duration,
     /// Sums over about a second of forecast · outcome and forecast · forecast, radians squared.
     agreement: f32,
@@ -32,25 +32,25 @@ pub struct Predictor {
 
 /// A displayed pose.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct Observation {
     at: Duration,
     pose: Pose,
     /// Eye minus centre, view space.
     place: Vec3,
-    velocity: Motion,
+    velocity: CameraMotion,
     /// The expected motion and its end time; `None` once it was scored.
-    forecast: Option<(Motion, Duration)>,
+    forecast: Option<(CameraMotion, Duration)>,
 }
 
 /// A turn about the view's own axes, radians, and a shift of the eye along them, in units of its distance from the
 /// centre. Both are angles by which the volume's picture moves.
 #[derive(Clone, Copy, Debug, Default)]
-struct Motion {
+struct CameraMotion {
     turn: Vec3,
     shift: Vec3,
 }
 
-impl Motion {
+impl CameraMotion {
     fn plus(self, other: Self) -> Self {
         Self { turn: self.turn + other.turn, shift: self.shift + other.shift }
     }
@@ -72,7 +72,7 @@ impl Predictor {
     /// The camera is now at `pose`; `center` is that of the volume.
     pub fn observe(&mut self, now: Duration, pose: Pose, center: Vec3) {
         let place = pose.world_from_view.inverse() * (pose.eye - center);
-        let mut sample = Sample { at: now, pose, place, velocity: Motion::default(), forecast: None };
+        let mut sample = Observation { at: now, pose, place, velocity: CameraMotion::default(), forecast: None };
         let is_same_hand = center == self.center
             && self
                 .samples
@@ -125,7 +125,7 @@ impl Predictor {
 
     fn pose_after(&self, gain: f32) -> Option<Pose> {
         let last = self.samples.back()?;
-        let motion = last.forecast.map_or(Motion::default(), |(motion, _)| motion.scaled(gain));
+        let motion = last.forecast.map_or(CameraMotion::default(), |(motion, _)| motion.scaled(gain));
         if self.is_resting() || motion.length() == 0.0 {
             return Some(last.pose);
         }
@@ -141,7 +141,7 @@ impl Predictor {
     }
 
     /// Compares the forecasts that end now with the camera.
-    fn score(&mut self, now: &Sample) {
+    fn score(&mut self, now: &Observation) {
         let Some(before) = self.samples.back().copied() else { return };
         let interval = now.at.saturating_sub(before.at).as_secs_f32();
         let keep = (-interval / MEMORY_SECONDS).exp();
@@ -165,29 +165,29 @@ impl Predictor {
     }
 
     /// The velocity by least squares over the last [`WINDOW`], or over three observations if they are slow.
-    fn velocity(&self, now: &Sample) -> Motion {
+    fn velocity(&self, now: &Observation) -> CameraMotion {
         let recent = self.samples.iter().rev().enumerate().take_while(|(i, s)| {
             let age = now.at.saturating_sub(s.at);
             age <= WINDOW || (*i < 3 && age <= LONGEST_WINDOW)
         });
-        let points: Vec<(f32, Motion)> =
+        let points: Vec<(f32, CameraMotion)> =
             recent.map(|(_, s)| (-now.at.saturating_sub(s.at).as_secs_f32(), s.motion_from(now))).collect();
         let mean = points.iter().map(|p| p.0).sum::<f32>() / points.len().max(1) as f32;
-        let (mut sum, mut squares) = (Motion::default(), 0.0);
+        let (mut sum, mut squares) = (CameraMotion::default(), 0.0);
         for (t, m) in &points {
             let dt = t - mean;
             sum = sum.plus(m.scaled(dt));
             squares += dt * dt;
         }
-        if squares > 1e-9 { sum.scaled(1.0 / squares) } else { Motion::default() }
+        if squares > 1e-9 { sum.scaled(1.0 / squares) } else { CameraMotion::default() }
     }
 
     /// The motion from `now` to the end of the horizon.
-    fn carried_on(&self, now: &Sample) -> Motion {
+    fn carried_on(&self, now: &Observation) -> CameraMotion {
         let horizon = self.horizon.length().as_secs_f32();
         let speed = now.velocity.length();
         if speed == 0.0 {
-            return Motion::default();
+            return CameraMotion::default();
         }
         let direction = now.velocity.scaled(1.0 / speed);
         let earlier = self.samples.iter().rev().find(|s| now.at.saturating_sub(s.at) >= SLOWING_OVER);
@@ -201,14 +201,14 @@ impl Predictor {
     }
 }
 
-impl Sample {
+impl Observation {
     /// The motion from `before` to here.
-    fn motion_from(&self, before: &Self) -> Motion {
+    fn motion_from(&self, before: &Self) -> CameraMotion {
         let turn = before.pose.world_from_view.inverse() * self.pose.world_from_view;
         // Of the two quaternions of a rotation, this is the shorter way.
         let turn = if turn.w < 0.0 { -turn } else { turn };
         let distance = before.place.length().max(f32::MIN_POSITIVE);
-        Motion { turn: turn.to_scaled_axis(), shift: (self.place - before.place) / distance }
+        CameraMotion { turn: turn.to_scaled_axis(), shift: (self.place - before.place) / distance }
     }
 }
 

@@ -18,7 +18,7 @@ use crate::progress::Progress;
 use isinglass_formats::OpenedScene;
 
 /// What happened during the measurement.
-pub(super) struct Played {
+pub(super) struct Recording {
     /// Lives of the frames that began then, joined from both sides, in order.
     pub(super) lives: Vec<Life>,
     /// At each refresh, the time since the displayed frame's pose was set, µs.
@@ -38,7 +38,7 @@ pub(super) fn play(
     opened: &OpenedScene,
     backend: &Backend,
     started: Instant,
-) -> Result<Played, BenchError> {
+) -> Result<Recording, BenchError> {
     let demo = &options.demo;
     let clock = Clock::start();
     let timing = Timing { clock: clock.clone(), ..Timing::default() };
@@ -109,7 +109,7 @@ pub(super) fn play(
     let round_trip = Duration::from_micros(viewer.source().stats().rtt_micros);
     drop(viewer);
     host.close();
-    Ok(Played {
+    Ok(Recording {
         lives: lives.into_values().collect(),
         ages_micros,
         num_new,

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::PipelineOptions;
 use super::device::DeviceTimes;
-use super::play::Played;
+use super::play::Recording;
 
 /// The results.
 #[derive(Clone, Debug, Serialize)]
@@ -108,7 +108,7 @@ impl Spread {
 pub(super) fn report(
     options: &PipelineOptions,
     backend: &Backend,
-    played: &Played,
+    played: &Recording,
     device: Option<DeviceTimes>,
 ) -> PipelineReport {
     let demo = &options.demo;

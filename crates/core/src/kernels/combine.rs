@@ -31,23 +31,23 @@ use crate::space::{Aabb, Ray};
 
 /// Several frames, with everything that is constant over the rays of a picture.
 pub struct Combiner {
-    layers: Vec<Layer>,
+    layers: Vec<FrameLayer>,
     /// The visible part of the volume, with the widest of the margins.
     region: Region,
     options: CastOptions,
 }
 
 /// One frame.
-struct Layer {
+struct FrameLayer {
     caster: Raycaster,
-    view: View,
+    view: FrameFrustum,
     /// Width of the border band in which its coverage grows to 1, lists.
     band: f32,
 }
 
 /// The frustum of a frame's camera.
 #[derive(Clone, Copy)]
-struct View {
+struct FrameFrustum {
     basis: Basis,
     near: f32,
 }
@@ -83,14 +83,14 @@ impl Acc {
 
 /// What is cast between two cuts of a ray.
 #[derive(Clone, Copy)]
-enum Piece {
+enum CastPiece {
     /// One frame.
     Alone(usize),
     /// Several frames, in a band where the coverage of one changes.
     Mixed,
 }
 
-impl View {
+impl FrameFrustum {
     fn of(camera: &Camera) -> Self {
         Self { basis: camera.basis(), near: camera.near }
     }
@@ -125,9 +125,9 @@ impl Combiner {
         let layers = frames.iter().take(MAX_FRAMES).enumerate().map(|(n, frame)| {
             let camera = &frame.header.camera;
             rounding = rounding.max(MARGIN_UNITS * (camera.far - camera.near) / DEPTH_UNITS);
-            let view = View::of(camera);
+            let view = FrameFrustum::of(camera);
             let band = if n == 0 { band_of_newest(camera, &display.basis(), bounds) } else { BAND };
-            Layer { caster: Raycaster::new(frame, bounds), view, band }
+            FrameLayer { caster: Raycaster::new(frame, bounds), view, band }
         });
         let layers = layers.collect();
         let options = CastOptions { clip: *clip, ..CastOptions::default() };
@@ -170,7 +170,7 @@ impl Combiner {
         cuts.sort_unstable_by(f32::total_cmp);
         let mut acc = Acc { compositing, over: Over::default(), projected: Projected::default() };
         // A frame that is alone in neighbouring pieces is cast over all of them at once.
-        let mut pending: Option<(Piece, (f32, f32))> = None;
+        let mut pending: Option<(CastPiece, (f32, f32))> = None;
         for pair in cuts.windows(2) {
             let [from, to] = [pair[0], pair[1]];
             if to <= from {
@@ -185,10 +185,10 @@ impl Combiner {
             let next = first.map(|n| {
                 let is_full = parts[n].is_some_and(|p| holds(p.inner));
                 let has_others = parts[n + 1..].iter().any(|p| p.is_some_and(|p| holds(p.outer)));
-                if has_others && !is_full { Piece::Mixed } else { Piece::Alone(n) }
+                if has_others && !is_full { CastPiece::Mixed } else { CastPiece::Alone(n) }
             });
             match (next, &mut pending) {
-                (Some(Piece::Alone(n)), Some((Piece::Alone(before), (_, end)))) if *before == n => *end = to,
+                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => *end = to,
                 _ => {
                     if let Some((piece, within)) = pending.take() {
                         self.add(&mut acc, ray, &parts, piece, within);
@@ -209,11 +209,11 @@ impl Combiner {
         acc: &mut Acc,
         ray: &Ray,
         parts: &[Option<Parts>; MAX_FRAMES],
-        piece: Piece,
+        piece: CastPiece,
         within: (f32, f32),
     ) {
         let project = |n: usize, within| self.layers[n].caster.project_between(ray, within, &self.options);
-        if let Piece::Alone(n) = piece {
+        if let CastPiece::Alone(n) = piece {
             if acc.compositing == Compositing::Over {
                 acc.put(&self.layers[n].caster.cast_between(ray, within, &self.options));
             } else {
@@ -307,7 +307,7 @@ pub fn combine_clipped(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera,
 /// everything.
 pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb) -> Vec<usize> {
     let sees = |camera: &Camera, p: Vec3, inset: f32| {
-        let view = View::of(camera);
+        let view = FrameFrustum::of(camera);
         view.inset_of(p) > inset
     };
     let all = points(&display.basis(), bounds);
@@ -328,7 +328,7 @@ pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb)
 /// Width of the newest frame's band in a picture of `display`, lists: the most pixels by which the picture shows
 /// matter beyond its border.
 pub fn band_of_newest(newest: &Camera, display: &Basis, bounds: &Aabb) -> f32 {
-    let view = View::of(newest);
+    let view = FrameFrustum::of(newest);
     points(display, bounds).into_iter().map(|p| -view.inset_of(p)).fold(0.0, f32::max).clamp(0.0, BAND)
 }
 

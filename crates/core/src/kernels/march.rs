@@ -23,7 +23,7 @@ use rayon::prelude::*;
 
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
-use self::modes::{Between, SURFACES, Shown, Surface};
+use self::modes::{SamplePair, SURFACES, Collected, Surface};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
 use crate::camera::Camera;
@@ -233,7 +233,7 @@ pub struct Step {
 
 /// How a march continues after a step, in lattice points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
+pub enum Advance {
     /// The march stops.
     Stop,
     /// The march goes to the next point.
@@ -242,8 +242,8 @@ pub enum Pace {
     Stride,
 }
 
-impl Pace {
-    /// Chooses [`Pace::Stride`] behind opaque matter.
+impl Advance {
+    /// Chooses [`Advance::Stride`] behind opaque matter.
     pub fn behind(transmittance: f32) -> Self {
         if transmittance < TRANSMITTANCE_HIDDEN { Self::Stride } else { Self::Step }
     }
@@ -252,7 +252,7 @@ impl Pace {
 /// Takes the visible steps of a ray from front to back.
 pub trait Sink {
     /// Takes the next step and says how to continue.
-    fn step(&mut self, step: Step) -> Pace;
+    fn step(&mut self, step: Step) -> Advance;
 
     /// The key that a useful step of a projection must exceed; negative where all steps are useful.
     #[inline(always)]
@@ -406,12 +406,12 @@ impl<'a, T: Texels> Marcher<'a, T> {
                 while steps != 0 {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
-                    let between = Between { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
+                    let between = SamplePair { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
                     if let Some(pace) = self.take::<MODE>(&between, brightness[m], (origin, dir), sink) {
                         let next_stride = match pace {
-                            Pace::Stop => return,
-                            Pace::Step => 1,
-                            Pace::Stride => STRIDE,
+                            Advance::Stop => return,
+                            Advance::Step => 1,
+                            Advance::Stride => STRIDE,
                         };
                         if next_stride != stride {
                             i = (i + stride * (m as u32 + 1)).min(n);
@@ -432,7 +432,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     pub(crate) fn seen(&self, ray: &Ray, near: f32, stop_at: f32) -> [f32; 4] {
         let Some(lattice) = self.scene.lattice(ray, near) else { return [0.0; 4] };
         if self.scene.settings.mode.is_projection() {
-            let mut shown = Shown::new(self.scene);
+            let mut shown = Collected::new(self.scene);
             self.project(ray, lattice, &mut shown);
             return shown.rgba(lattice);
         }
@@ -511,10 +511,10 @@ struct OverSink {
 }
 
 impl Sink for OverSink {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.over.c += step.c * self.over.transmittance;
         self.over.transmittance *= 1.0 - step.alpha;
-        if self.over.transmittance > self.stop_at { Pace::Step } else { Pace::Stop }
+        if self.over.transmittance > self.stop_at { Advance::Step } else { Advance::Stop }
     }
 }
 

@@ -32,8 +32,8 @@ mod reach;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use self::line::Stretch;
-pub(super) use self::line::{Columns, Line, clip_by_planes, frustum_planes, greater, lesser};
+use self::line::ColumnSpans;
+pub(super) use self::line::{Columns, PixelSpan, clip_by_planes, frustum_planes, greater, lesser};
 pub(super) use self::media::Medium;
 use self::media::{list_cells, unpack};
 pub use self::pieces::opacity;
@@ -215,7 +215,7 @@ impl Raycaster {
         picture
     }
 
-    fn cast_line(&self, line: &Line, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn cast_line(&self, line: &PixelSpan, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
         if self.compositing != Compositing::Over {
             return self.shown(&self.project_line(line, options), ray);
         }
@@ -231,12 +231,12 @@ impl Raycaster {
     /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn walk_avx2(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_avx2(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         self.walk_any(line, options, pieces)
     }
 
     #[inline(always)]
-    fn walk_any(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_any(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match self.row_length {
             ROW_8 => self.walk_by::<ROW_8>(line, options, pieces),
             ROW_16 => self.walk_by::<ROW_16>(line, options, pieces),
@@ -246,7 +246,7 @@ impl Raycaster {
     }
 
     #[inline(always)]
-    fn walk_by<const K: usize>(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_by<const K: usize>(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match options.reconstruction {
             Reconstruction::Mixed => self.walk::<K, LANES>(line, options, pieces),
             Reconstruction::Nearest => self.walk::<K, { 2 * LANES }>(line, options, pieces),
@@ -255,7 +255,7 @@ impl Raycaster {
 
     /// Clips the ray in homogeneous coordinates, and to the visible part of the volume.
     #[inline]
-    fn clip(&self, ray: &Ray, within: (f32, f32), region: &Region) -> Option<Line> {
+    fn clip(&self, ray: &Ray, within: (f32, f32), region: &Region) -> Option<PixelSpan> {
         let (s0, s1) = region.clip(ray)?;
         let pixel_from_world = |v: Vec3| {
             let [x, y, w] = self.pixel_rows;
@@ -278,7 +278,7 @@ impl Raycaster {
         let (w0, w1) = (h0.z.max(self.near * perspective), h1.z.max(self.near * perspective));
         let p0 = [h0.x / w0, h0.y / w0];
         let p1 = [h1.x / w1, h1.y / w1];
-        Some(Line {
+        Some(PixelSpan {
             p0,
             d: [p1[0] - p0[0], p1[1] - p0[1]],
             s_w0: (s1 - s0) * w0,
@@ -295,7 +295,7 @@ impl Raycaster {
     #[inline(always)]
     fn walk<const K: usize, const N: usize>(
         &self,
-        line: &Line,
+        line: &PixelSpan,
         options: &CastOptions,
         pieces: &mut Pieces,
     ) -> Over {
@@ -325,7 +325,7 @@ impl Raycaster {
             if !options.skips_empty_space
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
-                let mut stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                let mut stretch = ColumnSpans::<N>::new(self, line, &columns, column, (t_in, t_out), across);
                 stretch.prefer_nearer(sum.transmittance());
                 // The lists that may hold a segment on the line.
                 let mut num_met = 0;
@@ -444,7 +444,7 @@ impl Raycaster {
 
     /// Depth in units and world distance, relative to the start of the line.
     #[inline(always)]
-    pub(super) fn at(&self, line: &Line, t: f32) -> (f32, f32) {
+    pub(super) fn at(&self, line: &PixelSpan, t: f32) -> (f32, f32) {
         let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
         (
             ((line.depth_over_w * r + line.depth_slope * t) - self.near) * self.units_per_depth,

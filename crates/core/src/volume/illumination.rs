@@ -31,13 +31,13 @@ pub struct Illumination {
     classes: Arc<Classes>,
     extinction: Option<Arc<(Detail, Extinction)>>,
     gradients: Option<Arc<Lit>>,
-    occlusion: Option<Part>,
-    shadow: Option<Part>,
+    occlusion: Option<GradedShade>,
+    shadow: Option<GradedShade>,
     lit: Option<Arc<Lit>>,
 }
 
 /// A shade and its level of detail.
-type Part = (Detail, Arc<Shade>);
+type GradedShade = (Detail, Arc<Shade>);
 
 /// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.
 #[derive(Debug, PartialEq)]
@@ -114,12 +114,12 @@ impl Illumination {
     ) {
         let lighting = self.lighting;
         let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
-        let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> Part {
+        let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> GradedShade {
             let found = extinction
                 .get_or_insert_with(|| Arc::new((detail, Extinction::of(volume, matter, region, detail))));
             (detail, Arc::new(shade(&found.1)))
         };
-        let is_fine = |part: &Part| part.0 == detail || part.0 == Detail::Final;
+        let is_fine = |part: &GradedShade| part.0 == detail || part.0 == Detail::Final;
         if lighting.ambient_occlusion > 0.0 {
             let kept = before.filter(|b| b.lighting.occlusion_radius == lighting.occlusion_radius);
             let kept = kept.and_then(|b| b.occlusion.clone()).filter(is_fine);
@@ -156,8 +156,8 @@ impl Illumination {
         let least = if self.classes.sheets.is_some() { LEAST_OF_SURFACES } else { 0.0 };
         let mut shares = vec![0u8; volume.voxels().len()];
         shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
-            let mut occlusion = self.occlusion.as_ref().map(|part| Rows::new(&part.1, nx));
-            let mut shadow = self.shadow.as_ref().map(|part| Rows::new(&part.1, nx));
+            let mut occlusion = self.occlusion.as_ref().map(|part| ShadeRows::new(&part.1, nx));
+            let mut shadow = self.shadow.as_ref().map(|part| ShadeRows::new(&part.1, nx));
             for (y, out) in slice.chunks_mut(nx).enumerate() {
                 let open = occlusion.as_mut().map_or(&[][..], |rows| rows.at(y, z));
                 let lit = shadow.as_mut().map_or(&[][..], |rows| rows.at(y, z));
@@ -178,7 +178,7 @@ impl Illumination {
 }
 
 /// A shade at the centres of voxels, row by row.
-struct Rows<'a> {
+struct ShadeRows<'a> {
     shade: &'a Shade,
     /// For each voxel, the cell before it and the weight of the next.
     places: Vec<(u32, f32)>,
@@ -186,7 +186,7 @@ struct Rows<'a> {
     row: Vec<f32>,
 }
 
-impl<'a> Rows<'a> {
+impl<'a> ShadeRows<'a> {
     fn new(shade: &'a Shade, nx: usize) -> Self {
         let places = (0..nx).map(|x| {
             let (cell, part) = place(shade, 0, x);
@@ -297,7 +297,7 @@ mod tests {
         let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
         let first = scene(true, lighting);
         let with = |lighting| first.with_look(&transfer(0.9), MarchSettings::of(true, lighting)).illumination;
-        let same = |a: &Option<Part>, b: &Option<Part>| match (a, b) {
+        let same = |a: &Option<GradedShade>, b: &Option<GradedShade>| match (a, b) {
             (Some(a), Some(b)) => Arc::ptr_eq(&a.1, &b.1),
             _ => false,
         };

@@ -69,7 +69,7 @@ fn light<T: Copy + Into<f32> + Sync>(
     let half_squared = shading.half_gradient * shading.half_gradient;
     let mut shares = vec![0u8; voxels.len()];
     shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
-        let mut rows = Rows::new(nx);
+        let mut rows = RowDifferences::new(nx);
         for (y, out) in slice.chunks_mut(nx).enumerate() {
             let row = |y: usize, z: usize| &voxels[(z * ny + y) * nx..][..nx];
             rows.difference(
@@ -96,13 +96,13 @@ fn light<T: Copy + Into<f32> + Sync>(
 
 /// Central differences along one row, twice the gradient. They have a loop of their own so that both loops compile to
 /// vector instructions.
-struct Rows {
+struct RowDifferences {
     dx: Vec<f32>,
     dy: Vec<f32>,
     dz: Vec<f32>,
 }
 
-impl Rows {
+impl RowDifferences {
     fn new(nx: usize) -> Self {
         let row = vec![0.0; nx];
         Self { dx: row.clone(), dy: row.clone(), dz: row }

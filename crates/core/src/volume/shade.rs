@@ -16,14 +16,14 @@ use super::lighting::Lighting;
 
 /// The interval of a line that shades its starting point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Stretch {
+pub(crate) struct ShadingInterval {
     /// Nearer matter does not count, in cells: a surface would shade itself.
     pub(crate) near_in_cells: f32,
     /// Farther matter does not count either, world units, at least two cells more; infinity for no limit.
     pub(crate) far: f32,
 }
 
-impl Stretch {
+impl ShadingInterval {
     /// Both ends in a direction, world units: cells need not be cubes.
     fn in_direction(self, extinction: &Extinction, towards: Vec3) -> [f32; 2] {
         let cell = (towards / extinction.cell).length().recip();
@@ -54,7 +54,7 @@ impl Shade {
         };
         let directions: Vec<Vec3> = (0..num).map(|i| on_sphere(i, num)).collect();
         let mut shade =
-            Self::mean(extinction, &directions, Stretch { near_in_cells: NEAR_IN_CELLS, far: radius });
+            Self::mean(extinction, &directions, ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius });
         for share in &mut shade.shares {
             *share = (2.0 * *share).min(1.0);
         }
@@ -71,7 +71,7 @@ impl Shade {
         };
         let radius = lighting.softness_degrees.to_radians();
         let directions: Vec<Vec3> = (0..num).map(|i| on_disc(lighting.direction(), radius, i, num)).collect();
-        let stretch = Stretch { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY };
+        let stretch = ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY };
         Self::mean(extinction, &directions, stretch).in_front(&clear(extinction))
     }
 
@@ -124,7 +124,7 @@ impl Shade {
     }
 
     /// The mean transmittance from every cell along `directions`.
-    pub(crate) fn mean(extinction: &Extinction, directions: &[Vec3], stretch: Stretch) -> Self {
+    pub(crate) fn mean(extinction: &Extinction, directions: &[Vec3], stretch: ShadingInterval) -> Self {
         let Extinction { dims, voxels, .. } = *extinction;
         let num_cells = extinction.sigma.len();
         // Integer sums do not depend on the order of addition.
@@ -220,12 +220,12 @@ impl Sweep {
     }
 
     /// Adds the transmittance to every cell, in units of 1/`unit`.
-    fn run(&self, extinction: &Extinction, stretch: Stretch, unit: f32, sums: &mut [u16]) {
+    fn run(&self, extinction: &Extinction, stretch: ShadingInterval, unit: f32, sums: &mut [u16]) {
         let dims = extinction.dims;
         let strides = [1, dims[0], dims[0] * dims[1]];
         let [a, b, slices] = self.axes;
         let (num_a, num_b, num_slices) = (dims[a], dims[b], dims[slices]);
-        let mut cells = Cells::new(num_a, num_b);
+        let mut cells = PaddedSlice::new(num_a, num_b);
         let ends = stretch.in_direction(extinction, self.towards);
         let mut depths = Depths::new([num_a + 1, num_b + 1], num_slices, ends, self.length);
         let mut through = vec![0.0f32; num_a + 1];
@@ -233,7 +233,7 @@ impl Sweep {
         for t in 0..num_slices {
             let slice = if self.from_high { num_slices - 1 - t } else { t };
             cells.read(&extinction.sigma, slice * strides[slices], [strides[a], strides[b]]);
-            let [place_a, place_b] = [0, 1].map(|i| Place::at(self.drift[i] * t as f32));
+            let [place_a, place_b] = [0, 1].map(|i| CellShift::at(self.drift[i] * t as f32));
             // The first line at or beside a cell of this slice; number 0 is the first of the first slice.
             let first = [-place_a.whole, -place_b.whole];
             depths.advance(&cells, first, [place_a.part, place_b.part], self.length);
@@ -264,12 +264,12 @@ impl Sweep {
 }
 
 /// A shift as whole cells and a fraction.
-struct Place {
+struct CellShift {
     whole: isize,
     part: f32,
 }
 
-impl Place {
+impl CellShift {
     fn at(shift: f32) -> Self {
         let whole = shift.floor();
         Self { whole: whole as isize, part: shift - whole }
@@ -284,12 +284,12 @@ fn mix_neighbours(lines: &[f32], part: f32, out: &mut [f32]) {
 }
 
 /// The extinctions of a slice, with a border of empty cells.
-struct Cells {
+struct PaddedSlice {
     num: [usize; 2],
     sigma: Vec<f32>,
 }
 
-impl Cells {
+impl PaddedSlice {
     fn new(num_a: usize, num_b: usize) -> Self {
         Self { num: [num_a, num_b], sigma: vec![0.0; (num_a + 2) * (num_b + 2)] }
     }
@@ -322,10 +322,10 @@ struct Depths {
     /// Number of lines in a slice along a and b.
     num: [usize; 2],
     /// Depths at the end of the newest slice.
-    whole: Layer,
-    spare: Layer,
+    whole: LineValues,
+    spare: LineValues,
     /// Depths at the middles of slices in a ring: the newest is at `newest`, older ones follow.
-    middles: Vec<Layer>,
+    middles: Vec<LineValues>,
     newest: usize,
     /// The ends of the interval, in slices before the newest; no far end means everything.
     near: (usize, f32),
@@ -335,12 +335,12 @@ struct Depths {
 
 /// One number for each line of a slice.
 #[derive(Clone)]
-struct Layer {
+struct LineValues {
     first: [isize; 2],
     numbers: Vec<f32>,
 }
 
-impl Layer {
+impl LineValues {
     /// Reads the numbers of the lines from `first` on, `row` rows further; 0 for lines that are absent.
     fn read(&self, num: [usize; 2], first: [isize; 2], row: usize, out: &mut [f32]) {
         let row = row as isize + first[1] - self.first[1];
@@ -369,7 +369,7 @@ impl Depths {
         let far = Some(stretch[1]).filter(|far| far / length < num_slices as f32).map(split);
         let near = split(stretch[0]);
         let num_kept = far.map_or(near.0, |far| far.0.max(near.0)) + 2;
-        let empty = Layer { first: [0; 2], numbers: vec![0.0; num[0] * num[1]] };
+        let empty = LineValues { first: [0; 2], numbers: vec![0.0; num[0] * num[1]] };
         let rows = std::array::from_fn(|_| vec![0.0; num[0]]);
         Self {
             num,
@@ -384,7 +384,7 @@ impl Depths {
     }
 
     /// Advances by a slice in which line `first` runs `part` behind cell −1.
-    fn advance(&mut self, cells: &Cells, first: [isize; 2], part: [f32; 2], length: f32) {
+    fn advance(&mut self, cells: &PaddedSlice, first: [isize; 2], part: [f32; 2], length: f32) {
         self.newest = (self.newest + self.middles.len() - 1) % self.middles.len();
         std::mem::swap(&mut self.whole, &mut self.spare);
         let (num, middle) = (self.num, &mut self.middles[self.newest]);

@@ -41,14 +41,14 @@ pub(super) fn sampled(side: u32, stride: u32) -> impl Iterator<Item = u32> {
 
 /// Segments of the counted rays at each of [`thresholds`], and the number of rays with any.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Counts {
+pub struct SegmentCounts {
     /// Number of rays with any matter.
     pub num_lists: u32,
     /// Number of segments at each threshold.
     pub num_segments: [u32; NUM_THRESHOLDS],
 }
 
-impl Counts {
+impl SegmentCounts {
     fn sum(mut self, other: Self) -> Self {
         self.num_lists += other.num_lists;
         for (a, b) in self.num_segments.iter_mut().zip(other.num_segments) {
@@ -70,7 +70,7 @@ pub fn thresholds(least: f32, ratio: f32) -> [f32; NUM_THRESHOLDS] {
 
 /// The threshold at which `counts`, taken at [`thresholds`], have `k` segments per list; the end of the range if none
 /// has.
-pub fn threshold_from_counts(counts: &Counts, least: f32, ratio: f32, k: usize) -> f32 {
+pub fn threshold_from_counts(counts: &SegmentCounts, least: f32, ratio: f32, k: usize) -> f32 {
     let wanted = (counts.num_lists as f32 * k as f32).max(1.0);
     let within = last_above(counts, k);
     let Some(i) = within.filter(|i| i + 1 < NUM_THRESHOLDS) else {
@@ -82,12 +82,12 @@ pub fn threshold_from_counts(counts: &Counts, least: f32, ratio: f32, k: usize) 
 }
 
 /// The last threshold with more than `k` segments per list, if any.
-fn last_above(counts: &Counts, k: usize) -> Option<usize> {
+fn last_above(counts: &SegmentCounts, k: usize) -> Option<usize> {
     counts.num_segments.iter().rposition(|&num| num as usize > counts.num_lists as usize * k)
 }
 
 /// The least threshold of the second count.
-pub fn second_least(counts: &Counts, k: usize) -> f32 {
+pub fn second_least(counts: &SegmentCounts, k: usize) -> f32 {
     let i = last_above(counts, k).unwrap_or(0).min(NUM_THRESHOLDS - 2);
     FIRST_LEAST * FIRST_RATIO.powi(i as i32)
 }
@@ -102,17 +102,17 @@ pub(super) fn count<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, asked: &
     let count_at = |least, ratio| {
         let thresholds = thresholds(least, ratio);
         let row = |&y: &u32| {
-            let mut counts = Counts::default();
+            let mut counts = SegmentCounts::default();
             for x in sampled(width, stride) {
                 if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
                     let num_segments = of.counts(longest_list(k), &thresholds);
                     let num_lists = u32::from(num_segments[0] > 0);
-                    counts = counts.sum(Counts { num_lists, num_segments });
+                    counts = counts.sum(SegmentCounts { num_lists, num_segments });
                 }
             }
             counts
         };
-        rows.par_iter().map(row).reduce(Counts::default, Counts::sum)
+        rows.par_iter().map(row).reduce(SegmentCounts::default, SegmentCounts::sum)
     };
     let least = second_least(&count_at(FIRST_LEAST, FIRST_RATIO), k);
     threshold_from_counts(&count_at(least, SECOND_RATIO), least, SECOND_RATIO, k)
@@ -133,11 +133,11 @@ impl<T: Texels> Listing<'_, T> {
 /// The state that a renderer keeps from frame to frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Budget {
-    last: Option<Spent>,
+    last: Option<PreviousFrame>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Spent {
+struct PreviousFrame {
     k: u8,
     mode: Mode,
     pose: Pose,
@@ -155,7 +155,7 @@ impl Budget {
     /// volume.
     pub fn threshold(&self, header: &FrameHeader, reach: f32) -> Option<f32> {
         let pose = &header.camera.pose;
-        let is_near = |last: &Spent| {
+        let is_near = |last: &PreviousFrame| {
             let turned = last.pose.forward().dot(pose.forward());
             let moved = last.pose.eye.distance(pose.eye);
             (last.k, last.mode) == (header.k, header.mode)
@@ -176,7 +176,7 @@ impl Budget {
         let threshold =
             threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
         let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);
-        self.last = Some(Spent { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
+        self.last = Some(PreviousFrame { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
     }
 }
 
@@ -219,7 +219,7 @@ mod tests {
         // N = lists · 20 · T^−½: 4 at T = 25.
         let counts_at = |least: f32, ratio: f32| {
             let num = |t: f32| (100_000.0 * 20.0 / t.sqrt()) as u32;
-            Counts { num_lists: 100_000, num_segments: thresholds(least, ratio).map(num) }
+            SegmentCounts { num_lists: 100_000, num_segments: thresholds(least, ratio).map(num) }
         };
         let least = second_least(&counts_at(FIRST_LEAST, FIRST_RATIO), 4);
         assert!(least <= 25.0 && 25.0 <= least * FIRST_RATIO * 1.001, "{least}");
@@ -232,10 +232,10 @@ mod tests {
 
     #[test]
     fn counts_out_of_range_give_the_ends_of_it() {
-        let of = |num| Counts { num_lists: 10, num_segments: [num; NUM_THRESHOLDS] };
+        let of = |num| SegmentCounts { num_lists: 10, num_segments: [num; NUM_THRESHOLDS] };
         assert_eq!(threshold_from_counts(&of(5), 0.5, 2.0, 4), 0.5);
         assert_eq!(threshold_from_counts(&of(50), 0.5, 2.0, 4), 64.0);
-        assert_eq!(threshold_from_counts(&Counts::default(), 0.5, 2.0, 4), 0.5);
+        assert_eq!(threshold_from_counts(&SegmentCounts::default(), 0.5, 2.0, 4), 0.5);
         assert!((SECOND_RATIO.powi(NUM_THRESHOLDS as i32 - 1) / FIRST_RATIO - 1.0).abs() < 1e-5);
         assert_eq!(THRESHOLD_GREATEST, FIRST_LEAST * FIRST_RATIO.powi(NUM_THRESHOLDS as i32 - 1));
     }

@@ -17,17 +17,17 @@
 //! deviations.
 
 use super::budget::NUM_THRESHOLDS;
-use super::stream::{Piece, Stream};
+use super::stream::{Piece, PieceStream};
 use super::{Listing, OpenSegment, SegmentList};
 use crate::kernels::march::modes::{Values, shown_of_key};
-use crate::kernels::march::{Lattice, Pace, Scene, Sink, Step, Texels};
+use crate::kernels::march::{Lattice, Advance, Scene, Sink, Step, Texels};
 use crate::kernels::raycast::greater;
 use crate::layer::{KEY_LEAST, half_below, slot_from_key};
 use crate::mode::{Compositing, Mode};
 
 /// Fills `list` for a ray with at most `longest` segments, whose errors are at most `threshold`.
 pub(super) fn list<T: Texels>(of: &Listing<'_, T>, longest: usize, threshold: f32, list: &mut SegmentList) {
-    let mut sink = Projected::new(of, [threshold], longest, list);
+    let mut sink = ProjectionLister::new(of, [threshold], longest, list);
     of.marcher.project(&of.ray, of.lattice, &mut sink);
     sink.finish();
 }
@@ -39,14 +39,14 @@ pub(super) fn counts<T: Texels>(
     thresholds: &[f32; NUM_THRESHOLDS],
 ) -> [u32; NUM_THRESHOLDS] {
     let mut unused = SegmentList::default();
-    let mut sink = Projected::new(of, *thresholds, longest, &mut unused);
+    let mut sink = ProjectionLister::new(of, *thresholds, longest, &mut unused);
     of.marcher.project(&of.ray, of.lattice, &mut sink);
     sink.count()
 }
 
 /// A piece of a ray, by sums over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-struct Part {
+struct ProjectionPiece {
     s0: f32,
     s1: f32,
     /// Greatest key.
@@ -61,15 +61,15 @@ struct Part {
 }
 
 /// What is constant for all pieces of a ray.
-struct Projection {
+struct RayConstants {
     compositing: Compositing,
     lattice: Lattice,
     /// See [`key_limit`](crate::kernels::march::modes::key_limit).
     key_limit: f32,
 }
 
-impl Part {
-    fn of(step: &Step, ray: &Projection) -> Self {
+impl ProjectionPiece {
+    fn of(step: &Step, ray: &RayConstants) -> Self {
         let length = step.s1 - step.s0;
         let ends = Self { s0: step.s0, s1: step.s1, ..Self::default() };
         if ray.compositing == Compositing::Mean {
@@ -90,11 +90,11 @@ impl Part {
     }
 }
 
-impl Piece for Part {
-    type Ray = Projection;
+impl Piece for ProjectionPiece {
+    type Ray = RayConstants;
 
     #[inline(always)]
-    fn joined(&self, behind: &Self, _: &Projection) -> Self {
+    fn joined(&self, behind: &Self, _: &RayConstants) -> Self {
         Self {
             s0: self.s0,
             s1: behind.s1,
@@ -107,7 +107,7 @@ impl Piece for Part {
     }
 
     #[inline(always)]
-    fn error(&self, ray: &Projection) -> f32 {
+    fn error(&self, ray: &RayConstants) -> f32 {
         let (length, h) = (self.s1 - self.s0, ray.lattice.unit);
         let error = if ray.compositing == Compositing::Mean {
             let per_brightness = 1.0 / self.first.max(BRIGHTNESS_LEAST);
@@ -132,10 +132,10 @@ impl Piece for Part {
 }
 
 /// Makes a list, or counts at several thresholds.
-struct Projected<'a, const N: usize> {
+struct ProjectionLister<'a, const N: usize> {
     scene: &'a Scene,
-    ray: Projection,
-    streams: [Stream<Part>; N],
+    ray: RayConstants,
+    streams: [PieceStream<ProjectionPiece>; N],
     /// The state of each stream.
     kept: [Kept; N],
     written: Written<'a>,
@@ -152,14 +152,14 @@ impl Kept {
     const NONE: Self = Self { num: 0, greatest: -1.0 };
 
     /// Whether a piece shows or hides anything, or holds the greatest key so far.
-    fn keeps(&self, part: &Part, ray: &Projection) -> bool {
+    fn keeps(&self, part: &ProjectionPiece, ray: &RayConstants) -> bool {
         match ray.compositing {
             Compositing::Mean => part.first > 0.0,
             _ => part.peak > self.greatest || part.key() > ray.key_limit,
         }
     }
 
-    fn add(&mut self, part: &Part, ray: &Projection) {
+    fn add(&mut self, part: &ProjectionPiece, ray: &RayConstants) {
         self.num += u32::from(self.keeps(part, ray));
         self.greatest = greater(self.greatest, part.peak);
     }
@@ -173,7 +173,7 @@ struct Written<'a> {
     of: usize,
 }
 
-impl<'a, const N: usize> Projected<'a, N> {
+impl<'a, const N: usize> ProjectionLister<'a, N> {
     fn new<T: Texels>(
         of: &Listing<'a, T>,
         thresholds: [f32; N],
@@ -181,8 +181,8 @@ impl<'a, const N: usize> Projected<'a, N> {
         list: &'a mut SegmentList,
     ) -> Self {
         let compositing = of.scene.settings.mode.compositing();
-        let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
-        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, &of.lattice));
+        let ray = RayConstants { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
+        let streams = thresholds.map(|threshold| PieceStream::new(threshold, longest, &of.lattice));
         let written = Written { list, kept: Kept::NONE, of: 0 };
         Self { scene: of.scene, ray, streams, kept: [Kept::NONE; N], written }
     }
@@ -204,7 +204,7 @@ impl<'a, const N: usize> Projected<'a, N> {
 }
 
 impl Written<'_> {
-    fn push(&mut self, scene: &Scene, ray: &Projection, part: &Part) {
+    fn push(&mut self, scene: &Scene, ray: &RayConstants, part: &ProjectionPiece) {
         let ends = OpenSegment { s0: part.s0, s1: part.s1, ..OpenSegment::default() };
         let is_kept = self.kept.keeps(part, ray);
         if part.peak > self.kept.greatest {
@@ -225,7 +225,7 @@ impl Written<'_> {
     }
 
     /// Gives the ray's greatest key to the segment that holds it, and lower ones to all others.
-    fn finish(&mut self, scene: &Scene, ray: &Projection) {
+    fn finish(&mut self, scene: &Scene, ray: &RayConstants) {
         if ray.compositing == Compositing::Mean || self.list.len == 0 {
             return;
         }
@@ -242,18 +242,18 @@ impl Written<'_> {
     }
 }
 
-impl<const N: usize> Sink for Projected<'_, N> {
+impl<const N: usize> Sink for ProjectionLister<'_, N> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         let Self { scene, ray, streams, kept, written } = self;
-        let part = Part::of(&step, ray);
+        let part = ProjectionPiece::of(&step, ray);
         for (stream, kept) in streams.iter_mut().zip(kept) {
             stream.step(ray, part, step.s0, |part| match N {
                 1 => written.push(scene, ray, part),
                 _ => kept.add(part, ray),
             });
         }
-        Pace::Step
+        Advance::Step
     }
 }
 

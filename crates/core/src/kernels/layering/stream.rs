@@ -37,7 +37,7 @@ pub(super) trait Piece: Copy + Default {
 
 /// Turns the steps of one ray into a list.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stream<P> {
+pub(super) struct PieceStream<P> {
     threshold: f32,
     longest: usize,
     /// World distance of the ray's start, and the inverse of its length.
@@ -53,7 +53,7 @@ pub(super) struct Stream<P> {
     joint: [f32; WINDOW],
 }
 
-impl<P: Piece> Stream<P> {
+impl<P: Piece> PieceStream<P> {
     /// Starts a ray along `lattice` that gives at most `longest` segments, which must exceed [`WINDOW`].
     pub(super) fn new(threshold: f32, longest: usize, lattice: &Lattice) -> Self {
         Self {
@@ -212,7 +212,7 @@ mod tests {
 
     fn segments(heights: &[f32], threshold: f32, longest: usize) -> Vec<Heights> {
         let lattice = Lattice { s0: 0.0, h: 1.0, n: heights.len() as u32, unit: 1.0 };
-        let mut stream = Stream::new(threshold, longest, &lattice);
+        let mut stream = PieceStream::new(threshold, longest, &lattice);
         let mut out = vec![];
         for (i, &height) in heights.iter().enumerate() {
             let step = Heights { num: 1.0, low: height, high: height, s1: i as f32 + 1.0 };

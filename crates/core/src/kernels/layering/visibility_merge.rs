@@ -18,14 +18,14 @@
 
 use glam::Vec3;
 
-use super::stream::{Piece, Stream};
+use super::stream::{Piece, PieceStream};
 use super::{OpenSegment, SegmentList, append};
-use crate::kernels::march::{Lattice, Pace, Sink, Step};
+use crate::kernels::march::{Lattice, Advance, Sink, Step};
 use crate::kernels::raycast::greater;
 
 /// A piece of a ray, by integrals over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Matter {
+pub(super) struct MatterPiece {
     /// The piece as one segment.
     pub(super) all: OpenSegment,
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
@@ -40,7 +40,7 @@ pub(super) struct Matter {
 /// Number of steps per unit of world distance.
 pub(super) struct StepsPerLength(pub(super) f32);
 
-impl Matter {
+impl MatterPiece {
     /// One step, with the transmittance in front of it.
     #[inline(always)]
     pub(super) fn of(step: &Step, transmittance: f32, ray: &StepsPerLength) -> Self {
@@ -56,7 +56,7 @@ impl Matter {
     }
 }
 
-impl Piece for Matter {
+impl Piece for MatterPiece {
     type Ray = StepsPerLength;
 
     #[inline(always)]
@@ -139,7 +139,7 @@ fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
 /// Makes a list of the steps of one ray.
 pub(super) struct Lister<'a> {
     ray: StepsPerLength,
-    stream: Stream<Matter>,
+    stream: PieceStream<MatterPiece>,
     transmittance: f32,
     list: &'a mut SegmentList,
 }
@@ -149,7 +149,7 @@ impl<'a> Lister<'a> {
     pub(super) fn new(threshold: f32, longest: usize, lattice: &Lattice, list: &'a mut SegmentList) -> Self {
         list.len = 0;
         let ray = StepsPerLength(1.0 / lattice.unit);
-        Self { ray, stream: Stream::new(threshold, longest, lattice), transmittance: 1.0, list }
+        Self { ray, stream: PieceStream::new(threshold, longest, lattice), transmittance: 1.0, list }
     }
 
     /// Ends the ray.
@@ -161,25 +161,25 @@ impl<'a> Lister<'a> {
 
 impl Sink for Lister<'_> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
-        let matter = Matter::of(&step, self.transmittance, &self.ray);
+    fn step(&mut self, step: Step) -> Advance {
+        let matter = MatterPiece::of(&step, self.transmittance, &self.ray);
         let list = &mut *self.list;
         self.stream.step(&self.ray, matter, step.s0, |matter| list.push(matter.all));
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }
 
 /// Counts the segments of one ray at several thresholds at once.
 pub(super) struct Counter<const N: usize> {
     ray: StepsPerLength,
-    streams: [Stream<Matter>; N],
+    streams: [PieceStream<MatterPiece>; N],
     transmittance: f32,
 }
 
 impl<const N: usize> Counter<N> {
     pub(super) fn new(thresholds: &[f32; N], longest: usize, lattice: &Lattice) -> Self {
-        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, lattice));
+        let streams = thresholds.map(|threshold| PieceStream::new(threshold, longest, lattice));
         Self { ray: StepsPerLength(1.0 / lattice.unit), streams, transmittance: 1.0 }
     }
 
@@ -194,13 +194,13 @@ impl<const N: usize> Counter<N> {
 
 impl<const N: usize> Sink for Counter<N> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
-        let matter = Matter::of(&step, self.transmittance, &self.ray);
+    fn step(&mut self, step: Step) -> Advance {
+        let matter = MatterPiece::of(&step, self.transmittance, &self.ray);
         for stream in &mut self.streams {
             stream.step(&self.ray, matter, step.s0, |_| ());
         }
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }
 
@@ -229,11 +229,11 @@ mod tests {
         Step { s0, s1, c: Vec3::splat(color * alpha), tau, alpha }
     }
 
-    fn joined(steps: &[Step]) -> Matter {
+    fn joined(steps: &[Step]) -> MatterPiece {
         let mut transmittance = 1.0;
-        let mut all: Option<Matter> = None;
+        let mut all: Option<MatterPiece> = None;
         for step in steps {
-            let matter = Matter::of(step, transmittance, &RAY);
+            let matter = MatterPiece::of(step, transmittance, &RAY);
             transmittance *= 1.0 - step.alpha;
             all = Some(all.map_or(matter, |all| all.joined(&matter, &RAY)));
         }
@@ -307,7 +307,7 @@ mod tests {
     fn hidden_matter_weighs_less_but_not_nothing() {
         let halves = |front: f32| {
             let parts = [step(0.0, 1.0, 0.1, 1.0), step(5.0, 6.0, 0.1, 1.0)];
-            let of = |s: &Step| Matter::of(s, front, &RAY);
+            let of = |s: &Step| MatterPiece::of(s, front, &RAY);
             of(&parts[0]).joined(&of(&parts[1]), &RAY).error(&RAY)
         };
         assert!((halves(0.5) / halves(1.0) - 0.5).abs() < 1e-5);

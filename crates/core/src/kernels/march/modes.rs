@@ -8,7 +8,7 @@
 use glam::Vec3;
 
 use super::grid::Lanes;
-use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use super::{Lattice, Marcher, Advance, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
@@ -133,7 +133,7 @@ impl Values {
 }
 
 /// Two neighbouring samples of a march.
-pub(super) struct Between {
+pub(super) struct SamplePair {
     /// Positions in the domain.
     pub(super) x0: f32,
     pub(super) x1: f32,
@@ -168,13 +168,13 @@ impl<T: Texels> Marcher<'_, T> {
     #[inline(always)]
     pub(super) fn take<const MODE: u8>(
         &self,
-        &Between { x0, x1, s0, s1 }: &Between,
+        &SamplePair { x0, x1, s0, s1 }: &SamplePair,
         brightness: f32,
         (origin, dir): (Vec3, Vec3),
         sink: &mut impl Sink,
-    ) -> Option<Pace> {
+    ) -> Option<Advance> {
         if MODE == SURFACES {
-            return self.cross(&Between { x0, x1, s0, s1 }, origin, dir, sink);
+            return self.cross(&SamplePair { x0, x1, s0, s1 }, origin, dir, sink);
         }
         if MODE == GREATEST {
             return Some(sink.step(Values::between(x0, x1).step(s0, s1)));
@@ -199,7 +199,7 @@ impl<T: Texels> Marcher<'_, T> {
 
     /// Hands on the surfaces between two samples. A step into greater values begins at the crossing, and one into
     /// lesser values ends there; [`super::surfaces`] makes segments of them.
-    fn cross(&self, ends: &Between, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Pace> {
+    fn cross(&self, ends: &SamplePair, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Advance> {
         let mut pace = None;
         let to_greater = ends.x1 > ends.x0;
         let num = self.scene.surfaces.len();
@@ -234,7 +234,7 @@ impl<T: Texels> Marcher<'_, T> {
             let s1 = if to_greater { f32::INFINITY } else { f32::NEG_INFINITY };
             let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
             pace = Some(next);
-            if next == Pace::Stop {
+            if next == Advance::Stop {
                 break;
             }
         }
@@ -243,7 +243,7 @@ impl<T: Texels> Marcher<'_, T> {
 }
 
 /// What a projection has collected along a ray.
-pub(super) struct Shown<'a> {
+pub(super) struct Collected<'a> {
     scene: &'a Scene,
     /// Greatest key; negative before any step.
     key: f32,
@@ -251,7 +251,7 @@ pub(super) struct Shown<'a> {
     integral: Vec3,
 }
 
-impl<'a> Shown<'a> {
+impl<'a> Collected<'a> {
     pub(super) fn new(scene: &'a Scene) -> Self {
         Self { scene, key: -1.0, integral: Vec3::ZERO }
     }
@@ -267,12 +267,12 @@ impl<'a> Shown<'a> {
     }
 }
 
-impl Sink for Shown<'_> {
+impl Sink for Collected<'_> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.key = if step.tau > self.key { step.tau } else { self.key };
         self.integral += step.c;
-        Pace::Step
+        Advance::Step
     }
 
     #[inline(always)]

@@ -12,7 +12,7 @@
 //! it.
 
 use super::modes::Surface;
-use super::{Lattice, Pace, Sink, Step};
+use super::{Lattice, Advance, Sink, Step};
 use crate::clip::Clip;
 use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
@@ -69,7 +69,7 @@ impl<'a, S: Sink> Thicken<'a, S> {
     }
 
     /// Hands on a crossing; `most` bounds the matter behind it.
-    fn hand_on(&mut self, pending: &Pending, most: f32) -> Pace {
+    fn hand_on(&mut self, pending: &Pending, most: f32) -> Advance {
         let mut step = pending.step;
         let back = if pending.enters { pending.place + self.reach(&step) } else { pending.place };
         step.s1 = back.min(most).max(step.s0);
@@ -85,9 +85,9 @@ impl<'a, S: Sink> Thicken<'a, S> {
 }
 
 impl<S: Sink> Sink for Thicken<'_, S> {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         let (place, enters) = (step.s0, (step.s1 > step.s0) != self.has_lesser_bodies);
-        let mut pace = Pace::Step;
+        let mut pace = Advance::Step;
         // An opaque body around the ray's start would hide its inside.
         let mut before = place - self.reach(&step).min(THICKNESS_IN_VOXELS * self.voxel);
         before = before.max(self.lattice.s0);
@@ -99,9 +99,9 @@ impl<S: Sink> Sink for Thicken<'_, S> {
         }
         let s0 = if enters { place } else { before };
         self.pending = Some(Pending { step: Step { s0, ..step }, place, enters });
-        self.has_stopped = pace == Pace::Stop;
+        self.has_stopped = pace == Advance::Stop;
         // A stride would step over a thin sheet, and lists would lack a wall: no integral reveals it.
-        if pace == Pace::Stride { Pace::Step } else { pace }
+        if pace == Advance::Stride { Advance::Step } else { pace }
     }
 }
 

@@ -14,11 +14,11 @@ struct Steps {
 }
 
 impl Sink for Steps {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.steps.push(step);
         self.over.add(step.c, step.tau);
-        match Pace::behind(self.over.transmittance) {
-            Pace::Stride if self.stops => Pace::Stop,
+        match Advance::behind(self.over.transmittance) {
+            Advance::Stride if self.stops => Advance::Stop,
             pace => pace,
         }
     }

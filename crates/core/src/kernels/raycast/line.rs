@@ -6,7 +6,7 @@ use crate::kernels::empty_space::TILE;
 use crate::layer::DEPTH_UNITS;
 
 /// A ray clipped to the frame's frustum: a straight line in pixel space, and the three constants.
-pub(in crate::kernels) struct Line {
+pub(in crate::kernels) struct PixelSpan {
     /// Pixel position at t = 0.
     pub(in crate::kernels) p0: [f32; 2],
     /// Pixel position at t = 1 minus that at t = 0.
@@ -23,7 +23,7 @@ pub(in crate::kernels) struct Line {
     pub(super) reach: [f32; 2],
 }
 
-impl Line {
+impl PixelSpan {
     /// Cuts the line to two world distances from the ray's origin. Returns whether anything is left.
     #[inline(always)]
     pub(super) fn narrow(&mut self, distances: [f32; 2]) -> bool {
@@ -74,7 +74,7 @@ pub(in crate::kernels) fn clip_by_planes(
 }
 
 /// The parts of a ray in successive columns of lists, or between all list borders for the nearest list.
-pub(super) struct Stretch<const N: usize> {
+pub(super) struct ColumnSpans<const N: usize> {
     /// The number of parts.
     pub(super) num: usize,
     /// Least depth, in units.
@@ -93,12 +93,12 @@ pub(super) struct Stretch<const N: usize> {
     pub(super) fraction: [f32; N],
 }
 
-impl<const N: usize> Stretch<N> {
+impl<const N: usize> ColumnSpans<N> {
     /// The columns of a tile from `column` on, between two parameters of the line.
     #[inline(always)]
     pub(super) fn new(
         caster: &Raycaster,
-        line: &Line,
+        line: &PixelSpan,
         columns: &Columns,
         column: i32,
         (t_in, t_out): (f32, f32),
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn the_nearer_list_takes_over_where_little_is_seen_and_nowhere_at_a_stroke() {
         let nearness = |fraction: f32, transmittance: f32| {
-            let mut stretch = Stretch::<1> {
+            let mut stretch = ColumnSpans::<1> {
                 num: 1,
                 lo: [0.0],
                 hi: [1.0],

@@ -10,11 +10,11 @@ pub(super) struct Pieces {
     pub(super) num: usize,
     /// Optical depth.
     pub(super) tau: [f32; MAX_PIECES],
-    pub(super) rest: [Piece; MAX_PIECES],
+    pub(super) rest: [CrossedPiece; MAX_PIECES],
 }
 
 #[derive(Clone, Copy, Default)]
-pub(super) struct Piece {
+pub(super) struct CrossedPiece {
     /// Nearness of the list.
     pub(super) weight: f32,
     /// 1 for the first piece of a column, or else 0.
@@ -32,7 +32,7 @@ pub(super) struct Crossing {
     pub(super) hi: f32,
     /// World length of the ray per unit of depth.
     pub(super) length_per_unit: f32,
-    /// See [`Piece`].
+    /// See [`CrossedPiece`].
     pub(super) weight: f32,
     pub(super) starts_column: f32,
     pub(super) continues_list: f32,
@@ -40,7 +40,7 @@ pub(super) struct Crossing {
 
 impl Pieces {
     pub(super) fn new() -> Self {
-        Self { num: 0, tau: [0.0; MAX_PIECES], rest: [Piece::default(); MAX_PIECES] }
+        Self { num: 0, tau: [0.0; MAX_PIECES], rest: [CrossedPiece::default(); MAX_PIECES] }
     }
 
     /// Takes the next piece of a crossing if it has a length and `is_of_list`. A full batch first goes to `sum`.
@@ -53,7 +53,7 @@ impl Pieces {
         let is_crossed = (overlap > 0.0) & is_of_list;
         let at = self.num % MAX_PIECES;
         self.tau[at] = medium.sigma * (overlap * crossing.length_per_unit);
-        self.rest[at] = Piece {
+        self.rest[at] = CrossedPiece {
             weight: crossing.weight,
             starts_column: crossing.starts_column,
             continues_list: crossing.continues_list,

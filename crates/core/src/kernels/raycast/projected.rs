@@ -10,7 +10,7 @@
 
 use glam::Vec4;
 
-use super::line::{Columns, Line, Stretch, greater, lesser};
+use super::line::{Columns, PixelSpan, ColumnSpans, greater, lesser};
 use super::{CastOptions, LANES, MIN_NEARNESS, Raycaster, Reconstruction};
 use crate::layer::{Over, Projected};
 use crate::mode::Compositing;
@@ -40,7 +40,7 @@ impl Way {
 
 impl Raycaster {
     /// What a line collects.
-    pub(super) fn project_line(&self, line: &Line, options: &CastOptions) -> Projected {
+    pub(super) fn project_line(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         match options.reconstruction {
             Reconstruction::Mixed => self.project::<LANES>(line, options),
             Reconstruction::Nearest => self.project::<{ 2 * LANES }>(line, options),
@@ -66,7 +66,7 @@ impl Raycaster {
     }
 
     /// Walks the columns of lists along the line, as the cast of other frames does.
-    fn project<const N: usize>(&self, line: &Line, options: &CastOptions) -> Projected {
+    fn project<const N: usize>(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         let along = usize::from(line.d[0].abs() + super::AXIS_BIAS < line.d[1].abs());
         let across = 1 - along;
         let (size_along, size_across) = (self.size[along], self.size[across]);
@@ -88,7 +88,7 @@ impl Raycaster {
             if !options.skips_empty_space
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
-                let stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                let stretch = ColumnSpans::<N>::new(self, line, &columns, column, (t_in, t_out), across);
                 for i in 0..stretch.num {
                     let column = column + columns.step * (i * LANES / N) as i32;
                     let nearness = [1.0 - stretch.fraction[i], stretch.fraction[i]];
