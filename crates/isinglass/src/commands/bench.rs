@@ -36,20 +36,20 @@ pub(crate) struct BenchArgs {
 enum Table {
     /// How long rendering, layers, coding and novel views take
     Speed(SpeedArgs),
-    /// What is shown under latency: the headless demo over a table of round-trip times
+    /// Quality under latency: the headless demo over a table of round-trip times
     Latency(LatencyArgs),
-    /// Where the time of a frame goes from the wish to the screen: server and viewer over a slowed-down link
+    /// The time of a frame from request to screen: server and viewer over a slowed-down link
     Pipeline(Box<PipelineArgs>),
 }
 
-/// What all tables have in common.
+/// Arguments of all tables.
 #[derive(Args)]
 struct CommonArgs {
     /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
     /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
     #[arg(value_name = "SCENE", help_heading = None::<&'static str>)]
     scenes: Vec<String>,
-    /// Columns and rows of pictures, and of frames if nothing else is said
+    /// Columns and rows of pictures, and by default of frames
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "256x256")]
     size: [u32; 2],
     /// Vertical field of view, degrees
@@ -64,7 +64,7 @@ struct CommonArgs {
     /// Also write the JSON to a file, whole or not at all
     #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
     output: Option<PathBuf>,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -88,13 +88,13 @@ impl CommonArgs {
         for scene in &mut scenes {
             let (raw, selection, spacing) = (self.raw.shape(), self.part.selection(), self.part.spacing);
             scene.volume = VolumeSource { raw, selection, spacing, ..scene.volume.clone() };
-            // What cannot be opened is refused before hours of measuring.
+            // A source that cannot be opened is rejected before hours of measuring.
             scene.check()?;
         }
         Ok(scenes)
     }
 
-    /// What is looked at.
+    /// The subject of the table.
     fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         let (mode, isos) = self.look.mode()?;
         Ok(Subject {
@@ -111,7 +111,7 @@ impl CommonArgs {
         })
     }
 
-    /// Refuses a file that cannot be written to.
+    /// Rejects a file that cannot be written.
     fn check_output(&self) -> Result<()> {
         if let Some(output) = &self.output {
             let transfer = std::iter::once(self.look.transfer_file());
@@ -120,7 +120,7 @@ impl CommonArgs {
         self.output.iter().try_for_each(|path| Ok(check_writable(path)?))
     }
 
-    /// Prints, then writes: what was measured is not lost with a file, nor with a scene that failed, which is told last.
+    /// Prints before it writes, so that an unwritable file loses no results. Failed scenes are reported last.
     fn publish(&self, report: &impl Serialize, table: &str, failed: &[String]) -> Result<()> {
         let printed = if self.json { print_json(report) } else { print(table) };
         if let Some(path) = &self.output {
@@ -148,7 +148,7 @@ struct SpeedArgs {
     /// Backends, between commas [default: cpu, and gpu if there is one]
     #[arg(long, value_name = "BACKEND", value_delimiter = ',')]
     backend: Vec<BackendChoice>,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -157,7 +157,7 @@ struct SpeedArgs {
 struct LatencyArgs {
     #[command(flatten)]
     lists: ListArgs,
-    /// Whether frames are asked for from where the camera will be, between commas: on, off
+    /// Whether frames are requested for the predicted pose, between commas: on, off
     #[arg(long, value_enum, value_name = "SWITCH", value_delimiter = ',', default_values_t = [Switch::On])]
     prediction: Vec<Switch>,
     /// Round-trip times, between commas
@@ -166,7 +166,7 @@ struct LatencyArgs {
     /// Speeds of the camera, degrees a second, between commas
     #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
     speed: Vec<f32>,
-    /// Pictures of each run that are compared with the truth, at most
+    /// Most pictures of each run that are compared with the truth
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     compared: u32,
     /// Keep the pictures and reports of each run in a folder of its own in DIR
@@ -176,7 +176,7 @@ struct LatencyArgs {
     backend: BackendArgs,
     #[command(flatten)]
     path: PathArgs,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     common: CommonArgs,
     #[command(flatten)]
@@ -197,7 +197,7 @@ pub(crate) fn run(args: BenchArgs) -> Result<()> {
 
 fn run_speed(args: SpeedArgs) -> Result<()> {
     let common = args.common;
-    // First: what is refused opens no device.
+    // This comes first, so that bad usage opens no device.
     common.check_output()?;
     let subject = common.subject(args.k, args.angles)?;
     let mut backends = distinct(args.backend);

@@ -1,4 +1,4 @@
-//! `compare`: how far one picture is from another.
+//! `compare`: the difference of two pictures.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ pub(crate) struct CompareArgs {
     /// A PNG file
     #[arg(value_name = "A")]
     a: PathBuf,
-    /// Another
+    /// Another PNG file
     #[arg(value_name = "B")]
     b: PathBuf,
     /// The colour that does not count as object
