@@ -1,5 +1,6 @@
 //! Does each command do what it says, and do its JSON objects have the fields that other programs read?
 
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
 #[cfg(unix)]
