@@ -15,7 +15,7 @@ use isinglass_formats::{
     state_to_link,
 };
 
-use common::{Bench, assert_failed};
+use common::{Bench, Running, assert_failed, has_display};
 
 const VOLUME: &str = "builtin:cubus@32";
 const FLAGS: &str = "--orbit 25,-15,3 --size 64x48 --fov 35 --tf shells --shading off --backend cpu";
@@ -206,26 +206,11 @@ fn a_state_names_its_part_and_finds_its_file_where_both_were_moved() {
     bench.fails("view --state link.toml", 1, &["the link of the state's volume"]);
 }
 
-/// A viewer that ends with the test.
-struct Viewer(std::process::Child);
-
-impl Drop for Viewer {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// Without a link: `view` opens what the state names, by a server in the same process, and remembers it; a file that is not
 /// there is named, and the window stays.
 #[test]
 fn view_opens_the_volume_of_a_state() {
-    if !isinglass_client::display_available() {
-        assert!(
-            std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"),
-            "no display: DISPLAY names no X server that answers"
-        );
-        eprintln!("skipped: no display (run under xvfb-run to open the window)");
+    if !has_display() {
         return;
     }
     let bench = Bench::new();
@@ -237,9 +222,9 @@ fn view_opens_the_volume_of_a_state() {
         command.env("DISPLAY", std::env::var_os("DISPLAY").unwrap_or_default());
         command.env("XDG_STATE_HOME", bench.path("remembered")).env("RUST_LOG", "warn");
         let log = std::fs::File::create(bench.path("log")).unwrap();
-        Viewer(command.stdout(std::process::Stdio::null()).stderr(log).spawn().unwrap())
+        Running(command.stdout(std::process::Stdio::null()).stderr(log).spawn().unwrap())
     };
-    let until = |viewer: &mut Viewer, file: &str, words: &[&str]| {
+    let until = |viewer: &mut Running, file: &str, words: &[&str]| {
         let patience = std::time::Instant::now() + std::time::Duration::from_secs(120);
         loop {
             let text = std::fs::read_to_string(bench.path(file)).unwrap_or_default();

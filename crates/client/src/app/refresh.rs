@@ -148,6 +148,13 @@ impl<S: FrameSource> ViewerApp<S> {
             // Each eye sees a novel view of the middle's frame, and other methods make other pictures.
             refresh.standing = Standing::Settled;
         }
+        // A line per refresh lets a test compare pictures of the window with the poses that they show.
+        tracing::trace!(
+            camera = ?pose,
+            frame = ?refresh.frame.as_ref().map(|frame| frame.frame.header.camera.pose),
+            standing = ?refresh.standing,
+            "refresh"
+        );
         Some(refresh)
     }
 

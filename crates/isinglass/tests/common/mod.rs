@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 
 use serde_json::Value;
 
@@ -66,6 +66,29 @@ impl Bench {
         assert_failed(line, &output, code, words);
         assert_eq!(self.files(), before, "{line}: left something behind");
     }
+}
+
+/// A process that ends with the test.
+pub(crate) struct Running(pub(crate) Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Whether a window can open. Where none can, the caller prints nothing more and returns; strict mode fails instead.
+pub(crate) fn has_display() -> bool {
+    let has = isinglass_client::display_available();
+    assert!(
+        has || std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"),
+        "no display: DISPLAY names no X server that answers"
+    );
+    if !has {
+        eprintln!("skipped: no display (run under xvfb-run to open the window)");
+    }
+    has
 }
 
 pub(crate) fn assert_failed(line: &str, output: &Output, code: i32, words: &[&str]) {

@@ -1,0 +1,88 @@
+//! The viewer's process, and its log of refreshes.
+
+use std::fs::File;
+use std::io::Read;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use glam::{Quat, Vec3};
+use isinglass_core::camera::Pose;
+
+use crate::common::{Bench, Running};
+
+/// A refresh as the viewer's log tells of it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Refresh {
+    /// The pose of the picture.
+    pub(crate) camera: Pose,
+    /// The pose of the newest frame; none has come at first.
+    pub(crate) frame: Option<Pose>,
+    /// Whether the picture is said to be the server's own.
+    pub(crate) is_exact: bool,
+}
+
+/// See the module.
+pub(crate) struct Viewer {
+    process: Running,
+    log: File,
+    rest: String,
+    refreshes: Vec<Refresh>,
+}
+
+impl Viewer {
+    /// Runs `line` and follows its log.
+    pub(crate) fn start(bench: &Bench, line: &str) -> Self {
+        let mut command = bench.command(line);
+        command.env("DISPLAY", std::env::var_os("DISPLAY").unwrap());
+        command.env("XDG_STATE_HOME", bench.path("remembered"));
+        command.env("RUST_LOG", "warn,isinglass_client::app::refresh=trace");
+        command.stdout(Stdio::null()).stderr(File::create(bench.path("log")).unwrap());
+        let process = Running(command.spawn().unwrap());
+        let log = File::open(bench.path("log")).unwrap();
+        Self { process, log, rest: String::new(), refreshes: Vec::new() }
+    }
+
+    /// All refreshes so far.
+    pub(crate) fn refreshes(&mut self) -> &[Refresh] {
+        self.log.read_to_string(&mut self.rest).unwrap();
+        while let Some((line, rest)) = self.rest.split_once('\n') {
+            match line.contains(" refresh camera=") {
+                true => self.refreshes.push(refresh(line)),
+                // The test's output is shown where it fails.
+                false => eprintln!("the viewer: {line}"),
+            }
+            self.rest = rest.to_owned();
+        }
+        &self.refreshes
+    }
+
+    /// Waits until `find` finds something in the refreshes so far.
+    pub(crate) fn wait<T>(&mut self, what: &str, mut find: impl FnMut(&[Refresh]) -> Option<T>) -> T {
+        let patience = Instant::now() + Duration::from_secs(120);
+        loop {
+            if let Some(found) = find(self.refreshes()) {
+                return found;
+            }
+            let ended = self.process.0.try_wait().unwrap();
+            assert!(ended.is_none(), "the viewer ended: {ended:?}");
+            assert!(Instant::now() < patience, "no {what}; {:?}", self.refreshes.last());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+fn refresh(line: &str) -> Refresh {
+    let (_, fields) = line.split_once("camera=").unwrap();
+    let (camera, fields) = fields.split_once("frame=").unwrap();
+    let (frame, standing) = fields.split_once("standing=").unwrap();
+    Refresh { camera: pose(camera).unwrap(), frame: pose(frame), is_exact: standing.trim() == "Exact" }
+}
+
+/// The pose whose numbers stand in a text.
+fn pose(text: &str) -> Option<Pose> {
+    let words = text.split(|c: char| !c.is_alphanumeric() && !".-".contains(c));
+    let numbers: Vec<f32> = words.filter_map(|word| word.parse().ok()).collect();
+    let [x, y, z, turn @ ..] = &numbers[..] else { return None };
+    let turn = Quat::from_array(turn.try_into().unwrap());
+    Some(Pose { eye: Vec3::new(*x, *y, *z), world_from_view: turn })
+}
