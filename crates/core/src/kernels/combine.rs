@@ -188,7 +188,9 @@ impl Combiner {
                 if has_others && !is_full { CastPiece::Mixed } else { CastPiece::Alone(n) }
             });
             match (next, &mut pending) {
-                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => *end = to,
+                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => {
+                    *end = to
+                }
                 _ => {
                     if let Some((piece, within)) = pending.take() {
                         self.add(&mut acc, ray, &parts, piece, within);

@@ -53,8 +53,11 @@ impl Shade {
             Detail::Final => 64,
         };
         let directions: Vec<Vec3> = (0..num).map(|i| on_sphere(i, num)).collect();
-        let mut shade =
-            Self::mean(extinction, &directions, ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius });
+        let mut shade = Self::mean(
+            extinction,
+            &directions,
+            ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius },
+        );
         for share in &mut shade.shares {
             *share = (2.0 * *share).min(1.0);
         }

@@ -20,7 +20,7 @@ use super::budget::NUM_THRESHOLDS;
 use super::stream::{Piece, PieceStream};
 use super::{Listing, OpenSegment, SegmentList};
 use crate::kernels::march::modes::{Values, shown_of_key};
-use crate::kernels::march::{Lattice, Advance, Scene, Sink, Step, Texels};
+use crate::kernels::march::{Advance, Lattice, Scene, Sink, Step, Texels};
 use crate::kernels::raycast::greater;
 use crate::layer::{KEY_LEAST, half_below, slot_from_key};
 use crate::mode::{Compositing, Mode};

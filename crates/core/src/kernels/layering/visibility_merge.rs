@@ -20,7 +20,7 @@ use glam::Vec3;
 
 use super::stream::{Piece, PieceStream};
 use super::{OpenSegment, SegmentList, append};
-use crate::kernels::march::{Lattice, Advance, Sink, Step};
+use crate::kernels::march::{Advance, Lattice, Sink, Step};
 use crate::kernels::raycast::greater;
 
 /// A piece of a ray, by integrals over its steps.

@@ -12,7 +12,7 @@
 //! it.
 
 use super::modes::Surface;
-use super::{Lattice, Advance, Sink, Step};
+use super::{Advance, Lattice, Sink, Step};
 use crate::clip::Clip;
 use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;

@@ -10,7 +10,7 @@
 
 use glam::Vec4;
 
-use super::line::{Columns, PixelSpan, ColumnSpans, greater, lesser};
+use super::line::{ColumnSpans, Columns, PixelSpan, greater, lesser};
 use super::{CastOptions, LANES, MIN_NEARNESS, Raycaster, Reconstruction};
 use crate::layer::{Over, Projected};
 use crate::mode::Compositing;
