@@ -14,7 +14,7 @@ program=${2:-}
 chosen=" ${*:3} "
 if [ -z "$program" ]; then
     cargo build --release
-    program=target/release/isinglass
+    program=${CARGO_TARGET_DIR:-target}/release/isinglass
 fi
 program=$(realpath "$program")
 
