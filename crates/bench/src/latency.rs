@@ -109,7 +109,6 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     Ok(LatencyReport { conditions, rows })
 }
 
-/// The subject of the table.
 fn subject_of(options: &LatencyOptions) -> Subject {
     let demo = &options.demo;
     Subject {

@@ -72,7 +72,8 @@ impl Predictor {
     /// The camera is now at `pose`; `center` is that of the volume.
     pub fn observe(&mut self, now: Duration, pose: Pose, center: Vec3) {
         let place = pose.world_from_view.inverse() * (pose.eye - center);
-        let mut sample = Observation { at: now, pose, place, velocity: CameraMotion::default(), forecast: None };
+        let mut sample =
+            Observation { at: now, pose, place, velocity: CameraMotion::default(), forecast: None };
         let is_same_hand = center == self.center
             && self
                 .samples

@@ -59,7 +59,6 @@ impl<'a> Collector<'a> {
         self.chosen.in_file * self.dtype.num_bytes() as u64
     }
 
-    /// Bytes of a number in the file.
     pub(crate) fn bytes_per_number(&self) -> u64 {
         self.dtype.num_bytes() as u64
     }

@@ -10,7 +10,6 @@ use quick_xml::events::attributes::Attribute;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
-/// A tag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct XmlTag {
     /// Its name, without a prefix.

@@ -218,7 +218,6 @@ impl Gpu {
         compute_pipeline(self.device(), kernel, entry, groups)
     }
 
-    /// Replaces the text of a kernel.
     #[cfg(test)]
     pub(crate) fn replace(&self, kernel: Kernel, entry: &'static str, text: &str) {
         let layouts = self.layouts();

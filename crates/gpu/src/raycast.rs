@@ -266,7 +266,6 @@ fn planes(bytes: [u64; NUM_PLANES], alignment: u64) -> [Plane; NUM_PLANES] {
     })
 }
 
-/// Size of one of the buffers.
 fn num_bytes(planes: &[Plane; NUM_PLANES], buffer: usize) -> u64 {
     planes.iter().filter(|p| p.buffer == buffer).map(|p| p.start + p.size).max().unwrap_or(0)
 }

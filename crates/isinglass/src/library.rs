@@ -30,9 +30,7 @@ pub(crate) struct FileLoader {
 
 /// A volume to serve, and its file.
 pub(crate) struct OpenedFile {
-    /// The voxels.
     pub(crate) volume: Arc<Volume>,
-    /// The first transfer function.
     pub(crate) transfer: TransferFunction,
     /// The rest of the file.
     pub(crate) library: Library,

@@ -27,7 +27,6 @@ use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
 use crate::window_args::WindowArgs;
 
-/// The source of a state.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct StateArgs {
     /// Use a saved state: a file of the viewer's, or a link that it copied. Flags override it

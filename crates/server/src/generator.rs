@@ -30,7 +30,6 @@ pub(crate) struct Generator {
 
 /// A frame and its cost.
 pub(crate) struct Generated {
-    /// The frame.
     pub(crate) frame: LayeredFrame,
     /// Time for marching and layering, µs.
     pub(crate) generate_micros: u64,
@@ -111,7 +110,6 @@ struct RowsJob {
     reply: Reply<Picture>,
 }
 
-/// State of the rendering thread.
 struct RenderThread {
     renderer: Renderer,
     look: Look,

@@ -45,7 +45,6 @@ pub(crate) struct Ticket {
     pub(crate) wish: Wish,
 }
 
-/// A frame that is coded.
 pub(crate) struct Coded {
     pub(crate) ticket: Ticket,
     pub(crate) generated: Generated,

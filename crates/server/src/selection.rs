@@ -58,7 +58,6 @@ pub struct Loaded {
 /// The volume that is shown.
 #[derive(Debug)]
 pub(crate) struct Present {
-    /// The greeting of new viewers.
     pub(crate) greeting: Arc<Greeting>,
     /// The volume's box.
     pub(crate) bounds: Aabb,
@@ -66,7 +65,6 @@ pub(crate) struct Present {
     pub(crate) lights: Lights,
     /// The generator's scene.
     pub(crate) scene: SceneNumber,
-    /// The choices in the file.
     pub(crate) parts: Option<Choices>,
     /// Memory of the volume, bytes.
     bytes: u64,

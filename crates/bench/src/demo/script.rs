@@ -16,7 +16,6 @@ pub(crate) enum Motion {
     Orbit {
         /// Where it begins.
         start: Orbit,
-        /// Its speed.
         degrees_per_second: f32,
     },
     /// A recorded path, unchanged.
@@ -94,12 +93,10 @@ impl Script {
         turn
     }
 
-    /// Total duration.
     pub(crate) fn duration(&self) -> Duration {
         Duration::from_secs_f32(self.phases.iter().map(|p| p.seconds).sum())
     }
 
-    /// Times of rest.
     pub(crate) fn rests(&self) -> Vec<Range<Duration>> {
         let mut rests = Vec::new();
         let mut at = 0.0;

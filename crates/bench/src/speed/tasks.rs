@@ -78,7 +78,6 @@ impl Time {
     }
 }
 
-/// The result, and seconds.
 fn in_seconds<T>(body: impl FnOnce() -> Result<T, BenchError>) -> Result<(T, f64), BenchError> {
     let started = Instant::now();
     let made = body()?;

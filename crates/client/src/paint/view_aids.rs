@@ -50,7 +50,6 @@ impl ViewAids {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
     }
 
-    /// The directions of the axes in words.
     pub(crate) fn axes_in_words(scene: &AidsScene<'_>) -> String {
         let view_from_world = scene.camera.pose.world_from_view.inverse();
         let toward = |direction: Vec3| {

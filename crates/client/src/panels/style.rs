@@ -5,9 +5,7 @@ use egui::{Color32, Frame, Margin, Stroke, Ui};
 /// The room that is taken around a pane, points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Taken {
-    /// On the left.
     pub(crate) left: f32,
-    /// On the right.
     pub(crate) right: f32,
     /// At the edge of the window where the pane lies.
     pub(crate) edge: f32,

@@ -19,7 +19,6 @@ pub type BoxedSource = Box<dyn frame_source::FrameSource + Send>;
 /// Wakes the window from any thread: something to show has arrived.
 pub type Waker = Arc<dyn Fn() + Send + Sync>;
 
-/// The waker of a window.
 pub(crate) fn waker_of(ctx: &egui::Context) -> Waker {
     let ctx = ctx.clone();
     Arc::new(move || ctx.request_repaint())

@@ -37,7 +37,6 @@ pub struct Combiner {
     options: CastOptions,
 }
 
-/// One frame.
 struct FrameLayer {
     caster: Raycaster,
     view: FrameFrustum,
@@ -188,7 +187,9 @@ impl Combiner {
                 if has_others && !is_full { CastPiece::Mixed } else { CastPiece::Alone(n) }
             });
             match (next, &mut pending) {
-                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => *end = to,
+                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => {
+                    *end = to
+                }
                 _ => {
                     if let Some((piece, within)) = pending.take() {
                         self.add(&mut acc, ray, &parts, piece, within);

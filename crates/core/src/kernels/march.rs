@@ -23,7 +23,7 @@ use rayon::prelude::*;
 
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
-use self::modes::{SamplePair, SURFACES, Collected, Surface};
+use self::modes::{Collected, SURFACES, SamplePair, Surface};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
 use crate::camera::Camera;

@@ -107,7 +107,6 @@ pub struct Raycaster {
 /// A list that may hold a segment on the ray.
 #[derive(Clone, Copy, Default)]
 struct Met {
-    /// The part of the stretch.
     part: u32,
     list: u32,
     nearness: f32,

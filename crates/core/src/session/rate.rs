@@ -279,7 +279,6 @@ fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
 
-/// A moving mean.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean(Option<f64>);
 

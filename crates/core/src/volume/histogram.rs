@@ -77,7 +77,6 @@ impl Histogram {
     }
 }
 
-/// Counts the voxels of each number.
 fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
     let lo = lo as usize;
     let bin = |x: T| (x.into() as usize).saturating_sub(lo);

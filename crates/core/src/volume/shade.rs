@@ -39,7 +39,6 @@ pub(crate) struct Shade {
     pub(crate) dims: [usize; 3],
     /// Voxels of a cell along x, y, z.
     pub(crate) voxels: [usize; 3],
-    /// The shares.
     pub(crate) shares: Vec<f32>,
 }
 
@@ -53,8 +52,11 @@ impl Shade {
             Detail::Final => 64,
         };
         let directions: Vec<Vec3> = (0..num).map(|i| on_sphere(i, num)).collect();
-        let mut shade =
-            Self::mean(extinction, &directions, ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius });
+        let mut shade = Self::mean(
+            extinction,
+            &directions,
+            ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius },
+        );
         for share in &mut shade.shares {
             *share = (2.0 * *share).min(1.0);
         }
@@ -263,7 +265,6 @@ impl Sweep {
     }
 }
 
-/// A shift as whole cells and a fraction.
 struct CellShift {
     whole: isize,
     part: f32,

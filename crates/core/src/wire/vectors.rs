@@ -25,7 +25,6 @@ fn transfer() -> TransferFunction {
     }
 }
 
-/// A look with everything in it.
 fn look() -> Look {
     Look {
         transfer: TransferFunction {

@@ -82,7 +82,6 @@ impl Shape {
         })
     }
 
-    /// Pixels of a frame.
     pub(super) fn num_pixels(&self) -> u64 {
         u64::from(self.columns) * u64::from(self.rows)
     }
@@ -93,10 +92,8 @@ impl Shape {
     }
 }
 
-/// A slice.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
-    /// Number of its file.
     pub(super) file: usize,
     /// Offsets and lengths of the parts of its pixel data.
     pub(super) parts: Vec<(u64, u64)>,
@@ -146,7 +143,6 @@ pub(super) struct FileStack {
     /// Description of the series.
     pub(super) name: String,
     pub(super) modality: Option<String>,
-    /// Unit of the values.
     pub(super) value_unit: Option<String>,
     pub(super) plane: Plane,
     /// Distance of slices that the file states, in millimetres.

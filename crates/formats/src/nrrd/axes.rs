@@ -8,7 +8,6 @@ use crate::error::HeaderError;
 use crate::plan::{Axis, Role, color_names};
 use crate::warning::{Warning, WarningKind};
 
-/// The axes of a header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Axes {
     /// Each axis of the file, and a third spatial axis if the file has two.

@@ -20,7 +20,6 @@ pub(super) struct Ome {
     pub(super) metadata_file: Option<String>,
 }
 
-/// One image of the file.
 #[derive(Default)]
 struct Image {
     name: String,
@@ -48,7 +47,6 @@ impl Image {
     }
 }
 
-/// The files of an image.
 pub(super) struct Files {
     /// Numbers of the files by name. 0 is the file that was opened.
     numbers: HashMap<String, u32>,
@@ -74,7 +72,6 @@ impl Ome {
         parse(text)
     }
 
-    /// Number of images.
     pub(super) fn num_images(&self) -> usize {
         self.images.len()
     }

@@ -236,7 +236,6 @@ impl PageError {
     }
 }
 
-/// The shape of the current page.
 pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageError> {
     let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
     let color = decoder.colortype().map_err(PageError::Tiff)?;

@@ -30,12 +30,10 @@ pub(crate) struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// The source of the volume.
     pub(crate) fn source(&self) -> Result<&str> {
         self.volume.as_deref().context("expected VOLUME")
     }
 
-    /// The source with all options.
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
         Ok(VolumeSource { source, raw, selection, spacing: self.part.spacing })
@@ -124,7 +122,6 @@ pub(crate) struct PartArgs {
 }
 
 impl PartArgs {
-    /// The part.
     pub(crate) fn selection(&self) -> Selection {
         let &Self { channel, time, level, series, region, .. } = self;
         Selection { channel, time, level, series, region }

@@ -98,7 +98,6 @@ impl CommonArgs {
         Ok(scenes)
     }
 
-    /// The subject of the table.
     fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         let (mode, isos) = self.look.mode()?;
         Ok(Subject {

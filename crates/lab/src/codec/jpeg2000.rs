@@ -40,7 +40,7 @@ fn code(raster: &Raster, psnr_db: f32) -> Result<Coded, LabError> {
     code_through_bytes(|| encode(raster, psnr_db), decode)
 }
 
-/// What OpenJPEG takes for the wish that nothing be lost.
+/// OpenJPEG's value for lossless coding.
 const LOSSLESS_DB: f32 = 0.0;
 
 fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, LabError> {
@@ -56,7 +56,7 @@ fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, LabError> {
     parameters.tcp_distoratio[0] = psnr_db;
     parameters.irreversible = i32::from(psnr_db != LOSSLESS_DB);
     parameters.tcp_mct = i8::from(raster.channels == 3) as _;
-    // A wavelet level halves the sides, which must not become nothing.
+    // A wavelet level halves the sides, which must stay above zero.
     let levels = raster.width.min(raster.height).max(1).ilog2();
     parameters.numresolution = parameters.numresolution.min(levels as i32 + 1);
 
@@ -204,7 +204,7 @@ struct Memory {
     at: usize,
 }
 
-/// A stream from or to memory. It must be dropped before the memory is looked at again.
+/// A stream from or to memory. It must be dropped before the memory is used again.
 struct MemoryStream<'a>(*mut sys::opj_stream_t, std::marker::PhantomData<&'a mut Memory>);
 
 impl<'a> MemoryStream<'a> {

@@ -16,10 +16,10 @@ use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, Segment};
 
 use super::raster::Raster;
 
-/// Which planes a frame is sent as.
+/// The planes that a frame is sent as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Layout {
-    /// As Lochmann 2016 has it.
+    /// As in Lochmann 2016.
     Published,
     /// With the transforms above.
     Weighted,
@@ -42,7 +42,6 @@ impl Part {
 }
 
 impl Layout {
-    /// The rule of the frames.
     pub(crate) const LAYERING: Rule = Rule::EqualTransmittance;
 
     /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times smaller on either
@@ -141,7 +140,7 @@ impl Layout {
                 }
                 let units = |plane: &[f32]| (plane[i].clamp(0.0, 1.0) * DEPTH_UNITS + 0.5) as u16;
                 let front = units(&depth[j]).max(last);
-                // A layer that has lost its thickness is a thin one.
+                // A layer that lost its thickness becomes a thin one.
                 let back = units(&depth[j + 1]).max(front.saturating_add(LEAST_UNITS));
                 if back <= front {
                     break;
@@ -258,13 +257,13 @@ fn bilinear(plane: &[f32], size: [usize; 2], pixel: [usize; 2], divisor: usize) 
 const W_MAX: f32 = 1.25;
 /// Bits of weighted colour and opacity: codecs that lose anyway lose nothing by more.
 const WEIGHTED_BITS: u8 = 10;
-/// Optical depth of a whole list that is sent as one; e^−10 is nothing in 8 bits.
+/// Optical depth of an opaque list; e^−10 is nothing in 8 bits.
 const TAU_FULL: f32 = 10.0;
-/// Layers below are not shown: less than half a step of 8 bits.
+/// Least visible opacity: half a step of 8 bits.
 const LEAST_ALPHA: f32 = 0.002;
-/// An opacity of one has no optical depth.
+/// An opacity of one has no finite optical depth.
 const ALPHA_MAX: f32 = 0.9999;
-/// Colour over opacity, at most.
+/// Greatest colour over opacity.
 const EMISSION_MAX: f32 = 1.1;
 /// Thickness of a layer whose depths were coded to the same, depth units: a sixteenth of a pixel at 512 lines.
 const LEAST_UNITS: u16 = 8;

@@ -1,4 +1,4 @@
-//! One codec on one frame: every setting it is worth to look at, with its bytes, its times and what is left of the picture.
+//! Measures one codec on one frame: its useful settings with bytes, times and the remaining quality.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -25,7 +25,7 @@ use crate::error::LabError;
 use crate::quality::black_srgb8;
 use isinglass_core::orbit::Orbit;
 
-/// What is left of the picture after one turn of the camera.
+/// The error of the picture after one turn of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distortion {
     /// Turn of azimuth, degrees.
@@ -55,7 +55,7 @@ pub(crate) struct Measured {
 /// Turn in degrees, camera, and the full volume rendering as 8-bit sRGB on black.
 pub(crate) type Truth = (f32, Camera, Vec<u8>);
 
-/// What is left of a frame from where the truth is known.
+/// The error of a frame from all turns with a known truth.
 pub(crate) fn distortion_of(
     backend: &Backend,
     bounds: &Aabb,
@@ -82,14 +82,14 @@ pub(crate) fn distortion_of(
     Ok(all)
 }
 
-/// Judges frames by what is seen of them.
+/// Judges frames by the pictures made of them.
 pub(crate) struct Judge<'a> {
     pub(crate) backend: &'a Backend,
     pub(crate) bounds: Aabb,
     /// The generating camera's place.
     pub(crate) orbit: Orbit,
     pub(crate) truths: Vec<Truth>,
-    /// Coding is timed on its one thread.
+    /// The pool of one thread on which coding is timed.
     pub(crate) pool: &'a ThreadPool,
 }
 
@@ -225,7 +225,7 @@ impl Judge<'_> {
     }
 }
 
-/// How many times smaller planes are, and the level of their codec.
+/// Divisor of the planes' size, and the level of their codec.
 type Rung = (u32, usize);
 
 /// The planes of a part, coded with one setting.
@@ -259,7 +259,7 @@ fn settings_name(rungs: [Rung; 3], levels: &[String]) -> String {
     [part("C", rungs[0]), part("α", rungs[1]), part("D", rungs[2])].join(", ")
 }
 
-/// What climbs are for: all turns together (none), and where there are several each alone.
+/// Aims of climbs: all turns together (`None`), and each alone if there are several.
 fn aims(num_turns: usize) -> impl Iterator<Item = Option<usize>> {
     let each = if num_turns > 1 { num_turns } else { 0 };
     std::iter::once(None).chain((0..each).map(Some))

@@ -62,9 +62,9 @@ pub use self::times::{TimeOptions, TimeRow, Times};
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct CodecOptions {
-    /// What is looked at.
+    /// The subject of the report.
     pub subject: Subject,
-    /// Names out of [`codec_names`]; none: all.
+    /// Names out of [`codec_names`]; all if empty.
     pub codecs: Vec<String>,
     /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where that is
     /// measured, or else `blocks-planes`.
@@ -74,11 +74,11 @@ pub struct CodecOptions {
     /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
     /// are as published, and for a moving camera, where frames are as large as pictures.
     pub list_scales: Vec<f32>,
-    /// Turns that frames in blocks are made to be seen at, degrees, none for all of them: blocks have the choice.
+    /// Turns in degrees that blocks may be tuned for; `None` for all of them.
     pub turns_deg: Vec<Option<u8>>,
-    /// Also code a moving camera; none: only stills.
+    /// Also code a moving camera.
     pub sequence: Option<SequenceOptions>,
-    /// Also take times on several threads; none: only those of one thread.
+    /// Also take times on several threads.
     pub times: Option<TimeOptions>,
 }
 
@@ -101,9 +101,9 @@ impl CodecOptions {
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct CodecReport {
-    /// What holds for all points.
+    /// The conditions of all points.
     pub conditions: CodecConditions,
-    /// Frames that no codec has touched.
+    /// Frames without coding.
     pub uncoded: Vec<Uncoded>,
     /// Every setting that was measured: in JSON a row for each turn.
     #[serde(rename = "rows", serialize_with = "rows_of")]
@@ -112,29 +112,29 @@ pub struct CodecReport {
     pub bd_rates: Vec<BdRow>,
     /// Means of [`CodecReport::bd_rates`] over scenes.
     pub bd_means: Vec<BdMean>,
-    /// What a moving camera costs.
+    /// The cost of a moving camera.
     pub sequences: Vec<SequenceRow>,
-    /// What prediction gains there.
+    /// The gain by prediction there.
     pub sequence_gains: Vec<SequenceBd>,
     /// The product's times on several threads.
     pub times: Vec<TimeRow>,
 }
 
-/// What holds for all points of a report.
+/// The conditions of all points in a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct CodecConditions {
-    /// What holds for any table of pictures; the threads are those that code.
+    /// The conditions of any table of pictures; the threads are those that code.
     #[serde(flatten)]
     pub subject: SubjectConditions,
     /// Where frames were made and looked at.
     pub backend: String,
-    /// Clock of the processor by which cycles are counted, megahertz; none where the system does not tell.
+    /// Processor clock for cycle counts, MHz; `None` if the system does not report it.
     pub clock_mhz: Option<f64>,
     /// The codec that others are compared with.
     pub anchor: Option<String>,
 }
 
-/// A frame that no codec has touched.
+/// A frame without coding.
 #[derive(Clone, Debug, Serialize)]
 pub struct Uncoded {
     /// Name of the scene.
@@ -151,7 +151,7 @@ pub struct Uncoded {
     pub segments_mean: f64,
     /// Time to make the frame.
     pub generate_ms: f64,
-    /// From every turn.
+    /// Errors from every turn.
     pub distortion: Vec<Distortion>,
 }
 
@@ -195,7 +195,7 @@ pub struct Point {
     pub encode_cycles_per_pixel: Option<f64>,
     /// Cycles to decode a pixel.
     pub decode_cycles_per_pixel: Option<f64>,
-    /// From every turn.
+    /// Errors from every turn.
     #[serde(skip)]
     pub distortion: Vec<Distortion>,
     /// Turns at which no other setting of the codec beats this one in bytes and DSSIM both, degrees.
@@ -203,7 +203,7 @@ pub struct Point {
     pub on_front_deg: Vec<f32>,
 }
 
-/// A coded frame from one turn, as it is told in JSON.
+/// A coded frame from one turn, for JSON.
 #[derive(Serialize)]
 struct Row<'a> {
     #[serde(flatten)]
@@ -229,7 +229,7 @@ fn rows_of<S: Serializer>(points: &[Point], serializer: S) -> Result<S::Ok, S::E
 pub struct BdRow {
     /// Name of the scene.
     pub scene: String,
-    /// K of both; none: each at whatever K is best for it at each rate.
+    /// K of both; `None` if each has the best K at each rate.
     pub k: Option<u8>,
     /// The codec.
     pub codec: &'static str,
@@ -237,9 +237,9 @@ pub struct BdRow {
     pub angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
     pub bd_rate_percent: Option<f64>,
-    /// The difference in the middle of the qualities that both reach, percent.
+    /// The difference in the middle of the shared qualities, percent.
     pub middle_percent: Option<f64>,
-    /// Over which qualities, decibels of DSSIM.
+    /// The shared qualities, decibels of DSSIM.
     pub range_db: Option<[f64; 2]>,
     /// Why there is no mean difference.
     pub refused: Option<String>,
@@ -264,12 +264,12 @@ pub struct BdMean {
     pub refused: usize,
 }
 
-/// The names of the codecs of this build.
+/// The names of this build's codecs.
 pub fn codec_names() -> Vec<&'static str> {
     contenders::all(&[None]).into_iter().map(|c| c.name).collect()
 }
 
-/// Measures. Takes minutes a scene.
+/// Measures. Takes minutes per scene.
 pub fn run(options: &CodecOptions) -> Result<CodecReport, LabError> {
     let contenders = contenders_of(options)?;
     let anchor = anchor(options, &contenders);
@@ -312,7 +312,7 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, LabError> {
 /// The codecs that are asked for and the anchor. Those that cannot code the frames are left out with a note, or refused
 /// where they were named.
 fn contenders_of(options: &CodecOptions) -> Result<Vec<Contender>, LabError> {
-    // An unknown name is refused even if all are measured.
+    // An unknown name is rejected even if all codecs are measured.
     let anchor: Vec<String> = options.anchor.iter().cloned().collect();
     contenders::select(&anchor, &[None])?;
     let is_all = options.codecs.is_empty();
@@ -337,7 +337,7 @@ fn contenders_of(options: &CodecOptions) -> Result<Vec<Contender>, LabError> {
     Ok(contenders)
 }
 
-/// The name of what others are compared with; none if it is not measured.
+/// The name of the anchor; `None` if it is not measured.
 fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Option<&'static str> {
     let wanted = match &options.anchor {
         Some(wanted) => vec![&wanted[..]],
@@ -346,7 +346,6 @@ fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Option<&'static s
     wanted.iter().find_map(|wanted| contenders.iter().map(|c| c.name).find(|name| name == wanted))
 }
 
-/// What is there so far.
 struct Run<'a> {
     options: &'a CodecOptions,
     backend: &'a Backend,
@@ -509,7 +508,7 @@ fn mark_fronts(points: &mut [Point], angles: &[f32]) {
     }
 }
 
-/// Every codec against the anchor: at each K, and with each at its best K.
+/// Every codec against the anchor: at each K, and with the best K of each.
 fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow> {
     let mut codecs: Vec<&'static str> = Vec::new();
     for p in points {
@@ -581,5 +580,5 @@ fn means(rows: &[BdRow]) -> Vec<BdMean> {
 const FALLBACK_ANCHOR: &str = "blocks-planes";
 /// Frames a second that rates are given for.
 const FRAME_RATE_HZ: f64 = 30.0;
-/// That code: of the codecs of others not all can use more.
+/// Threads that code, because not all rival codecs can use more.
 const THREADS: usize = 1;

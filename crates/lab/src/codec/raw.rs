@@ -1,4 +1,4 @@
-//! Segments as they lie in memory, and a general compressor: what scenery sends.
+//! Segments as they are in memory, with a general compressor, as scenery sends them.
 
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
@@ -15,7 +15,6 @@ pub(crate) enum Compressor {
 }
 
 impl Compressor {
-    /// The name in tables.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Zstd => "raw-zstd",
@@ -24,7 +23,6 @@ impl Compressor {
         }
     }
 
-    /// The setting in tables.
     pub(crate) fn setting(self) -> &'static str {
         match self {
             Self::Zstd => "halves, level 3",
@@ -33,7 +31,6 @@ impl Compressor {
         }
     }
 
-    /// Compresses a frame.
     pub(crate) fn encode(self, frame: &LayeredFrame) -> Result<Vec<u8>, LabError> {
         let raw = raw_from_frame(frame);
         match self {

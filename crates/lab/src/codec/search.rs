@@ -11,7 +11,6 @@ use std::collections::HashMap;
 /// A state of the climb, measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Height {
-    /// Bytes of the frame.
     pub(crate) bytes: f64,
     /// Distortion, summed over what is looked at.
     pub(crate) distortion: f64,

@@ -58,12 +58,12 @@ impl PointWarp {
         Self { basis: camera.basis(), colors, depths }
     }
 
-    /// The picture from a camera. Premultiplied linear.
+    /// The picture from a camera, premultiplied linear.
     pub fn view(&self, camera: &Camera) -> Picture {
         let new = camera.basis();
         let width = self.basis.width as usize;
         let splats = self.project(&Warp::new(&self.basis, &new), camera);
-        // Rows that each row of points touches, so that a band passes by most of them.
+        // Rows that each row of points touches, so that a band skips most of them.
         let reach: Vec<(u16, u16)> = splats
             .par_chunks(width)
             .map(|row| {

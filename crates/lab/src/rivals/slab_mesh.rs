@@ -50,7 +50,7 @@ impl SlabMesh {
         Self { slabs, depths }
     }
 
-    /// The picture from a camera. Premultiplied linear.
+    /// The picture from a camera, premultiplied linear.
     pub fn view(&self, camera: &Camera) -> Picture {
         let triangles = self.triangles(camera);
         in_bands(camera, |mut band| {

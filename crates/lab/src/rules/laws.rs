@@ -9,7 +9,7 @@ use super::single_depth::{SingleDepth, THRESHOLD_SHARE};
 use super::*;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering::budget::longest_list;
-use isinglass_core::kernels::march::{MarchSettings, Advance, Sink, TRANSMITTANCE_MIN};
+use isinglass_core::kernels::march::{Advance, MarchSettings, Sink, TRANSMITTANCE_MIN};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Volume, Voxels};

@@ -61,7 +61,6 @@ struct Servers {
     start_gate: Option<Mutex<Receiver<()>>>,
     started: Mutex<Vec<(Selection, [u32; 3])>>,
     num_running: Arc<AtomicUsize>,
-    /// The threads on which servers ended.
     ended_on: Arc<Mutex<Vec<ThreadId>>>,
 }
 

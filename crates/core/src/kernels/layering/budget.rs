@@ -141,7 +141,6 @@ struct PreviousFrame {
     k: u8,
     mode: Mode,
     pose: Pose,
-    /// The threshold of the next frame.
     threshold: f32,
 }
 
@@ -176,7 +175,8 @@ impl Budget {
         let threshold =
             threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
         let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);
-        self.last = Some(PreviousFrame { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
+        self.last =
+            Some(PreviousFrame { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
     }
 }
 

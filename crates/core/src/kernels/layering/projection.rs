@@ -20,7 +20,7 @@ use super::budget::NUM_THRESHOLDS;
 use super::stream::{Piece, PieceStream};
 use super::{Listing, OpenSegment, SegmentList};
 use crate::kernels::march::modes::{Values, shown_of_key};
-use crate::kernels::march::{Lattice, Advance, Scene, Sink, Step, Texels};
+use crate::kernels::march::{Advance, Lattice, Scene, Sink, Step, Texels};
 use crate::kernels::raycast::greater;
 use crate::layer::{KEY_LEAST, half_below, slot_from_key};
 use crate::mode::{Compositing, Mode};
@@ -60,7 +60,6 @@ struct ProjectionPiece {
     shown: glam::Vec3,
 }
 
-/// What is constant for all pieces of a ray.
 struct RayConstants {
     compositing: Compositing,
     lattice: Lattice,
@@ -165,7 +164,6 @@ impl Kept {
     }
 }
 
-/// The segments that are written.
 struct Written<'a> {
     list: &'a mut SegmentList,
     kept: Kept,
@@ -261,5 +259,4 @@ impl<const N: usize> Sink for ProjectionLister<'_, N> {
 const PEAK_SHARE: f32 = 0.75;
 /// Standard deviation of a uniform distribution, in lengths: 1/√12.
 const EVEN_DEVIATION: f32 = 0.288_675_13;
-/// Least brightness that is divided by.
 const BRIGHTNESS_LEAST: f32 = 1e-30;

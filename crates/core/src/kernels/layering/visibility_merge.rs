@@ -20,13 +20,12 @@ use glam::Vec3;
 
 use super::stream::{Piece, PieceStream};
 use super::{OpenSegment, SegmentList, append};
-use crate::kernels::march::{Lattice, Advance, Sink, Step};
+use crate::kernels::march::{Advance, Lattice, Sink, Step};
 use crate::kernels::raycast::greater;
 
 /// A piece of a ray, by integrals over its steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MatterPiece {
-    /// The piece as one segment.
     pub(super) all: OpenSegment,
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
     visibility: f32,
@@ -41,7 +40,6 @@ pub(super) struct MatterPiece {
 pub(super) struct StepsPerLength(pub(super) f32);
 
 impl MatterPiece {
-    /// One step, with the transmittance in front of it.
     #[inline(always)]
     pub(super) fn of(step: &Step, transmittance: f32, ray: &StepsPerLength) -> Self {
         let length = (step.s1 - step.s0) * ray.0;

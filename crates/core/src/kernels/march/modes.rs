@@ -8,7 +8,7 @@
 use glam::Vec3;
 
 use super::grid::Lanes;
-use super::{Lattice, Marcher, Advance, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use super::{Advance, Lattice, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};

@@ -12,13 +12,12 @@
 //! it.
 
 use super::modes::Surface;
-use super::{Lattice, Advance, Sink, Step};
+use super::{Advance, Lattice, Sink, Step};
 use crate::clip::Clip;
 use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
 use crate::volume::{Sheet, Volume, has_lesser_bodies};
 
-/// The surfaces for lighting.
 pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
     let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
     surfaces.iter().map(sheet).collect()

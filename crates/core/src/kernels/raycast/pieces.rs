@@ -72,7 +72,6 @@ pub(super) struct Sum {
     before: f32,
     /// Opacity of the column, mixed over its lists.
     mixed: f32,
-    /// Transmittance of the list.
     of_list: f32,
 }
 

@@ -10,7 +10,7 @@
 
 use glam::Vec4;
 
-use super::line::{Columns, PixelSpan, ColumnSpans, greater, lesser};
+use super::line::{ColumnSpans, Columns, PixelSpan, greater, lesser};
 use super::{CastOptions, LANES, MIN_NEARNESS, Raycaster, Reconstruction};
 use crate::layer::{Over, Projected};
 use crate::mode::Compositing;
@@ -39,7 +39,6 @@ impl Way {
 }
 
 impl Raycaster {
-    /// What a line collects.
     pub(super) fn project_line(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         match options.reconstruction {
             Reconstruction::Mixed => self.project::<LANES>(line, options),

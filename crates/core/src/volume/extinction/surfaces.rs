@@ -216,7 +216,6 @@ impl Extinction {
 
 /// Rows and columns of samples on a face.
 const FACE_SAMPLES: i32 = 128;
-/// Transmittance of a full cell.
 const FULL_TRANSMITTANCE: f32 = 1e-6;
 
 #[cfg(test)]
