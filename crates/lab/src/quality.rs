@@ -60,7 +60,7 @@ pub struct QualityReport {
     /// The conditions of all rows.
     pub conditions: QualityConditions,
     /// One row for each scene, method, K, way of reading lists and turn.
-    pub rows: Vec<QualityRow>,
+    pub(crate) rows: Vec<QualityRow>,
 }
 
 /// The conditions of all rows in a report.
@@ -69,57 +69,44 @@ pub struct QualityConditions {
     /// The conditions of any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
-    /// Where the kernels ran.
-    pub backend: String,
-    /// Columns and rows of lists.
-    pub frame_size: [u32; 2],
+    pub(crate) backend: String,
+    pub(crate) frame_size: [u32; 2],
     /// Bits of a colour channel on the wire.
-    pub color_bits: u8,
+    pub(crate) color_bits: u8,
     /// Background of the pictures compared.
-    pub background: &'static str,
+    pub(crate) background: &'static str,
 }
 
 /// Means over a turn to either side.
 #[derive(Clone, Debug, Serialize)]
 pub struct QualityRow {
-    /// Name of the scene.
-    pub scene: String,
+    pub(crate) scene: String,
     /// Rule of the frame that was ray-cast, or the name of another [`Method`].
-    pub method: String,
+    pub(crate) method: String,
     /// Rule of the frame; none for `last-image`.
-    pub layering: Option<&'static str>,
+    pub(crate) layering: Option<&'static str>,
     /// Where the novel view was made: rivals run on the CPU; `None` for `last-image`.
-    pub view_backend: Option<String>,
+    pub(crate) view_backend: Option<String>,
     /// How lists were read; none for what does not ray-cast.
-    pub reconstruction: Option<&'static str>,
+    pub(crate) reconstruction: Option<&'static str>,
     /// K of the rule; 0 for `last-image`, 255 for unbounded lists.
-    pub k: u8,
-    /// Turn, degrees.
-    pub angle_deg: f32,
-    /// See [`ImageError`].
-    pub dssim: f64,
-    /// See [`ImageError`].
-    pub dssim_object: f64,
-    /// See [`ImageError`].
-    pub ssim: f64,
-    /// See [`ImageError`].
-    pub psnr_db: f64,
-    /// Greatest difference, 0 to 255.
-    pub max_abs_255: u8,
+    pub(crate) k: u8,
+    pub(crate) angle_deg: f32,
+    pub(crate) dssim: f64,
+    pub(crate) dssim_object: f64,
+    pub(crate) ssim: f64,
+    pub(crate) psnr_db: f64,
+    pub(crate) max_abs_255: u8,
     /// DSSIM of the frame after encoding and decoding; `None` for `last-image` and if it was not measured.
-    pub dssim_wire: Option<f64>,
-    /// Time to make the frame.
-    pub generate_ms: Option<f64>,
+    pub(crate) dssim_wire: Option<f64>,
+    pub(crate) generate_ms: Option<f64>,
     /// Time to prepare the frame for views, once.
-    pub prepare_ms: Option<f64>,
+    pub(crate) prepare_ms: Option<f64>,
     /// Time to cast it, or to draw it by another method.
-    pub novel_view_ms: Option<f64>,
-    /// Bytes of the encoded frame.
-    pub bytes: Option<usize>,
-    /// Segments in a list, over lists that have any.
-    pub segments_mean: Option<f64>,
-    /// Segments of the frame.
-    pub segments_total: Option<usize>,
+    pub(crate) novel_view_ms: Option<f64>,
+    pub(crate) bytes: Option<usize>,
+    pub(crate) segments_mean: Option<f64>,
+    pub(crate) segments_total: Option<usize>,
 }
 
 /// Measures. Takes minutes for the default scenes on the CPU.

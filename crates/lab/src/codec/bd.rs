@@ -15,10 +15,9 @@ use serde::Serialize;
 /// One measured point of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatePoint {
-    /// Bytes of a frame.
-    pub bytes: f64,
+    pub(crate) bytes: f64,
     /// Distortion, 0 to 1.
-    pub dssim: f64,
+    pub(crate) dssim: f64,
 }
 
 impl RatePoint {
@@ -32,11 +31,11 @@ impl RatePoint {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BdRate {
     /// Mean excess of the test's bytes over the anchor's, percent.
-    pub percent: f64,
+    pub(crate) percent: f64,
     /// The same only in the middle of the range.
-    pub middle_percent: f64,
+    pub(crate) middle_percent: f64,
     /// Where both curves begin and end, decibels.
-    pub range_db: [f64; 2],
+    pub(crate) range_db: [f64; 2],
 }
 
 /// Why two curves have no mean difference.

@@ -28,16 +28,12 @@ use isinglass_core::orbit::Orbit;
 /// The error of the picture after one turn of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distortion {
-    /// Turn of azimuth, degrees.
-    pub angle_deg: f32,
+    pub(crate) angle_deg: f32,
     /// Against the full volume rendering, see [`isinglass_core::image_error::ImageError`].
-    pub dssim: f64,
-    /// The same.
-    pub dssim_object: f64,
-    /// The same.
-    pub psnr_db: f64,
-    /// Time to make the picture.
-    pub novel_view_ms: f64,
+    pub(crate) dssim: f64,
+    pub(crate) dssim_object: f64,
+    pub(crate) psnr_db: f64,
+    pub(crate) novel_view_ms: f64,
 }
 
 /// A frame coded with one setting.

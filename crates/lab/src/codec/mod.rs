@@ -104,20 +104,20 @@ pub struct CodecReport {
     /// The conditions of all points.
     pub conditions: CodecConditions,
     /// Frames without coding.
-    pub uncoded: Vec<Uncoded>,
+    pub(crate) uncoded: Vec<Uncoded>,
     /// Every setting that was measured: in JSON a row for each turn.
     #[serde(rename = "rows", serialize_with = "rows_of")]
-    pub points: Vec<Point>,
+    pub(crate) points: Vec<Point>,
     /// Codecs against the anchor, scene by scene.
-    pub bd_rates: Vec<BdRow>,
+    pub(crate) bd_rates: Vec<BdRow>,
     /// Means of [`CodecReport::bd_rates`] over scenes.
-    pub bd_means: Vec<BdMean>,
+    pub(crate) bd_means: Vec<BdMean>,
     /// The cost of a moving camera.
-    pub sequences: Vec<SequenceRow>,
+    pub(crate) sequences: Vec<SequenceRow>,
     /// The gain by prediction there.
-    pub sequence_gains: Vec<SequenceBd>,
+    pub(crate) sequence_gains: Vec<SequenceBd>,
     /// The product's times on several threads.
-    pub times: Vec<TimeRow>,
+    pub(crate) times: Vec<TimeRow>,
 }
 
 /// The conditions of all points in a report.
@@ -127,80 +127,64 @@ pub struct CodecConditions {
     #[serde(flatten)]
     pub subject: SubjectConditions,
     /// Where frames were made and looked at.
-    pub backend: String,
+    pub(crate) backend: String,
     /// Processor clock for cycle counts, MHz; `None` if the system does not report it.
-    pub clock_mhz: Option<f64>,
+    pub(crate) clock_mhz: Option<f64>,
     /// The codec that others are compared with.
-    pub anchor: Option<String>,
+    pub(crate) anchor: Option<String>,
 }
 
 /// A frame without coding.
 #[derive(Clone, Debug, Serialize)]
 pub struct Uncoded {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The rule.
-    pub layering: &'static str,
-    /// Columns and rows of lists.
-    pub lists: [u32; 2],
-    /// Segments of the frame.
-    pub segments: usize,
-    /// Segments in a list, over lists that have any.
-    pub segments_mean: f64,
-    /// Time to make the frame.
-    pub generate_ms: f64,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) layering: &'static str,
+    pub(crate) lists: [u32; 2],
+    pub(crate) segments: usize,
+    pub(crate) segments_mean: f64,
+    pub(crate) generate_ms: f64,
     /// Errors from every turn.
-    pub distortion: Vec<Distortion>,
+    pub(crate) distortion: Vec<Distortion>,
 }
 
 /// A frame coded with one setting.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The codec.
+    pub(crate) scene: String,
+    pub(crate) k: u8,
     #[serde(rename = "method")]
-    pub codec: &'static str,
-    /// The rule of its frame.
-    pub layering: &'static str,
-    /// Columns and rows of lists.
-    pub lists: [u32; 2],
+    pub(crate) codec: &'static str,
+    pub(crate) layering: &'static str,
+    pub(crate) lists: [u32; 2],
     /// Segments in a list of the frame before it was coded, over lists that have any.
-    pub segments_mean: f64,
-    /// Time to make that frame.
-    pub generate_ms: f64,
-    /// Its settings.
-    pub settings: String,
-    /// Bytes of the coded frame.
-    pub bytes: usize,
+    pub(crate) segments_mean: f64,
+    pub(crate) generate_ms: f64,
+    pub(crate) settings: String,
+    pub(crate) bytes: usize,
     /// Bytes of colour, opacity and depth, where they are coded apart.
-    pub bytes_color_opacity_depth: Option<[usize; 3]>,
+    pub(crate) bytes_color_opacity_depth: Option<[usize; 3]>,
     /// Bits for each pixel of the picture.
-    pub bits_per_pixel: f64,
+    pub(crate) bits_per_pixel: f64,
     /// With 30 such frames a second, megabits.
-    pub mbit_s_at_30_hz: f64,
-    /// Time to encode, on one thread.
-    pub encode_ms: f64,
+    pub(crate) mbit_s_at_30_hz: f64,
+    pub(crate) encode_ms: f64,
     /// Time to decode; none where the encoder tells what a decoder gets.
-    pub decode_ms: Option<f64>,
+    pub(crate) decode_ms: Option<f64>,
     /// The same for each pixel, nanoseconds.
-    pub encode_ns_per_pixel: f64,
+    pub(crate) encode_ns_per_pixel: f64,
     /// Time to decode a pixel.
-    pub decode_ns_per_pixel: Option<f64>,
+    pub(crate) decode_ns_per_pixel: Option<f64>,
     /// Cycles to encode a pixel at the clock of the conditions.
-    pub encode_cycles_per_pixel: Option<f64>,
+    pub(crate) encode_cycles_per_pixel: Option<f64>,
     /// Cycles to decode a pixel.
-    pub decode_cycles_per_pixel: Option<f64>,
+    pub(crate) decode_cycles_per_pixel: Option<f64>,
     /// Errors from every turn.
     #[serde(skip)]
-    pub distortion: Vec<Distortion>,
+    pub(crate) distortion: Vec<Distortion>,
     /// Turns at which no other setting of the codec beats this one in bytes and DSSIM both, degrees.
     #[serde(skip)]
-    pub on_front_deg: Vec<f32>,
+    pub(crate) on_front_deg: Vec<f32>,
 }
 
 /// A coded frame from one turn, for JSON.
@@ -227,41 +211,35 @@ fn rows_of<S: Serializer>(points: &[Point], serializer: S) -> Result<S::Ok, S::E
 /// A codec against the anchor.
 #[derive(Clone, Debug, Serialize)]
 pub struct BdRow {
-    /// Name of the scene.
-    pub scene: String,
+    pub(crate) scene: String,
     /// K of both; `None` if each has the best K at each rate.
-    pub k: Option<u8>,
-    /// The codec.
-    pub codec: &'static str,
-    /// Turn, degrees.
-    pub angle_deg: f32,
+    pub(crate) k: Option<u8>,
+    pub(crate) codec: &'static str,
+    pub(crate) angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
-    pub bd_rate_percent: Option<f64>,
+    pub(crate) bd_rate_percent: Option<f64>,
     /// The difference in the middle of the shared qualities, percent.
-    pub middle_percent: Option<f64>,
+    pub(crate) middle_percent: Option<f64>,
     /// The shared qualities, decibels of DSSIM.
-    pub range_db: Option<[f64; 2]>,
+    pub(crate) range_db: Option<[f64; 2]>,
     /// Why there is no mean difference.
-    pub refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
 /// Mean over scenes.
 #[derive(Clone, Debug, Serialize)]
 pub struct BdMean {
     /// See [`BdRow::k`].
-    pub k: Option<u8>,
-    /// The codec.
-    pub codec: &'static str,
-    /// Turn, degrees.
-    pub angle_deg: f32,
+    pub(crate) k: Option<u8>,
+    pub(crate) codec: &'static str,
+    pub(crate) angle_deg: f32,
     /// Mean of the scenes that have one, percent.
-    pub bd_rate_percent: Option<f64>,
+    pub(crate) bd_rate_percent: Option<f64>,
     /// Mean of the differences in the middle of the curves, percent.
-    pub middle_percent: Option<f64>,
-    /// Scenes with a mean difference.
-    pub scenes: usize,
+    pub(crate) middle_percent: Option<f64>,
+    pub(crate) scenes: usize,
     /// Scenes without: curves that share no quality, or are none.
-    pub refused: usize,
+    pub(crate) refused: usize,
 }
 
 /// The names of this build's codecs.

@@ -81,59 +81,49 @@ impl SequenceOptions {
 /// The cost of a moving camera with one codec at one setting.
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The codec.
-    pub codec: &'static str,
-    /// Its settings.
-    pub settings: String,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) codec: &'static str,
+    pub(crate) settings: String,
     /// Whether frames are predicted from earlier ones.
-    pub is_predicted: bool,
-    /// Degrees per second.
-    pub degrees_per_second: f32,
-    /// Frames of the sequence.
-    pub frames: u32,
+    pub(crate) is_predicted: bool,
+    pub(crate) degrees_per_second: f32,
+    pub(crate) frames: u32,
     /// Mean bytes of a frame while the camera moves, without the first.
-    pub bytes_moving: f64,
+    pub(crate) bytes_moving: f64,
     /// Mean bytes while it rests; `None` if it never does.
-    pub bytes_resting: Option<f64>,
+    pub(crate) bytes_resting: Option<f64>,
     /// Mean bytes of the same frames, each coded alone with the same setting.
-    pub bytes_intra: f64,
+    pub(crate) bytes_intra: f64,
     /// Megabits per second, including the rest.
-    pub mbit_s_at_30_hz: f64,
+    pub(crate) mbit_s_at_30_hz: f64,
     /// Saving of a moving frame against one that is coded alone, percent.
-    pub saving_percent: f64,
+    pub(crate) saving_percent: f64,
     /// Means over compared moving frames, each turned from its own pose; without the first.
-    pub distortion: Vec<Distortion>,
+    pub(crate) distortion: Vec<Distortion>,
     /// The one at 0°, if requested.
-    pub dssim: Option<f64>,
-    /// The same.
-    pub psnr_db: Option<f64>,
+    pub(crate) dssim: Option<f64>,
+    pub(crate) psnr_db: Option<f64>,
     /// Mean time to encode a frame that moves, on one thread; of blocks alone.
-    pub encode_ms: Option<f64>,
+    pub(crate) encode_ms: Option<f64>,
     /// Mean time to decode one of those that are compared.
-    pub decode_ms: Option<f64>,
-    /// Bytes of every frame.
-    pub bytes: Vec<usize>,
+    pub(crate) decode_ms: Option<f64>,
+    pub(crate) bytes: Vec<usize>,
 }
 
 /// The gain by prediction in moving frames, at the same quality.
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceBd {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
     /// The codec, with prediction against itself without.
-    pub codec: &'static str,
+    pub(crate) codec: &'static str,
     /// Turn from the frames' own poses, degrees.
-    pub angle_deg: f32,
+    pub(crate) angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
-    pub bd_rate_percent: Option<f64>,
+    pub(crate) bd_rate_percent: Option<f64>,
     /// Why there is none.
-    pub refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
 /// The content of a sequence.

@@ -29,29 +29,24 @@ pub struct TimeOptions {
 /// Times of one coding on this many threads.
 #[derive(Clone, Debug, Serialize)]
 pub struct TimeRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The coding.
-    pub settings: &'static str,
-    /// Threads.
-    pub threads: usize,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) settings: &'static str,
+    pub(crate) threads: usize,
     /// A frame that is coded alone.
-    pub intra: Times,
+    pub(crate) intra: Times,
     /// The last of a few frames that are each predicted from the one before; none where the coding does not predict.
-    pub inter: Option<Times>,
+    pub(crate) inter: Option<Times>,
 }
 
 /// The cost of coding a frame: the least of all rounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Times {
     /// Time to encode, wall-clock milliseconds.
-    pub encode_ms: f64,
+    pub(crate) encode_ms: f64,
     /// Time to decode into a displayable frame.
-    pub decode_ms: f64,
-    /// Bytes of the frame.
-    pub bytes: usize,
+    pub(crate) decode_ms: f64,
+    pub(crate) bytes: usize,
 }
 
 /// Takes the times of every coding for every number of threads.
