@@ -1,4 +1,4 @@
-//! Which frame is shown: where frames come from, what is requested of the server, and how a frame on screen relates to
+//! Chooses the frame to show: the source of frames, the requests to the server, and how a displayed frame relates to
 //! the camera. Nothing here draws.
 
 use std::sync::Arc;
