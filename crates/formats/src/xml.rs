@@ -1,7 +1,7 @@
 //! The tags of an XML document with their places.
 //!
-//! `quick-xml` reads them as a stream. `roxmltree` needs the document as one text in memory, and a VTK file has gigabytes
-//! of numbers between its tags.
+//! `quick-xml` reads them as a stream. `roxmltree` needs the document as one text in memory, and a VTK file has
+//! gigabytes of numbers between its tags.
 
 use std::borrow::Cow;
 use std::io::{self, BufRead};

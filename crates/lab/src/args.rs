@@ -18,8 +18,9 @@ use serde::Serialize;
 /// Arguments of all tables.
 #[derive(Args)]
 pub(crate) struct CommonArgs {
-    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
-    /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
+    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a
+    /// built-in volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from
+    /// shared/data
     #[arg(value_name = "SCENE")]
     pub(crate) scenes: Vec<String>,
     /// Columns and rows of pictures, and by default of frames

@@ -307,7 +307,8 @@ mod tests {
         }
     }
 
-    /// Where there are no kept frames to cast, nothing is learnt of them, and a slow picture is made smaller all the same.
+    /// Where there are no kept frames to cast, nothing is learnt of them, and a slow picture is made smaller all the
+    /// same.
     #[test]
     fn without_kept_frames_the_picture_itself_counts() {
         let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);

@@ -1,21 +1,21 @@
-//! Novel views from several layered frames: older frames fill what the newest lacks (the open question of Mueller 1999).
-//! Twin of `shaders/combine.wgsl`.
+//! Novel views from several layered frames: older frames fill what the newest lacks (the open question of Mueller
+//! 1999). Twin of `shaders/combine.wgsl`.
 //!
-//! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, because every plane of the
-//! frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces. Each piece is cast
-//! from the newest frame that covers it.
+//! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, because every plane of
+//! the frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces. Each piece is
+//! cast from the newest frame that covers it.
 //!
 //! Frames of different cameras show the same matter by different segments, so a hard change would be a visible seam.
-//! Inside a frame's border its coverage c therefore grows from 0 to 1 over a band of a few lists. In the band, frames are
-//! mixed. Frame n has the weight w_n = c_n·Π_{m<n}(1 − c_m), normalised to a sum of 1, so a frame that is alone is shown
-//! as it is. The weights apply to extinctions, and through these to source colours:
+//! Inside a frame's border its coverage c therefore grows from 0 to 1 over a band of a few lists. In the band, frames
+//! are mixed. Frame n has the weight w_n = c_n·Π_{m<n}(1 − c_m), normalised to a sum of 1, so a frame that is alone
+//! is shown as it is. The weights apply to extinctions, and through these to source colours:
 //!
 //!   τ = Σ w_n·τ_n,  C = Σ w_n·τ_n·E_n / τ · (1 − e^−τ).
 //!
 //! In a projection the greatest key wins over all pieces, or colours add. In the band colours and keys are weighted.
 //!
-//! The newest frame's band is no wider than what the picture shows beyond its border. So a picture that lies inside the
-//! newest frame shows that frame alone. When the camera turns away, the band grows from nothing.
+//! The newest frame's band is no wider than what the picture shows beyond its border. So a picture that lies inside
+//! the newest frame shows that frame alone. When the camera turns away, the band grows from nothing.
 
 use glam::Vec3;
 use rayon::prelude::*;

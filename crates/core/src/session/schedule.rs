@@ -144,7 +144,8 @@ mod tests {
 
     /// What a pipeline with stations of constant times made.
     struct Run {
-        /// For each frame: when it was begun, generated, taken up by the coder, coded, taken up by the sender, sent; ms.
+        /// For each frame: when it was begun, generated, taken up by the coder, coded, taken up by the sender, sent;
+        /// ms.
         frames: Vec<[u64; 6]>,
     }
 

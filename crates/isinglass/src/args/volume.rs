@@ -19,8 +19,8 @@ use crate::memory::MemoryArgs;
 /// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
-    /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with
+    /// --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>)]
     pub(crate) volume: Option<String>,
     #[command(flatten)]

@@ -28,8 +28,8 @@ use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
-    /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the list of
-    /// processes; or a volume of this machine, as for `serve` [default: a page to choose one]
+    /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the
+    /// list of processes; or a volume of this machine, as for `serve` [default: a page to choose one]
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]

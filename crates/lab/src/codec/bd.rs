@@ -107,9 +107,9 @@ pub fn front(points: &[RatePoint]) -> Vec<usize> {
     order
 }
 
-/// Of points on the front in the order of their bytes, those that no mix of two others beats: the lower convex hull in bytes and
-/// DSSIM. A search over several steps leaves points that cost a third more for a hundredth less; nobody would choose
-/// them, and a curve through them is worse than its codec.
+/// Of points on the front in the order of their bytes, those that no mix of two others beats: the lower convex hull
+/// in bytes and DSSIM. A search over several steps leaves points that cost a third more for a hundredth less; nobody
+/// would choose them, and a curve through them is worse than its codec.
 fn hull(points: Vec<RatePoint>) -> Vec<RatePoint> {
     let mut hull: Vec<RatePoint> = Vec::with_capacity(points.len());
     for point in points {
@@ -184,8 +184,8 @@ impl Curve {
     }
 }
 
-/// Slopes at the points with which no piece overshoots: weighted harmonic means of the chords at both sides; at the ends the
-/// chord itself.
+/// Slopes at the points with which no piece overshoots: weighted harmonic means of the chords at both sides; at the
+/// ends the chord itself.
 fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
     let step: Vec<f64> = x.windows(2).map(|w| w[1] - w[0]).collect();
     let chord: Vec<f64> = y.windows(2).zip(&step).map(|(w, h)| (w[1] - w[0]) / h).collect();

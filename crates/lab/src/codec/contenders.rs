@@ -124,9 +124,9 @@ pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<C
     Ok(selected)
 }
 
-/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Levels of
-/// different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
-/// some out. Colours and opacities are half as large, too, if the ladder `has_half` of them.
+/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec).
+/// Levels of different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search
+/// may leave some out. Colours and opacities are half as large, too, if the ladder `has_half` of them.
 pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize, has_half: bool) -> Vec<(u32, usize)> {
     let top = num_levels - 1;
     let whole = (0..num_levels).map(|level| (1, level));

@@ -1,5 +1,5 @@
-//! High-throughput JPEG 2000 (ISO/IEC 15444-15) by `openjph-core`, a port of OpenJPH to Rust: the irreversible 9/7 wavelet
-//! in stated steps, code blocks of 64×64, one pass each.
+//! High-throughput JPEG 2000 (ISO/IEC 15444-15) by `openjph-core`, a port of OpenJPH to Rust: the irreversible 9/7
+//! wavelet in stated steps, code blocks of 64×64, one pass each.
 //!
 //! The port has no colour transform, so three channels go through the standard's irreversible one here. Samples are
 //! widened to 16 bits before: steps are in parts of the range, and rounding then shows in none.

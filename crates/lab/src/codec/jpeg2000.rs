@@ -91,8 +91,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Raster, LabError> {
     let mut memory = Memory { bytes: bytes.to_vec(), at: 0 };
     let stream = MemoryStream::new(&mut memory, true)?;
     let mut image = Image(ptr::null_mut());
-    // SAFETY: codec and stream live until the end of this function; the image is freed by its owner, whether it was made
-    // or not.
+    // SAFETY: codec and stream live until the end of this function; the image is freed by its owner, whether it was
+    // made or not.
     let is_done = unsafe {
         sys::opj_setup_decoder(codec.0, &mut parameters) != 0
             && sys::opj_read_header(stream.0, codec.0, &mut image.0) != 0
@@ -324,7 +324,8 @@ mod tests {
                 assert!(rms(&pair[0].decoded, &given) > rms(&pair[1].decoded, &given));
             }
             let psnr = -20.0 * rms(&coded[2].decoded, &given).log10();
-            // What it promises of all channels together is within a decibel or two: it estimates in the wavelet's domain.
+            // What it promises of all channels together is within a decibel or two: it estimates in the wavelet's
+            // domain.
             assert!((psnr - f64::from(LEVELS_DB[2])).abs() < 3.0, "{psnr}");
         }
     }

@@ -1,14 +1,14 @@
-//! A layered frame as planes that image codecs take, and back. Frames are cut at equal shares of the accumulated opacity
-//! ([`Rule::EqualTransmittance`]): only there do layers meet without gaps, so that k + 1 depths are enough.
+//! A layered frame as planes that image codecs take, and back. Frames are cut at equal shares of the accumulated
+//! opacity ([`Rule::EqualTransmittance`]): only there do layers meet without gaps, so that k + 1 depths are enough.
 //!
-//! [`Layout::Published`] is Lochmann 2016, section 4.3: for each layer colour C and opacity α, and k + 1 depths; what has
-//! no matter is zero. [`Layout::Weighted`] gives an image codec the transforms that help it most: colour by what it adds
-//! to the picture, W_i = k·κ_i·C_i with κ_i = 1 − (i/k)·α, κ_i being the transmittance in front of layer i; the opacity
-//! α of the whole list once, from which equal shares give every layer's; and depths at a fraction of the resolution,
-//! continued into where there is no matter.
+//! [`Layout::Published`] is Lochmann 2016, section 4.3: for each layer colour C and opacity α, and k + 1 depths; what
+//! has no matter is zero. [`Layout::Weighted`] gives an image codec the transforms that help it most: colour by what
+//! it adds to the picture, W_i = k·κ_i·C_i with κ_i = 1 − (i/k)·α, κ_i being the transmittance in front of layer i;
+//! the opacity α of the whole list once, from which equal shares give every layer's; and depths at a fraction of the
+//! resolution, continued into where there is no matter.
 //!
-//! Both send square roots of colours, as pictures do, and both decoders clamp a layer's colour to what its opacity can
-//! emit: ringing beside an edge costs the rivals more than anything else.
+//! Both send square roots of colours, as pictures do, and both decoders clamp a layer's colour to what its opacity
+//! can emit: ringing beside an edge costs the rivals more than anything else.
 
 use crate::rules::Rule;
 use glam::Vec3;
@@ -44,8 +44,8 @@ impl Part {
 impl Layout {
     pub(crate) const LAYERING: Rule = Rule::EqualTransmittance;
 
-    /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times smaller on either
-    /// side.
+    /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times
+    /// smaller on either side.
     pub(crate) fn split(self, frame: &LayeredFrame, part: Part, max_bits: u8, divisor: u32) -> Vec<Raster> {
         let intrinsics = frame.header.camera.intrinsics;
         let size = [intrinsics.width, intrinsics.height];
@@ -294,8 +294,8 @@ mod tests {
         let frame = frame(Layout::LAYERING, 4);
         for layout in [Layout::Published, Layout::Weighted] {
             let same = rejoined(layout, &frame, 16, [1; 3]);
-            // Half a step of 8 bits on the root of C is up to 1/255 on C and half that on α, and four layers are over one
-            // another. Weighted: half a step of 10 bits, and what is below LEAST_ALPHA.
+            // Half a step of 8 bits on the root of C is up to 1/255 on C and half that on α, and four layers are over
+            // one another. Weighted: half a step of 10 bits, and what is below LEAST_ALPHA.
             assert!(error(&frame, &same) < 0.02, "{layout:?}: {}", error(&frame, &same));
             let coarse = rejoined(layout, &frame, 3, [1; 3]);
             assert!(error(&frame, &coarse) > 0.04, "{layout:?}: {}", error(&frame, &coarse));

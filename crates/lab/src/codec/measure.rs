@@ -179,8 +179,8 @@ impl Judge<'_> {
         let mut coded: [HashMap<Rung, CodedPart>; 3] = Default::default();
         let mut places: HashMap<[Rung; 3], usize> = HashMap::new();
         let mut all: Vec<Measured> = Vec::new();
-        // With planes of half the size and without, as a climb that begins with them may never find what is best without; and for
-        // all turns together and for each, as depths matter at some only.
+        // With planes of half the size and without, as a climb that begins with them may never find what is best
+        // without; and for all turns together and for each, as depths matter at some only.
         for (has_half, aim) in
             [false, true].into_iter().flat_map(|h| aims(self.truths.len()).map(move |a| (h, a)))
         {

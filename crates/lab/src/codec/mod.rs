@@ -1,9 +1,9 @@
 //! Rate and distortion of codecs on the same layered frames.
 //!
-//! Distortion is what the viewer sees: the coded frame is ray-cast from turned cameras and compared with the full volume
-//! rendering from there, so the loss of the layers counts as well as that of their coding. Each codec is given frames of
-//! the rule it needs, its own transforms and a search of its settings ([`search`](self), [`layout`](self)); points that
-//! others of the same codec beat do not count. Curves are compared by [`bd`].
+//! Distortion is what the viewer sees: the coded frame is ray-cast from turned cameras and compared with the full
+//! volume rendering from there, so the loss of the layers counts as well as that of their coding. Each codec is given
+//! frames of the rule it needs, its own transforms and a search of its settings ([`search`](self), [`layout`](self));
+//! points that others of the same codec beat do not count. Curves are compared by [`bd`].
 //!
 //! Coding runs on one thread, and times are those that it computed. The codecs of others are there in builds with the
 //! feature `rivals` only: the product carries none of them.
@@ -66,13 +66,13 @@ pub struct CodecOptions {
     pub subject: Subject,
     /// Names out of [`codec_names`]; all if empty.
     pub codecs: Vec<String>,
-    /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where that is
-    /// measured, or else `blocks-planes`.
+    /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where
+    /// that is measured, or else `blocks-planes`.
     pub anchor: Option<String>,
     /// Where frames are made and looked at.
     pub backend: BackendChoice,
-    /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
-    /// are as published, and for a moving camera, where frames are as large as pictures.
+    /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those
+    /// that are as published, and for a moving camera, where frames are as large as pictures.
     pub list_scales: Vec<f32>,
     /// Turns in degrees that blocks may be tuned for; `None` for all of them.
     pub turns_deg: Vec<Option<u8>>,

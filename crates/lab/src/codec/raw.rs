@@ -63,8 +63,8 @@ impl Compressor {
 }
 
 /// A byte of length for each list; then for each segment red, green, blue and optical depth as halves; then for each
-/// segment front and back: scenery's buffers for colour and depth, without the slots it leaves empty, and of half floats
-/// and 16-bit depths in place of single floats.
+/// segment front and back: scenery's buffers for colour and depth, without the slots it leaves empty, and of half
+/// floats and 16-bit depths in place of single floats.
 fn raw_from_frame(frame: &LayeredFrame) -> Vec<u8> {
     let mut raw: Vec<u8> = frame.offsets.windows(2).map(|w| (w[1] - w[0]) as u8).collect();
     let colors = frame.c_rg.iter().zip(&frame.c_b_tau).flat_map(|(rg, b_tau)| [rg, b_tau]);

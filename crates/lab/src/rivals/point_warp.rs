@@ -1,10 +1,10 @@
 //! Zellmann 2012, Image-based remote real-time volume rendering: every pixel of the last picture is a point at one
 //! representative depth, and the points are drawn from the new camera.
 //!
-//! Points are squares half as wide again as the pixel's area at its depth appears from the new camera, so that a plane
-//! parallel to the old picture has no cracks and one turned towards the new camera few; they are composited with *over* in an order that needs no sort ([`ScanOrder`]).
-//! The depth of a pixel is the mean depth of the light in it: each segment counts with what it adds to the pixel's
-//! opacity, at the mean depth of its own light.
+//! Points are squares half as wide again as the pixel's area at its depth appears from the new camera, so that a
+//! plane parallel to the old picture has no cracks and one turned towards the new camera few; they are composited
+//! with *over* in an order that needs no sort ([`ScanOrder`]). The depth of a pixel is the mean depth of the light in
+//! it: each segment counts with what it adds to the pixel's opacity, at the mean depth of its own light.
 
 use isinglass_core::camera::{Basis, Camera};
 use isinglass_core::kernels::raycast::opacity;

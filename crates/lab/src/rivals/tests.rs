@@ -129,7 +129,8 @@ fn moves_matter(method: Method, share: f32) -> bool {
     (shift(method, share) - 8.0).abs() < 0.1
 }
 
-/// Whether red matter in front and blue matter behind, in the same pixels, come apart as they should when the eye moves.
+/// Whether red matter in front and blue matter behind, in the same pixels, come apart as they should when the eye
+/// moves.
 fn separates(method: Method, front: f32, back: f32) -> bool {
     // So thin that red does not dim the part of blue behind it.
     let frame = square(vec![thin(front, RED, 0.01), thin(back, BLUE, 0.01)]);

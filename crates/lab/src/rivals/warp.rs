@@ -46,7 +46,8 @@ impl Warp {
 /// points that can meet in a new pixel lie on one line through the epipole. Let θ be a point's angle at the old eye
 /// from the direction of the new eye, and φ > θ its angle at the new eye: by the law of sines it is
 /// |eyes apart|·sin θ/sin(φ − θ) away from the new eye, which grows with θ. So if the new eye lies in front of the old,
-/// points nearer to the epipole are in front; if it lies behind, θ is counted from the other side and it is the reverse.
+/// points nearer to the epipole are in front; if it lies behind, θ is counted from the other side and it is the
+/// reverse.
 pub(super) struct ScanOrder {
     pub(super) rows: Vec<u32>,
     pub(super) columns: Vec<u32>,

@@ -1,14 +1,14 @@
-//! Segments of like colour (Frey 2013; Gupta 2022, section 3): a segment ends where the next sample differs from it by
-//! more than a threshold, and where matter ends.
+//! Segments of like colour (Frey 2013; Gupta 2022, section 3): a segment ends where the next sample differs from it
+//! by more than a threshold, and where matter ends.
 //!
-//! What is compared is the premultiplied colour of the segment over the length of the sample, and that of the sample, by
-//! their Euclidean distance. The threshold is found ray by ray, by bisection, so that the number of segments is at most
-//! K and at least 85 % of K, with one march for every threshold that is tried and one more that writes, as published.
-//! Nothing ends at opaque matter.
+//! What is compared is the premultiplied colour of the segment over the length of the sample, and that of the sample,
+//! by their Euclidean distance. The threshold is found ray by ray, by bisection, so that the number of segments is at
+//! most K and at least 85 % of K, with one march for every threshold that is tried and one more that writes, as
+//! published. Nothing ends at opaque matter.
 //!
 //! Gaps are not stored. Only on a ray with more than K pieces of matter some gaps must be: there a gap is compared
-//! like a sample, transparent ones being black, and ends a segment only if it differs. Whatever threshold is found, the
-//! K-th segment takes what is left.
+//! like a sample, transparent ones being black, and ends a segment only if it differs. Whatever threshold is found,
+//! the K-th segment takes what is left.
 
 use isinglass_core::kernels::march::{Advance, Sink, Step};
 use isinglass_core::kernels::raycast::opacity;

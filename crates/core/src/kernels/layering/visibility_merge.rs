@@ -1,19 +1,20 @@
 //! Lists by one march, whose segments err by no more than a threshold that the whole frame shares (ours). Twin of
 //! `shaders/layering/visibility_merge.wgsl`; [`super::stream`] makes segments of steps.
 //!
-//! *Error of a segment.* A new ray reads a segment as a homogeneous medium. On its way through the segment's matter, the
-//! old ray collects the opacity α(s) and the colour C(s); through the medium it collects α̂(s) and Ĉ(s). Both agree at
-//! the two ends. The error is the displacement of what is collected, in steps of length h, weighted by its visibility:
+//! *Error of a segment.* A new ray reads a segment as a homogeneous medium. On its way through the segment's matter,
+//! the old ray collects the opacity α(s) and the colour C(s); through the medium it collects α̂(s) and Ĉ(s). Both
+//! agree at the two ends. The error is the displacement of what is collected, in steps of length h, weighted by its
+//! visibility:
 //!
 //! ```text
 //! e = max(κ, 0.1) · (L/h)^¼ · max(|α·(μ − μ̂)| + α·|σ − σ̂|, 6·|C·(μ_C − μ̂)|) / h
 //! ```
 //!
-//! κ is the transmittance in front, and L the length. μ and σ are the mean and the standard deviation of the distance at
-//! which opacity is collected; μ_C is the mean for colour. They follow from integrals of dα, s·dα, s²·dα and s·dC. These
-//! are additive, so the error of a union costs a few operations, and opposite errors cancel. Those of the medium have
-//! closed forms (`even_moments`). Hidden matter keeps a tenth of its weight, because a turned camera sees it. The power
-//! of the length keeps distant matter apart.
+//! κ is the transmittance in front, and L the length. μ and σ are the mean and the standard deviation of the distance
+//! at which opacity is collected; μ_C is the mean for colour. They follow from integrals of dα, s·dα, s²·dα and s·dC.
+//! These are additive, so the error of a union costs a few operations, and opposite errors cancel. Those of the
+//! medium have closed forms (`even_moments`). Hidden matter keeps a tenth of its weight, because a turned camera sees
+//! it. The power of the length keeps distant matter apart.
 
 use glam::Vec3;
 

@@ -1,12 +1,12 @@
-//! Casts a projection: nothing hides anything, so the order of segments does not matter. Twin of the branches for it in
-//! `shaders/raycast.wgsl`.
+//! Casts a projection: nothing hides anything, so the order of segments does not matter. Twin of the branches for it
+//! in `shaders/raycast.wgsl`.
 //!
 //! Each of the two lists that a ray runs between is reduced to a colour and a key per column, and both are mixed by
 //! nearness. Over the columns the greatest key wins, or colours add. A [`Medium`](super::media::Medium) holds
 //! - for the greatest: the colour in place of E and the key in place of σ;
-//! - for the mean: in place of E, the segment's part of the integral over its list's path through the box ([`Way`]); in
-//!   place of σ, the inverse of its length. A new ray takes the share that it crosses, and divides by its own path in the
-//!   end. Both paths are found alike, so they cancel at the frame's own pose.
+//! - for the mean: in place of E, the segment's part of the integral over its list's path through the box ([`Way`]);
+//!   in place of σ, the inverse of its length. A new ray takes the share that it crosses, and divides by its own path
+//!   in the end. Both paths are found alike, so they cancel at the frame's own pose.
 
 use glam::Vec4;
 
