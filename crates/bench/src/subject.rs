@@ -151,7 +151,6 @@ pub struct SubjectConditions {
     pub(crate) isos: Isos,
     /// The visible part of the volumes.
     pub(crate) clip: Clip,
-    /// The part of each file.
     pub(crate) part: Selection,
     pub(crate) shading: bool,
     pub(crate) threads: usize,

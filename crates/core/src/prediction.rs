@@ -30,7 +30,6 @@ pub struct Predictor {
     horizon: Horizon,
 }
 
-/// A displayed pose.
 #[derive(Clone, Copy, Debug)]
 struct Observation {
     at: Duration,

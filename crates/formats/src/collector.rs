@@ -221,7 +221,6 @@ impl<'a> Collector<'a> {
         Ok(self.sink.as_mut().expect("it was made above"))
     }
 
-    /// Returns the voxels.
     pub(crate) fn finish(mut self) -> Result<Decoded, FormatError> {
         let taken = self.sink()?.len() as u64;
         if taken != self.chosen.num_voxels {

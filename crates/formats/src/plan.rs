@@ -14,7 +14,6 @@ use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
 
-/// An axis of the numbers in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Axis {
     pub(crate) size: u64,
@@ -41,7 +40,6 @@ impl Axis {
     }
 }
 
-/// The contents of a header.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     /// Name and variant of the format, such as `NIfTI-1, gzip`.

@@ -12,7 +12,6 @@ use quick_xml::{Reader, XmlVersion};
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct XmlTag {
-    /// Its name, without a prefix.
     pub(crate) name: String,
     /// Whether it ends an element, `</name>`.
     pub(crate) is_end: bool,
@@ -22,7 +21,6 @@ pub(crate) struct XmlTag {
 }
 
 impl XmlTag {
-    /// The value of an attribute.
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
     }

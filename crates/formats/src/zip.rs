@@ -10,7 +10,6 @@ use rawzip::{ErrorKind, RECOMMENDED_BUFFER_SIZE, ZipArchive};
 
 use crate::error::{FormatError, io_error, malformed};
 
-/// A file in an archive.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub(crate) name: String,

@@ -453,7 +453,6 @@ fn pipeline_of_text(
     })
 }
 
-/// The compiled text of a kernel.
 pub(crate) fn shader_module(device: &wgpu::Device, kernel: Kernel) -> wgpu::ShaderModule {
     module_of_text(device, &kernel.source())
 }

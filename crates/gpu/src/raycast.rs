@@ -144,7 +144,6 @@ impl FrameOnGpu {
         is_written
     }
 
-    /// Sets how the frame is cast.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         if self.options == *options {
             return;
@@ -170,7 +169,6 @@ impl FrameOnGpu {
         self.compositing
     }
 
-    /// The uniform of the casting kernels.
     pub(crate) fn uniform(&self) -> Raycaster {
         self.uniform
     }

@@ -102,7 +102,6 @@ impl Kernel {
         }
     }
 
-    /// The whole WGSL text.
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
             Self::Render(kind, mode, extent) => {

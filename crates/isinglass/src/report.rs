@@ -47,7 +47,6 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
     ExitCode::from(USAGE)
 }
 
-/// Reports a failure in one line.
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     // Some bad usage only appears when several arguments are combined.
     if let Some(error) = error.downcast_ref() {

@@ -40,7 +40,6 @@ impl StateArgs {
         self.state.is_some()
     }
 
-    /// The file or link.
     pub(crate) fn text(&self) -> Option<&str> {
         self.state.as_deref()
     }
@@ -274,7 +273,6 @@ impl Seen {
         if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
     }
 
-    /// The background behind the volume.
     pub(crate) fn background(&self, flag: [u8; 3]) -> [u8; 3] {
         match self.state.view.background {
             Some(Srgb(rgb)) if !self.given.has("background") => rgb,

@@ -249,7 +249,6 @@ fn measure_scene(
     Ok(())
 }
 
-/// A frame to measure.
 struct Made {
     rule: Rule,
     k: u8,

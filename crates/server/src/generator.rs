@@ -28,7 +28,6 @@ pub(crate) struct Generator {
     pictures: Arc<Semaphore>,
 }
 
-/// A frame and its cost.
 pub(crate) struct Generated {
     pub(crate) frame: LayeredFrame,
     /// Time for marching and layering, µs.

@@ -84,10 +84,8 @@ pub(crate) struct Pipeline {
     coders: Coders,
     schedule: Schedule,
     generating: Option<At<Outcome, (Asked, Wish)>>,
-    /// Generated, waits for the coder.
     made: Option<(Asked, Generated)>,
     coding: Option<At<Result<Coded, CodecError>, Ticket>>,
-    /// Coded, waits for the network.
     coded: Option<Coded>,
     sending: Option<At<Result<Sent, SessionClosed>, Ticket>>,
 }

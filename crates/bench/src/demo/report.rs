@@ -21,7 +21,6 @@ use crate::output::{Rgb8, write_whole};
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     pub(crate) source: String,
-    /// The part of its file.
     pub(crate) part: Selection,
     pub(crate) size: [u32; 2],
     /// Method of the pictures: `layers`, or a rival.
@@ -45,7 +44,6 @@ pub struct Report {
     pub(crate) backend: String,
     /// Displayed pictures, one per refresh.
     pub(crate) frames_shown: usize,
-    /// Mean DSSIM of the displayed pictures.
     pub(crate) dssim_shown_mean: f64,
     pub(crate) dssim_shown_p95: f64,
     /// Mean DSSIM of the newest server image at the same moments, displayed unchanged.

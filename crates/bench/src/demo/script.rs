@@ -14,7 +14,6 @@ use isinglass_core::orbit::Orbit;
 pub(crate) enum Motion {
     /// An orbit at constant speed, forward and back.
     Orbit {
-        /// Where it begins.
         start: Orbit,
         degrees_per_second: f32,
     },
@@ -29,7 +28,6 @@ impl Motion {
     }
 }
 
-/// A motion with its rests.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Script {
     motion: Motion,

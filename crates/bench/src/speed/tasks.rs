@@ -29,7 +29,6 @@ pub(super) struct Tasks<'a> {
     dims: [u32; 3],
     orbit: Orbit,
     renderer: Renderer,
-    /// Turned cameras, one per angle.
     turned: Vec<Camera>,
     frames: Vec<MadeFrame>,
     tasks: Vec<Task>,
@@ -193,7 +192,6 @@ impl<'a> Tasks<'a> {
         }
     }
 
-    /// All rows after the rounds.
     pub(super) fn rows(&mut self, source: &SceneSource, rows: &mut Vec<SpeedRow>) -> Result<(), BenchError> {
         let truths: Vec<Picture> =
             self.turned.iter().map(|camera| self.renderer.render(camera)).collect::<Result<_, _>>()?;

@@ -12,7 +12,6 @@ pub(crate) struct Taken {
 }
 
 impl Taken {
-    /// The width left for a pane.
     pub(crate) fn width(&self, ctx: &egui::Context) -> f32 {
         ctx.content_rect().width() - self.left - self.right
     }

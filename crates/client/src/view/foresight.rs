@@ -26,7 +26,6 @@ impl Foresight {
     pub const NONE: Self = Self { predicts: false, guards: false, keeps: false };
 }
 
-/// The server's limits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     /// Most columns or rows.

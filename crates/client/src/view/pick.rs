@@ -67,9 +67,7 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     tau
 }
 
-/// Steps along the ray.
 const NUM_STEPS: usize = 512;
-/// Least visible opacity.
 const LEAST_OPACITY: f32 = 0.02;
 
 #[cfg(test)]

@@ -27,7 +27,6 @@ pub struct Schedule {
     decode_nanos_per_list: u16,
 }
 
-/// The state of one station.
 #[derive(Clone, Copy, Debug, Default)]
 struct At {
     time: Estimate,

@@ -182,7 +182,6 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
     (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * at) as f32
 }
 
-/// Number of bins for floats.
 const NUM_BINS: usize = 65_536;
 /// Voxels in one thread's share: many times the bins.
 const PART: usize = 1 << 21;

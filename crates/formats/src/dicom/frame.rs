@@ -140,7 +140,6 @@ fn is_near<const N: usize>(a: &Option<[f64; N]>, b: &Option<[f64; N]>, most: f64
 pub(super) struct FileStack {
     pub(super) shape: Shape,
     pub(super) series_uid: String,
-    /// Description of the series.
     pub(super) name: String,
     pub(super) modality: Option<String>,
     pub(super) value_unit: Option<String>,

@@ -43,7 +43,6 @@ impl Axes {
     }
 }
 
-/// The kind of an axis in lower case.
 fn kind(header: &NrrdHeader, axis: usize) -> String {
     header.kinds.as_ref().map_or("???", |k| &k[axis]).to_ascii_lowercase()
 }

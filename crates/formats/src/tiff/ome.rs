@@ -13,7 +13,6 @@ pub(super) fn is_ome(text: &str) -> bool {
     text.get(..text.len().min(4096)).or_else(|| text.get(..1000)).unwrap_or(text).contains("<OME")
 }
 
-/// The contents of a description.
 pub(super) struct Ome {
     images: Vec<Image>,
     /// Another file that contains the description.
@@ -29,7 +28,6 @@ struct Image {
 }
 
 impl Image {
-    /// An attribute of its pixels.
     fn get(&self, name: &str) -> Option<&str> {
         self.pixels.as_ref()?.get(name)
     }

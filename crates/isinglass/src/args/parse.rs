@@ -91,7 +91,6 @@ pub(crate) fn parse_fov(text: &str) -> Result<f32, String> {
     degrees.ok_or_else(|| "expected 1 to 170 degrees".into())
 }
 
-/// A list length.
 pub(crate) fn parse_k(text: &str) -> Result<u8, String> {
     let k = text.parse::<u8>().ok().filter(|&k| (1..=MAX_K).contains(&usize::from(k)));
     k.ok_or_else(|| format!("expected 1 to {MAX_K}"))

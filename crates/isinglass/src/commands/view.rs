@@ -180,7 +180,6 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     write_path(args.record.as_deref(), recorder.as_deref())
 }
 
-/// Writes the recorded camera path.
 fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Result<()> {
     if let (Some(file), Some(recorder)) = (file, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
@@ -205,7 +204,6 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     Ok((client, waker))
 }
 
-/// The link in the first line of a text.
 fn read_link(text: impl BufRead) -> Result<Link> {
     let mut line = String::new();
     text.take(LONGEST_LINK).read_line(&mut line).context("standard input")?;

@@ -9,7 +9,6 @@ pub(super) struct Known {
     /// The table in the file, and the first part of the variable's name.
     pub(super) section: &'static str,
     pub(super) key: &'static str,
-    /// The field of the flag.
     pub(super) arg: &'static str,
     /// The commands with this flag. The first one's file, `server.toml` or `viewer.toml`, may contain the setting.
     pub(super) commands: &'static [&'static str],

@@ -53,10 +53,8 @@ pub(crate) enum Kind {
     Sequence,
 }
 
-/// A coded picture of a sequence.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
-    /// Its place in the sequence.
     pub(crate) index: u64,
     pub(crate) bytes: usize,
     pub(crate) decoded: Option<Raster>,

@@ -9,11 +9,9 @@ use super::raster::{ImageCodec, Png};
 use super::raw::Compressor;
 use crate::error::LabError;
 
-/// A codec with all of its settings.
 pub(crate) struct Contender {
     /// The name on the command line and in tables.
     pub(crate) name: &'static str,
-    /// How it codes.
     pub(crate) way: Way,
 }
 
@@ -28,7 +26,6 @@ pub(crate) enum Way {
 }
 
 impl Contender {
-    /// The rule of the frames it is given.
     pub(crate) fn layering(&self) -> Rule {
         match self.way {
             Way::Planes(..) => Layout::LAYERING,

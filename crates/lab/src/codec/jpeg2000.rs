@@ -180,7 +180,6 @@ impl Drop for Image {
     }
 }
 
-/// An encoder or decoder.
 struct Codec(*mut sys::opj_codec_t);
 
 impl Codec {

@@ -90,7 +90,6 @@ pub(crate) struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// The frame from every turn.
     pub(crate) fn distortion(&self, frame: LayeredFrame) -> Result<Vec<Distortion>, LabError> {
         distortion_of(self.backend, &self.bounds, &self.truths, frame)
     }
@@ -224,7 +223,6 @@ impl Judge<'_> {
 /// Divisor of the planes' size, and the level of their codec.
 type Rung = (u32, usize);
 
-/// The planes of a part, coded with one setting.
 struct CodedPart {
     bytes: usize,
     decoded: Vec<Raster>,

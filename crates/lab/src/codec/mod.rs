@@ -173,11 +173,9 @@ pub struct Point {
     pub(crate) decode_ms: Option<f64>,
     /// The same for each pixel, nanoseconds.
     pub(crate) encode_ns_per_pixel: f64,
-    /// Time to decode a pixel.
     pub(crate) decode_ns_per_pixel: Option<f64>,
     /// Cycles to encode a pixel at the clock of the conditions.
     pub(crate) encode_cycles_per_pixel: Option<f64>,
-    /// Cycles to decode a pixel.
     pub(crate) decode_cycles_per_pixel: Option<f64>,
     /// Errors from every turn.
     #[serde(skip)]
@@ -336,7 +334,6 @@ struct Run<'a> {
     times: Vec<TimeRow>,
 }
 
-/// A frame of the generating camera.
 struct Generated {
     layering: Rule,
     frame: LayeredFrame,

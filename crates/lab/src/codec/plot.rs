@@ -17,7 +17,6 @@ pub fn svg(report: &CodecReport) -> Result<String, LabError> {
     Ok(text)
 }
 
-/// A line of a chart.
 struct Series {
     label: String,
     color: RGBColor,
@@ -86,7 +85,6 @@ fn longest(all: &[Series]) -> u8 {
     all.iter().map(|s| s.k).max().unwrap_or(0)
 }
 
-/// The legend beside all charts.
 fn legend(area: &DrawingArea<SVGBackend<'_>, Shift>, all: &[Series]) -> Result<(), String> {
     let longest = longest(all);
     for (i, s) in all.iter().enumerate() {

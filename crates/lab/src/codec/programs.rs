@@ -50,7 +50,6 @@ impl Program {
         })
     }
 
-    /// Encoder and decoder.
     fn commands(self) -> [&'static str; 2] {
         match self {
             Self::JpegXl | Self::JpegXlModular => ["cjxl", "djxl"],

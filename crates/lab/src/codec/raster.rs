@@ -40,10 +40,8 @@ fn max_sample(bits: u8) -> f32 {
     ((1u32 << bits) - 1) as f32
 }
 
-/// The result of coding a raster.
 #[derive(Clone, Debug)]
 pub(crate) struct Coded {
-    /// Bytes of the coded raster.
     pub(crate) bytes: usize,
     pub(crate) decoded: Raster,
     pub(crate) encode_ms: f64,

@@ -126,7 +126,6 @@ pub struct SequenceBd {
     pub(crate) refused: Option<String>,
 }
 
-/// The content of a sequence.
 pub(super) struct Scene<'a> {
     pub(super) source: &'a SceneSource,
     pub(super) judge: &'a Judge<'a>,
@@ -385,7 +384,6 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
 struct Alone<'a> {
     contender: &'a Contender,
     judge: &'a Judge<'a>,
-    /// Setting of each part.
     at: [usize; 3],
     coded: CodedSequence,
 }

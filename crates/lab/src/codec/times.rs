@@ -131,7 +131,6 @@ impl Times {
     }
 }
 
-/// Speed of the orbit.
 const DEGREES_PER_SECOND: f64 = 30.0;
 /// Frames of the orbit: one alone, and predicted ones until the number of kept planes has settled.
 const FRAMES: u32 = 4;

@@ -7,7 +7,6 @@ use image_webp::{ColorType, WebPDecoder, WebPEncoder};
 use super::raster::{Coded, ImageCodec, Raster, code_through_bytes};
 use crate::error::LabError;
 
-/// Lossless WebP.
 pub(crate) struct WebP;
 
 impl ImageCodec for WebP {

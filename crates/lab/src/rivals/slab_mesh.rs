@@ -62,7 +62,6 @@ impl SlabMesh {
         })
     }
 
-    /// The triangles, nearest first.
     fn triangles(&self, camera: &Camera) -> Vec<Triangle> {
         let (slabs, new) = (&self.slabs, camera.basis());
         let [columns, rows] = slabs.num_tiles;

@@ -88,7 +88,6 @@ fn square(list: Vec<Segment>) -> Arc<LayeredFrame> {
     frame(|x, y| if inside.contains(&x) && inside.contains(&y) { list.clone() } else { vec![] })
 }
 
-/// Seeded lists with all that a list can have.
 fn busy_frame() -> Arc<LayeredFrame> {
     frame(|x, y| {
         let mut state = (y * SIDE + x).wrapping_mul(2_654_435_761);

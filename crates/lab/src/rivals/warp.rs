@@ -72,11 +72,9 @@ impl ScanOrder {
 
 /// Some rows of an unfinished picture; drawing goes behind what is there.
 pub(super) struct Band<'a> {
-    /// First row.
     pub(super) y0: usize,
     /// Row after the last.
     pub(super) y1: usize,
-    /// Columns.
     pub(super) width: usize,
     pixels: &'a mut [[f32; 4]],
 }

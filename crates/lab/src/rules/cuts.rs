@@ -7,7 +7,6 @@ use isinglass_core::kernels::march::{Advance, Sink, Step, TAU_MIN};
 
 use super::{OpenSegment, SegmentList, append, split};
 
-/// Cuts the content of one ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlaneCuts {
     k: usize,

@@ -33,7 +33,6 @@ struct Traced {
 struct Probe {
     name: &'static str,
     rays: Vec<Traced>,
-    /// View depths of the box.
     depths: (f32, f32),
     /// Sheets of the ray, as distances from the eye, if it is one of sheets.
     sheets: Vec<f32>,

@@ -150,7 +150,6 @@ impl<'a> Lister<'a> {
         Self { ray, stream: PieceStream::new(threshold, longest, lattice), transmittance: 1.0, list }
     }
 
-    /// Ends the ray.
     pub(super) fn finish(mut self) {
         let list = self.list;
         self.stream.finish(&self.ray, |matter| list.push(matter.all));

@@ -75,7 +75,6 @@ pub(in crate::kernels) fn clip_by_planes(
 
 /// The parts of a ray in successive columns of lists, or between all list borders for the nearest list.
 pub(super) struct ColumnSpans<const N: usize> {
-    /// The number of parts.
     pub(super) num: usize,
     /// Least depth, in units.
     pub(super) lo: [f32; N],

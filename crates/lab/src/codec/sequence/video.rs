@@ -16,7 +16,6 @@ pub(super) struct Video {
     at: [usize; 3],
     /// Streams by part and plane.
     streams: [Vec<Av1Stream>; 3],
-    /// Planes of kept frames, by frame.
     planes: BTreeMap<u32, Kept>,
     bytes: Vec<usize>,
 }
