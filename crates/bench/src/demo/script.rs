@@ -13,10 +13,7 @@ use isinglass_core::orbit::Orbit;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Motion {
     /// An orbit at constant speed, forward and back.
-    Orbit {
-        start: Orbit,
-        degrees_per_second: f32,
-    },
+    Orbit { start: Orbit, degrees_per_second: f32 },
     /// A recorded path, unchanged.
     Recorded(CameraPath),
 }
