@@ -143,7 +143,8 @@ pub struct SubjectConditions {
     /// Azimuth and elevation of the generating camera, degrees.
     pub(crate) orbit_deg: [f32; 2],
     pub(crate) distance_radii: f32,
-    pub(crate) angles_deg: Vec<f32>,
+    /// Turns, degrees.
+    pub angles_deg: Vec<f32>,
     /// Preset or file of all scenes; `None` for the one that suits each.
     pub(crate) transfer: Option<String>,
     /// What a pixel shows of its ray.
@@ -153,7 +154,8 @@ pub struct SubjectConditions {
     pub(crate) clip: Clip,
     pub(crate) part: Selection,
     pub(crate) shading: bool,
-    pub(crate) threads: usize,
+    /// Threads of the CPU.
+    pub threads: usize,
     /// Scenes with missing rows, and the cause.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,

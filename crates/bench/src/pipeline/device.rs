@@ -14,7 +14,7 @@ use isinglass_formats::OpenedScene;
 
 /// Medians over a few turns of the camera, by timestamps, ms.
 #[derive(Clone, Debug, Serialize)]
-pub struct DeviceTimes {
+pub(crate) struct DeviceTimes {
     pub(crate) generate_ms: f64,
     /// A rendering that does not stop at opaque matter, for comparison.
     pub(crate) render_through_ms: f64,

@@ -188,7 +188,7 @@ impl Combiner {
             });
             match (next, &mut pending) {
                 (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => {
-                    *end = to
+                    *end = to;
                 }
                 _ => {
                     if let Some((piece, within)) = pending.take() {
