@@ -329,9 +329,13 @@ impl Reprojector {
         }
     }
 
-    /// The mean over `views` of novel views with `options`, all of one size; there must be at least one. Premultiplied
-    /// linear.
-    pub fn raycast_mean(&mut self, views: &[View], options: &CastOptions) -> Result<Picture, GpuError> {
+    /// The mean over `views` of novel views, all of one size; there must be at least one. Premultiplied linear.
+    pub fn raycast_mean(&mut self, views: &[View]) -> Result<Picture, GpuError> {
+        self.raycast_mean_with(views, &CastOptions::default())
+    }
+
+    /// The same with `options`.
+    pub fn raycast_mean_with(&mut self, views: &[View], options: &CastOptions) -> Result<Picture, GpuError> {
         check_views(views)?;
         match self {
             Self::Gpu(reprojector) => mean_on_gpu(views, |view| reprojector.raycast_view(view, options)),

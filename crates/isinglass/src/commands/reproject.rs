@@ -86,7 +86,7 @@ pub(crate) fn run(args: &ReprojectArgs) -> Result<()> {
     }
     let bounds = bounds.unwrap_or_else(|| bounds_from_header(&header));
     let mut reprojector = backend.reprojector(Arc::new(frame), &bounds)?;
-    let pictures = plan.draw(|views| reprojector.raycast_mean(views, &options))?;
+    let pictures = plan.draw(|views| reprojector.raycast_mean_with(views, &options))?;
     let novel_view_ms = start.elapsed().as_secs_f64() * 1e3;
     let picture = plan.compose(&pictures, args.background);
     picture.write(&args.output)?;
