@@ -1,14 +1,14 @@
-// Makes a frame ready for casting, one workgroup a tile and one invocation a list: the grid (twin of EmptySpace::new in
-// crates/core/src/kernels/empty_space.rs), a summary of each list, and E = C/α instead of C; in a projection what takes the place
-// of E and τ (crates/core/src/kernels/raycast/projected.rs).
+// Prepares a frame for casting, with one workgroup per tile and one invocation per list. It makes the grid (twin of
+// EmptySpace::new in crates/core/src/kernels/empty_space.rs), a summary of each list, and E = C/α in place of C. A
+// projection has other numbers in place of E and τ (crates/core/src/kernels/raycast/projected.rs).
 
 @group(0) @binding(0) var<uniform> caster: Raycaster;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
 @group(0) @binding(2) var<storage, read> depth_plane: array<u32>;
 @group(0) @binding(3) var<storage, read_write> occupied: array<u32>;
 
-// Of each list its range of depth as the word of a segment, the cells of it that hold a segment, those that one ends in, and
-// the index of its first segment. A list without any has a range that nothing is in.
+// For each list: its depth range as the word of a segment, its cells with a segment, those in which one ends, and the
+// index of its first segment. An empty list has an empty range.
 @group(0) @binding(4) var<storage, read_write> summaries: array<vec4u>;
 // C before, E after.
 @group(0) @binding(5) var<storage, read_write> rg: array<u32>;
@@ -56,7 +56,7 @@ fn summarize(list: u32) {
         word = min(word & 0xffffu, next & 0xffffu) | max(word & 0xffff0000u, next & 0xffff0000u);
         light(i, parts);
     }
-    // A cast looks for the end of a list by its range: of one in disorder nothing is shown.
+    // A cast finds the end of a list by its range, so a list in disorder shows nothing.
     word = select(NOTHING, word, is_ascending);
     let range = range_from_word(word);
     var cells = vec2u(0u);
@@ -68,7 +68,7 @@ fn summarize(list: u32) {
     summaries[list] = vec4u(word, cells, start);
 }
 
-// The range of no segment.
+// An empty range.
 const NOTHING: u32 = 0xffffu;
 
 // From C to E; `parts` are those of the list's way.

@@ -2,7 +2,7 @@
 // are there. What `caster` and the planes are is said by one_frame.wgsl, or by combine.wgsl for several frames. Run by
 // raycast_compute.wgsl into a buffer and by raycast_view.wgsl onto the screen.
 
-// A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
+// A ray clipped to the frame's frustum: a straight line in pixel space, and the three constants.
 struct Line {
     // Pixel position at t = 0.
     p0: vec2f,
@@ -17,16 +17,17 @@ struct Line {
     hit: bool,
 }
 
-// What one pipeline is for (Purpose in crates/gpu/src/shaders.rs). As constants these cost neither registers nor branches.
+// The purpose of a pipeline (Purpose in crates/gpu/src/shaders.rs). These constants cost neither registers nor
+// branches.
 
 // How segments become one colour: core::mode::Compositing.
 override COMPOSITING: u32;
-// Whether the list that the line is in is taken alone (`CastOptions::reconstruction`).
+// Whether only the nearest list is read (`CastOptions::reconstruction`).
 override IS_NEAREST: bool;
-// Whether empty cells are jumped.
+// Whether empty cells are skipped.
 override SKIPS_EMPTY_SPACE: bool;
 
-// Clips in homogeneous coordinates, to what is left of the volume and to two world distances.
+// Clips the ray in homogeneous coordinates, to the visible part of the volume and to two world distances.
 fn clip(ray: Ray, within: vec2f) -> Line {
     var line = Line();
     let clipped =
@@ -81,9 +82,9 @@ fn clip(ray: Ray, within: vec2f) -> Line {
     return line;
 }
 
-// Walks the columns of lists along the line, as many at a time as a tile is wide. The rays of a group that seek do so together,
-// then cross what they met together: each turn of the inner loop looks at one column or leaves one column of tiles out, and
-// only what may be met goes on to `cross`.
+// Walks the columns of lists along the line, a tile's width at a time. The rays of a group search together, then
+// cross what they found together. Each turn of the inner loop looks at one column or skips one column of tiles; only
+// possible hits go on to `cross`.
 fn walk(line: Line, acc: ptr<function, Over>) {
     let size = vec2i(i32(caster.basis.width), i32(caster.basis.height));
     let along = select(0u, 1u, abs(line.d.x) + AXIS_BIAS < abs(line.d.y));
@@ -96,17 +97,18 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     var column = clamp(i32(floor(line.p0[along])), 0, size[along] - 1);
     var row = clamp(i32(floor(p_across)), 0, size[across] - 1);
     var num_left = 0;
-    // Nearness that counts as none.
+    // Nearness below which a list is ignored.
     var bias = 0.0;
     var enter = at(line, 0.0);
     var is_done = false;
     loop {
-        // Some compilers give a variable without a value its zeros once only: what was met before must not be met again.
+        // The value is explicit because some compilers zero a variable only once, and earlier hits must not be met
+        // again.
         var met = Met();
         var leave = enter;
         loop {
             if (num_left == 0) {
-                // To the border of the tile, of the frame or to the end of the line.
+                // The batch ends at the border of the tile or frame, or at the end of the line.
                 let num = num_in_tile(columns, column, size[along]);
                 let border = at(line, min(column_end(columns, column, num - 1), 1.0));
                 let row_in = p_across + d_across * enter.t - 0.5;
@@ -122,7 +124,7 @@ fn walk(line: Line, acc: ptr<function, Over>) {
                 }
             }
             if (num_left > 0) {
-                // A column; for the nearest list, the part of it up to the border of the row.
+                // The batch is a column, or for the nearest list its part up to the border of the row.
                 let column_t = min(column_end(columns, column, 0), 1.0);
                 let row_t = select(NEVER, column_end(rows, row, 0), IS_NEAREST);
                 leave = at(line, max(min(column_t, row_t), enter.t));
@@ -164,20 +166,21 @@ fn walk(line: Line, acc: ptr<function, Over>) {
     }
 }
 
-// Nearness to one of two lists that counts as none: the more, the less is seen of what comes (line.rs).
+// Nearness below which a list is ignored: it grows as less is visible (line.rs).
 fn nearer_bias(acc: Over) -> f32 {
     let bias = min(NEARER_SHARE / (acc.transmittance * acc.transmittance), MOST_NEARER);
     return select(0.0, bias, COMPOSITING == BY_OVER);
 }
 
-// Of a projection an Over holds what is collected: colour, and in the place of transmittance the greatest key, 0 for nothing.
+// For a projection, an Over holds the collected colour, and the greatest key in place of transmittance, 0 for
+// nothing.
 
 // Nothing yet.
 fn identity() -> Over {
     return Over(vec3f(0.0), select(0.0, 1.0, COMPOSITING == BY_OVER));
 }
 
-// Puts colour and opacity, or in a projection colour and key, behind what is there.
+// Puts colour and opacity behind the others, or in a projection colour and key.
 fn put(acc: ptr<function, Over>, seen: vec4f) {
     if (COMPOSITING == BY_OVER) {
         (*acc).c += seen.xyz * (*acc).transmittance;
@@ -189,13 +192,13 @@ fn put(acc: ptr<function, Over>, seen: vec4f) {
     }
 }
 
-// Whether nothing behind matters.
+// Whether nothing behind this matters.
 fn ends_cast(acc: Over) -> bool {
     let is_opaque = acc.transmittance < TRANSMITTANCE_MIN;
     return select(acc.transmittance >= KEY_FULL, is_opaque, COMPOSITING == BY_OVER);
 }
 
-// What is shown of a ray.
+// What a ray shows.
 fn shown(acc: Over, ray: Ray) -> Over {
     if (COMPOSITING == BY_OVER) {
         return acc;
@@ -206,7 +209,7 @@ fn shown(acc: Over, ray: Ray) -> Over {
 
 // What a line may meet in a column of lists: the two that it runs between.
 struct Met {
-    // Their column, and their rows.
+    // The column, and the rows of both lists.
     column: f32,
     rows: vec2f,
     lists: vec2u,
@@ -219,12 +222,12 @@ struct Met {
     length: f32,
 }
 
-// Composites a column of lists: the segments of one list and then of the other, each list by itself, mixed by nearness.
-// Where the ray runs towards the old eye, each segment is put in front of those before.
+// Composites a column of lists: each list by itself, then mixed by nearness. Where the ray runs towards the old eye,
+// each segment goes in front of the previous ones.
 fn cross(met: Met, along: u32, is_forward: bool, acc: ptr<function, Over>) {
-    // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+    // A ray parallel to the old image plane stays at one depth; the guard makes its share of the crossing 1.
     let hi = max(met.hi, met.lo + MIN_CROSSING);
-    // The ray's length over the lists' own lengths, for the same depth.
+    // The ray's length relative to the lists' own lengths, for the same depth.
     let lengths = vec2f(
         length_per_depth(met.column, met.rows.x, along),
         length_per_depth(met.column, met.rows.y, along),
@@ -233,7 +236,7 @@ fn cross(met: Met, along: u32, is_forward: bool, acc: ptr<function, Over>) {
     let summary = summary_of(met.lists.x);
     let summary_2 = summary_of(met.lists.y);
     let second = first_behind(summary_2, met.lo);
-    // Where each list is left: behind the stretch, or with the list's last segment.
+    // Each list is left at the end of the stretch or of its last segment.
     let last_back = min(hi, summary_2.range.y);
     var side = select(1u, 0u, met.is_met.x);
     var i = select(second, first_behind(summary, met.lo), met.is_met.x);
@@ -247,7 +250,7 @@ fn cross(met: Met, along: u32, is_forward: bool, acc: ptr<function, Over>) {
         let overlap = max(min(hi, medium.ends.y) - max(met.lo, medium.ends.x), 0.0);
         let share = overlap / max(medium.ends.y - medium.ends.x, 1.0);
         let passed = share * ratios[side];
-        // Of a mean the share itself; where there is a key, all or nothing.
+        // A mean uses the share itself; with a key, it is all or nothing.
         let is_higher = overlap > 0.0 && medium.tau > list.transmittance;
         let crossed = select(select(passed, f32(is_higher), is_greatest), opacity(medium.tau * passed), is_over);
         let kept = select(1.0, 1.0 - crossed, select(is_greatest, !is_forward, is_over));
@@ -273,11 +276,11 @@ fn cross(met: Met, along: u32, is_forward: bool, acc: ptr<function, Over>) {
     put(acc, mixture);
 }
 
-// What is known of a list without looking at its segments (empty_space_build.wgsl).
+// Facts about a list without a look at its segments (empty_space_build.wgsl).
 struct Summary {
     // Least front and greatest back, depth units.
     range: vec2f,
-    // The list's cells that hold a segment, and those that one ends in.
+    // The list's cells with a segment, and those in which one ends.
     occupied: u32,
     ended: u32,
     // The first segment.
@@ -295,15 +298,15 @@ fn may_meet(list: Summary, lo: f32, hi: f32) -> bool {
     return lo < list.range.y && hi > list.range.x && (list.occupied & cells) != 0u;
 }
 
-// The first segment of a list that may end behind a depth: not those that end in cells before its own. The twin looks at
-// all of a list's ends at once instead.
+// The first segment of a list that may end behind a depth, by the cells in which segments end. The twin looks at all
+// ends of a list at once.
 fn first_behind(list: Summary, depth: f32) -> u32 {
     let before = (1u << list_cell(list.range, depth)) - 1u;
     return list.first + countOneBits(list.ended & before);
 }
 
-// Whether a stretch of the line, inside of one column of tiles, may meet a segment: the rows are its ends across, as
-// those of the first of the two lists that it runs between.
+// Whether a stretch of the line within one column of tiles may meet a segment. The rows are its ends across, for the
+// first of its two lists.
 fn is_occupied(column: i32, row_in: f32, row_out: f32, depth_in: f32, depth_out: f32, along: u32, size_across: i32) -> bool {
     let tiles = tiles_across(vec2f(row_in, row_out), size_across);
     var cells = 0u;
@@ -313,21 +316,21 @@ fn is_occupied(column: i32, row_in: f32, row_out: f32, depth_in: f32, depth_out:
     return (cells & cell_bits(cell_of_depth(min(depth_in, depth_out)), cell_of_depth(max(depth_in, depth_out)))) != 0u;
 }
 
-// The first and the last tile, across the way, of the lists that a stretch of a line runs between.
+// The first and the last tile, across the line, of the lists that a stretch runs between.
 fn tiles_across(rows: vec2f, size_across: i32) -> vec2i {
     let first = min(i32(max(min(rows.x, rows.y), 0.0)), size_across - 1);
     let last = min(i32(max(max(rows.x, rows.y), 0.0)) + 1, size_across - 1);
     return vec2i(first, last) / i32(TILE);
 }
 
-// The index of a tile, across the way, of the column of tiles of a column of lists.
+// The index of a tile across the line, in the column of tiles of a column of lists.
 fn tile_index(column: i32, tile: i32, along: u32) -> i32 {
     let tiles_x = (i32(caster.basis.width) + i32(TILE) - 1) / i32(TILE);
     let tile_column = column / i32(TILE);
     return select(tile_column * tiles_x + tile, tile * tiles_x + tile_column, along == 0u);
 }
 
-// World length along the centre of a list for each unit of view depth.
+// World length along the centre of a list per unit of view depth.
 fn length_per_depth(column: f32, row: f32, along: u32) -> f32 {
     let place = select(vec2f(row, column), vec2f(column, row), along == 0u);
     let n = (2.0 * place + 1.0) / vec2f(caster.basis.width, -caster.basis.height) + vec2f(-1.0, 1.0);
@@ -363,7 +366,7 @@ fn medium_at(i: u32) -> Medium {
     return Medium(range_from_word(depth_at(i)), vec3f(rg, b_tau.x), b_tau.y);
 }
 
-// As unpack_halves, without a branch; what is below 2^-14 may become 0.
+// Like unpack_halves, without a branch; numbers below 2^-14 may become 0.
 fn halves(word: u32) -> vec2f {
     return bitcast<vec2f>(vec2u((word & 0x7fffu) << 13u, (word & 0x7fff0000u) >> 3u)) * HALF_SCALE;
 }
@@ -376,10 +379,10 @@ fn length_of(v: vec3f) -> f32 {
 struct Columns {
     // Step of the index.
     step: i32,
-    // The parameter of the border at pixel position x is x·slope + offset.
+    // The line crosses the border at pixel position x at the parameter x·slope + offset.
     slope: f32,
     offset: f32,
-    // 1 if the line leaves a column by its upper border.
+    // 1 if the line leaves a column at its upper border.
     leaves_by: i32,
 }
 
@@ -391,31 +394,31 @@ fn columns_of(p: f32, d: f32) -> Columns {
     return Columns(select(-1, 1, d > 0.0), slope, -p * slope, select(0, 1, d > 0.0));
 }
 
-// From `column` on, how many columns there are to the border of the tile or of the frame.
+// Number of columns from `column` to the border of the tile or frame.
 fn num_in_tile(columns: Columns, column: i32, size: i32) -> i32 {
     let in_tile = column & i32(TILE - 1u);
     return select(in_tile + 1, min(i32(TILE) - in_tile, size - column), columns.step > 0);
 }
 
-// Where the line leaves the column i steps behind `column`.
+// The parameter at which the line leaves the column i steps after `column`.
 fn column_end(columns: Columns, column: i32, i: i32) -> f32 {
     return f32(column + columns.leaves_by + columns.step * i) * columns.slope + columns.offset;
 }
 
 // Shortest depth interval that is divided by, in depth units.
 const MIN_CROSSING: f32 = 1e-2;
-// Nothing has a greater key.
+// No key is greater.
 const KEY_FULL: f32 = 0.9995;
-// A list with less weight than this is left out.
+// The least weight of a list that is composited.
 const MIN_NEARNESS: f32 = 1e-3;
-// Nearness that counts as none where all is seen, and at most.
+// Nearness below which a list is ignored at full visibility.
 const NEARER_SHARE: f32 = 0.005;
 const MOST_NEARER: f32 = 0.48;
-// A row must win by so many pixels.
+// Pixels by which rows must win over columns.
 const AXIS_BIAS: f32 = 1e-2;
-// A line that moves less than this many pixels in all crosses no border worth a division.
+// Pixels that a line must move in all to cross a border.
 const MIN_SLOPE: f32 = 1e-6;
-// From the bits of a half float, moved to where a float has them, to its value: 2^112.
+// Scales a half float's bits, moved to their place in a float, to its value: 2^112.
 const HALF_SCALE: f32 = 5.192296858534828e33;
-// The parameter of a crossing that does not come: far beyond the end of the line at 1.
+// The parameter of a crossing that never happens: far beyond the end of the line at 1.
 const NEVER: f32 = 1e30;

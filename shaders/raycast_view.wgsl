@@ -1,6 +1,6 @@
-// Novel view onto the screen, over a background: one triangle that covers the viewport.
+// A novel view on the screen over a background, as one triangle that covers the viewport.
 
-// Whether the target stores what it is given, so that the shader encodes.
+// Whether the shader encodes sRGB, because the target does not.
 override ENCODES_SRGB: bool;
 
 // The new camera.

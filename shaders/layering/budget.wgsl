@@ -4,12 +4,13 @@
 
 struct Budget {
     num_lists: atomic<u32>,
-    // Error that a segment may have.
+    // Error limit of a segment.
     threshold: f32,
-    // Thresholds that are counted: the least, and the ratio of those that follow.
+    // The least counted threshold, and the ratio of successive ones.
     least: f32,
     ratio: f32,
-    // Segments that a list may have on average, and at most. In a buffer, so that other numbers need no other kernel.
+    // Mean and greatest number of segments per list. They are in a buffer, so that no other kernel is needed for
+    // other numbers.
     mean_k: u32,
     longest: u32,
     // Segments of the counted rays at each threshold.
@@ -18,7 +19,7 @@ struct Budget {
 
 @group(1) @binding(4) var<storage, read_write> budget: Budget;
 
-// Every so many pixels along each axis one ray is counted.
+// The distance of counted pixels along each axis.
 fn sample_stride(width: u32, height: u32) -> u32 {
     var stride = 4u;
     while ((stride + 1u) * (stride + 1u) * SAMPLE_RAYS <= width * height) {
@@ -55,11 +56,11 @@ fn count(
     }
 }
 
-// After the first count: between which thresholds to count again. After the second: the threshold.
+// After the first count: the thresholds to count again. After the second: the threshold.
 @compute @workgroup_size(1)
 fn choose() {
     let wanted = f32(max(atomicLoad(&budget.num_lists) * budget.mean_k, 1u));
-    // The last threshold with more, and what it and the next have.
+    // The last threshold with more segments, and the counts there and at the next.
     var last = 0u;
     var more = max(f32(atomicLoad(&budget.counts[0])), 1.0);
     var less = more;
@@ -86,12 +87,12 @@ fn choose() {
     budget.threshold = budget.least * pow(SECOND_RATIO, min(f32(last) + part, f32(NUM_THRESHOLDS - 1u)));
 }
 
-// Thresholds that are counted at once.
+// Thresholds counted at once.
 const NUM_THRESHOLDS: u32 = 8;
-// Ratio of the thresholds of the first and of the second count.
+// Ratio of successive thresholds in the first and in the second count.
 const FIRST_RATIO: f32 = 16.0;
 const SECOND_RATIO: f32 = 1.4859943;
-// Rays that say enough of a frame.
+// Number of rays that represent a frame.
 const SAMPLE_RAYS: u32 = 2048;
-// Counts that are equal are told apart by no less than this.
+// Least difference of logarithms that is divided by.
 const LOGARITHM_LEAST: f32 = 1e-6;

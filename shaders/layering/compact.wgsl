@@ -8,7 +8,7 @@
 @group(0) @binding(0) var<uniform> band: Band;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-// Number of segments in each block; after scan_blocks, in all of the frame before it.
+// Number of segments in each block; after scan_blocks, the number in the frame before it.
 @group(0) @binding(3) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(4) var<storage, read_write> offsets: array<u32>;
 @group(0) @binding(5) var<storage, read_write> depth: array<u32>;
@@ -60,7 +60,7 @@ fn compact(
     }
     offsets[band.first_pixel + id.x + 1u] = end;
     let start = end - len;
-    // What does not fit is made again with longer segments.
+    // A frame that does not fit is made again with longer segments.
     if (end > arrayLength(&depth)) {
         return;
     }

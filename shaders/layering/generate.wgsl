@@ -9,24 +9,25 @@
 
 @group(1) @binding(0) var<uniform> camera: Basis;
 @group(1) @binding(1) var<uniform> band: Band;
-// Length of each list of the band.
+// Length of each list in the band.
 @group(1) @binding(2) var<storage, read_write> counts: array<u32>;
-// Packed words of segment j of list i at (3·j + word)·num_pixels + i: neighbouring invocations write side by side.
+// Packed words of segment j of list i at (3·j + word)·num_pixels + i, so that neighbouring invocations write side by
+// side.
 @group(1) @binding(3) var<storage, read_write> slots: array<u32>;
 
-// A segment while it is made: a step that may span many.
+// An unfinished segment: a step that may span many.
 alias OpenSegment = Step;
 
-// The list of a ray, as far as it is out.
+// The list of a ray so far.
 struct Out {
     len: u32,
-    // Its place in the band, and in the workgroup.
+    // Index of the ray in the band, and in the workgroup.
     i: u32,
     lane: u32,
     s_per_depth: f32,
-    // Whether segments are counted and not kept.
+    // Whether segments are only counted.
     is_counted: bool,
-    // In depth units: the front of the first, and the back of the last before and after thin ones are made thicker.
+    // Depth units: the front of the first segment, and the back of the last before and after thin ones are thickened.
     first_front: f32,
     last_back: f32,
     behind: f32,
@@ -38,7 +39,7 @@ fn begin_list(i: u32, lane: u32, s_per_depth: f32, is_counted: bool) {
     out = Out(0u, i, lane, s_per_depth, is_counted, 0.0, 0.0, 0.0);
 }
 
-// Adds a segment behind the others.
+// Adds a segment at the back.
 fn push(segment: OpenSegment) {
     if (!out.is_counted && out.len < budget.longest) {
         let front = max(units(segment.s0 / out.s_per_depth), out.behind);
@@ -60,7 +61,7 @@ fn put_segment(j: u32, segment: OpenSegment, front: f32, back: f32) {
     slots[slot(j, 2u)] = words.z;
 }
 
-// A segment that is out; its ends are depth units.
+// A written segment, with ends in depth units.
 fn taken(j: u32) -> OpenSegment {
     let depths = slots[slot(j, 0u)];
     let rg = unpack_halves(slots[slot(j, 1u)]);
@@ -73,8 +74,8 @@ fn slot(j: u32, word: u32) -> u32 {
     return (3u * j + word) * band.num_pixels + out.i;
 }
 
-// Casts end where the volume does, so a list must not become longer than its matter is: it is pushed back from its end. One
-// that has no room for all of its segments becomes one. Twin of crates/core/src/kernels/layering/close.rs.
+// Casts end where the volume does, so a list that becomes longer than its matter is pushed back from its end. A list
+// without room for all of its segments becomes one. Twin of crates/core/src/kernels/layering/close.rs.
 fn close_list() {
     let least = f32(MIN_UNITS);
     var end = max(out.last_back, out.first_front + least);
@@ -98,12 +99,12 @@ fn close_list() {
     }
 }
 
-// The depth unit nearest to a view depth, with room for a segment behind it.
+// The nearest depth unit to a view depth, with room for a segment behind it.
 fn units(depth: f32) -> f32 {
     return floor(clamp(depth_to_units(camera, depth) + 0.5, 0.0, DEPTH_UNITS - f32(MIN_UNITS)));
 }
 
-// An open segment with a piece added to its back.
+// An open segment with a piece appended.
 fn appended(open: OpenSegment, piece: Step) -> OpenSegment {
     return OpenSegment(
         open.c + piece.c * (1.0 - open.alpha),
@@ -114,7 +115,7 @@ fn appended(open: OpenSegment, piece: Step) -> OpenSegment {
     );
 }
 
-// Whatever is in front of it, a brick is seen from elsewhere.
+// A brick is visible from elsewhere, whatever is in front of it.
 fn is_beaten(brick: u32) -> bool {
     return false;
 }
@@ -140,5 +141,5 @@ fn generate(
 
 // Least thickness of a segment in depth units.
 const MIN_UNITS: u32 = 4;
-// A part of a step without any opacity is divided by this.
+// Least opacity of a part of a step that is divided by.
 const ALPHA_LEAST: f32 = 1e-30;

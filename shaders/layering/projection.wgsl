@@ -5,14 +5,14 @@
 //   fn push_piece(piece: Piece)
 //   fn end_pieces()
 
-// A part of a ray, by sums over its steps.
+// A piece of a ray, by sums over its steps.
 struct Piece {
     shown: vec3f,
     s0: f32,
     s1: f32,
     // Greatest key.
     peak: f32,
-    // Integrals of the key and its square; of a mean, of the brightness and of that times the distance.
+    // Integrals of the key and its square. For a mean: of the brightness, and of the brightness times the distance.
     first: f32,
     second: f32,
     // Integral of the brightness times the square of the distance.
@@ -80,7 +80,7 @@ fn joined(front: Piece, behind: Piece) -> Piece {
     );
 }
 
-// The key that it shows if it does not hold the greatest of its ray.
+// The key of a segment that does not hold the greatest of its ray.
 fn key_of_piece(piece: Piece) -> f32 {
     let mean = piece.first / (piece.s1 - piece.s0);
     return mean + (piece.peak - mean) * PEAK_SHARE;
@@ -102,7 +102,7 @@ fn error_of(piece: Piece) -> f32 {
         let square = key * key * length - 2.0 * key * piece.first + piece.second;
         error = piece.peak * piece.peak * max(square, 0.0) / h;
     }
-    // Not a number where errors are infinite: pieces must be joined.
+    // Infinite errors give NaN; then pieces are simply joined.
     return select(0.0, error, error >= 0.0);
 }
 
@@ -110,9 +110,9 @@ fn is_within(piece: Piece, limit: f32) -> bool {
     return error_of(piece) <= limit;
 }
 
-// Of the way from the mean key of a piece to its greatest.
+// Position between the mean key of a piece (0) and its greatest (1).
 const PEAK_SHARE: f32 = 0.75;
-// Deviation of an even distribution, in lengths.
+// Standard deviation of a uniform distribution, in lengths.
 const EVEN_DEVIATION: f32 = 0.28867513;
-// A piece without any is divided by this.
+// Least brightness that is divided by.
 const BRIGHTNESS_LEAST: f32 = 1e-30;

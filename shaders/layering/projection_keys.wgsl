@@ -1,6 +1,6 @@
 // Segments of the greatest or the least value (projection.wgsl).
 
-// The greatest peak of the segments that are out, and which of them has it: the first of equals.
+// The greatest peak of the written segments, and the index of the first one with it.
 var<private> greatest: f32;
 var<private> holder: u32;
 
@@ -21,12 +21,12 @@ fn push_piece(piece: Piece) {
     push(OpenSegment(shown_of_key(key), slot_from_key(key), piece.s0, piece.s1, 0.0));
 }
 
-// Gives the greatest key of the ray to the segment that holds it, and to all others lower ones.
+// Gives the ray's greatest key to the segment that holds it, and lower ones to all others.
 fn end_pieces() {
     if (out.is_counted || out.len == 0u) {
         return;
     }
-    // Apart from those below it by a code of the codec at least.
+    // The greatest key stays at least one codec step above those below it.
     let key = max(greatest, 2.0 * KEY_LEAST);
     let below = half_below(slot_from_key(key));
     for (var j = 0u; j < out.len; j++) {

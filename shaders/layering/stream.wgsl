@@ -17,18 +17,18 @@
 
 struct Stream {
     threshold: f32,
-    // World distance where the ray begins, and the inverse of its length.
+    // World distance of the ray's start, and the inverse of its length.
     s0: f32,
     per_length: f32,
-    // Pieces that became segments.
+    // Number of segments so far.
     num_out: u32,
     has_coming: bool,
-    // How far the piece that comes in may err.
+    // The error limit of the coming piece.
     coming_limit: f32,
     num_open: u32,
-    // Which of the places each open piece has, four bits each, and behind them those that are free.
+    // Places of the open pieces, four bits each, followed by the free ones.
     order: u32,
-    // The ray, among those of the workgroup.
+    // Index of the ray in its workgroup.
     lane: u32,
 }
 
@@ -47,7 +47,7 @@ fn list_at(threshold: f32, ray: Ray, lattice: Lattice) {
     end_pieces();
 }
 
-// The greatest error that a segment may have behind which the ray is at s.
+// The greatest error of a segment when the ray has reached s.
 fn limit(s: f32) -> f32 {
     let passed = (s - stream.s0) * stream.per_length;
     let haste = max(f32(stream.num_out) / f32(budget.longest) / (passed + HEAD_START), 1.0);
@@ -58,7 +58,7 @@ fn limit(s: f32) -> f32 {
 fn stream_step(step: Piece, s0: f32) {
     if (stream.has_coming) {
         let both = joined(coming, step);
-        // Across a gap matter is spread as well as moved.
+        // Joining across a gap spreads matter as well as moving it.
         var fits = is_within(both, stream.coming_limit);
         if (fits && s0 > coming.s1) {
             fits = error_of(both) <= stream.coming_limit;
@@ -86,7 +86,7 @@ fn put(k: u32, piece: Piece) {
     put_piece(place_of(k) * PIECE_WORDS * LANES + stream.lane, piece);
 }
 
-// Piece k is open no more; its place is free.
+// Closes piece k and frees its place.
 fn remove(k: u32) {
     let before = (1u << (4u * k)) - 1u;
     let place = place_of(k);
@@ -94,7 +94,7 @@ fn remove(k: u32) {
     stream.num_open -= 1u;
 }
 
-// Where the error is of open piece k as one with the piece behind it.
+// Index of the joint error of open piece k and the one behind it.
 fn joint_at(k: u32) -> u32 {
     return place_of(k) * LANES + stream.lane;
 }
@@ -124,12 +124,12 @@ fn open_piece(come: Piece) {
     }
 }
 
-// Makes one of the open piece `first` and the one behind it.
+// Joins the open piece `first` with the one behind it.
 fn join(first: u32) {
     let both = joined(open_at(first), open_at(first + 1u));
     put(first, both);
     remove(first + 1u);
-    // Its own joint is another now, and that of the piece in front of it.
+    // Its joint error changes, and so does that of the piece in front.
     if (first > 0u) {
         joints[joint_at(first - 1u)] = joint(open_at(first - 1u), both);
     }
@@ -138,7 +138,7 @@ fn join(first: u32) {
     }
 }
 
-// The first of the least.
+// The first of the least joint errors.
 fn least_joint() -> u32 {
     var least = 0u;
     var error = joints[joint_at(0u)];
@@ -152,7 +152,7 @@ fn least_joint() -> u32 {
     return least;
 }
 
-// The ray is over: neighbours are joined, cheapest first, and the rest are segments.
+// Ends the ray: neighbours are joined, cheapest first, and the rest become segments.
 fn finish_stream() {
     if (stream.has_coming) {
         open_piece(coming);
@@ -171,14 +171,14 @@ fn finish_stream() {
 
 // Open pieces of all rays of a workgroup.
 var<workgroup> open_words: array<f32, (WINDOW + 1) * PIECE_WORDS * LANES>;
-// Error of each as one with the piece behind it.
+// Joint error of each open piece and the one behind it.
 var<workgroup> joints: array<f32, (WINDOW + 1) * LANES>;
 
-// Pieces that are open at once.
+// Number of open pieces.
 const WINDOW: u32 = 4u;
-// Of the limit, for the piece that comes in.
+// Share of the limit for the coming piece.
 const COMING_SHARE: f32 = 0.5;
-// A list may be filled by this much more than its ray has passed.
+// How far a list's fill may run ahead of its ray.
 const HEAD_START: f32 = 0.05;
 // Rays of a workgroup.
 const LANES: u32 = 32u;

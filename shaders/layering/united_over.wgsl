@@ -1,4 +1,4 @@
-// Two segments of a medium as one.
+// Merges two segments of a medium.
 
 fn united(segment: OpenSegment, behind: OpenSegment) -> OpenSegment {
     return appended(segment, behind);

@@ -1,9 +1,9 @@
-// Matter, and how far a homogeneous segment is from it. Twin of
+// Pieces of matter, and their error as homogeneous segments. Twin of
 // crates/core/src/kernels/layering/visibility_merge.rs, which derives it. The part before this one is stream.wgsl.
 
-// A part of a ray, by integrals over its steps.
+// A piece of a ray, by integrals over its steps.
 struct Piece {
-    // As one segment.
+    // The piece as one segment.
     c: vec3f,
     tau: f32,
     s0: f32,
@@ -11,9 +11,9 @@ struct Piece {
     alpha: f32,
     // Transmittance in front, at least VISIBILITY_FLOOR.
     visibility: f32,
-    // Integral of the distance from the front, in steps, over the colour that is collected.
+    // Integral over colour of the distance from the front, in steps.
     color_first: vec3f,
-    // The same and its square over the opacity that is collected.
+    // Integrals over opacity of the same distance and of its square.
     first: f32,
     second: f32,
 }
@@ -114,7 +114,7 @@ fn error_of(piece: Piece) -> f32 {
     return displaced * sqrt(sqrt(length)) * piece.visibility;
 }
 
-// By the fourth power of the error without its spread, times that of the opacity: no root and one division.
+// Compares the fourth power of the error without its spread: this takes no root and one division.
 fn is_within(piece: Piece, limit: f32) -> bool {
     let length = (piece.s1 - piece.s0) * steps_per_length;
     let even_first = even_moments(piece.tau, piece.alpha).x * length;
@@ -126,7 +126,7 @@ fn is_within(piece: Piece, limit: f32) -> bool {
     return error * error * length <= bound * bound;
 }
 
-// ∫s dα and ∫s² dα on the way through a homogeneous medium of unit length.
+// ∫s dα and ∫s² dα through a homogeneous medium of unit length.
 fn even_moments(tau: f32, alpha: f32) -> vec2f {
     if (tau < SERIES_BELOW) {
         return tau * vec2f(
@@ -140,7 +140,7 @@ fn even_moments(tau: f32, alpha: f32) -> vec2f {
     return vec2f(first, (2.0 * first - lost) * per_tau);
 }
 
-// Deviation of a distance whose integrals over a total of 1/per_total are known.
+// Standard deviation of a distance, from its integrals over a total of 1/per_total.
 fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
     let mean = first * per_total;
     return sqrt(max(second * per_total - mean * mean, 0.0));
@@ -150,11 +150,12 @@ fn push_piece(piece: Piece) {
     push(OpenSegment(piece.c, piece.tau, piece.s0, piece.s1, piece.alpha));
 }
 
-// Least visibility that matter is counted with.
+// Least visibility of matter.
 const VISIBILITY_FLOOR: f32 = 0.1;
 // Weight of displaced colour, as sRGB, against displaced opacity.
 const COLOR_WEIGHT: f32 = 6.0;
-// Surfaces can lie at one place.
+// Least length that is divided by: surfaces may coincide.
 const LENGTH_LEAST: f32 = 1e-30;
-// The first term that the series leave out is below 10⁻⁵ here, the rounding of the differences too.
+// Below this optical depth the series are used. Their first omitted term is below 10⁻⁵, like the rounding of the
+// differences.
 const SERIES_BELOW: f32 = 0.1;

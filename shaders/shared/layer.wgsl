@@ -34,12 +34,12 @@ fn over_rgba(acc: Over) -> vec4f {
     return vec4f(acc.c, 1.0 - acc.transmittance);
 }
 
-// Colour, and as opacity its greatest channel.
+// The colour, with its greatest channel as opacity.
 fn projected_rgba(c: vec3f) -> vec4f {
     return vec4f(c, min(max(max(c.x, c.y), c.z), 1.0));
 }
 
-// What stands in the place of τ for a key in [0, 1].
+// The number that replaces τ for a key in [0, 1].
 fn slot_from_key(key: f32) -> f32 {
     let bounded = clamp(key, KEY_LEAST, 1.0);
     return SLOT_MAX * (bounded * bounded * bounded);
@@ -54,7 +54,7 @@ fn half_below(x: f32) -> f32 {
     return f32_from_half(max(half_from_f32(x), 1u) - 1u);
 }
 
-// View depth (world units) to the 16-bit scale of a frame, unrounded and unclamped.
+// Converts view depth (world units) to a frame's 16-bit scale, unrounded and unclamped.
 fn depth_to_units(camera: Basis, depth: f32) -> f32 {
     return (depth - camera.near) * (DEPTH_UNITS / (camera.far - camera.near));
 }
@@ -84,7 +84,7 @@ fn half_from_f32(x: f32) -> u32 {
     return (scaled + 0xfffu + ((scaled >> 13u) & 1u)) >> 13u;
 }
 
-// Opacity of optical depth tau, accurate for small ones too (crates/core/src/kernels/march.rs).
+// Opacity of optical depth tau, accurate for small ones too (crates/core/src/kernels/raycast/pieces.rs).
 fn opacity(tau: f32) -> f32 {
     if (tau < 0.01) {
         return tau * (1.0 - tau * (0.5 - tau * (1.0 / 6.0)));
@@ -94,7 +94,7 @@ fn opacity(tau: f32) -> f32 {
 
 // Least key of a segment.
 const KEY_LEAST: f32 = 0.005;
-// What stands in the place of τ for a key of 1.
+// The number that replaces τ for a key of 1.
 const SLOT_MAX: f32 = 8.0;
 // Greatest optical depth of a segment.
 const TAU_MAX: f32 = 1000.0;

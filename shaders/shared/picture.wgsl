@@ -1,4 +1,4 @@
-// To the screen. Twin of crates/core/src/picture.rs.
+// Conversion for the screen. Twin of crates/core/src/picture.rs.
 
 // sRGB encoding of a linear value (IEC 61966-2-1), clamped to [0, 1].
 fn srgb_from_linear(x: f32) -> f32 {

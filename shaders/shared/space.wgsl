@@ -22,7 +22,7 @@ fn clip_box(bounds_min: vec3f, bounds_max: vec3f, ray: Ray) -> Interval {
     return Interval(s0, s1);
 }
 
-// The same inside a box and a half-space (core::clip::Region).
+// The same for a box and a half-space (core::clip::Region).
 fn clip_region(bounds_min: vec3f, bounds_max: vec3f, normal: vec3f, offset: f32, ray: Ray) -> Interval {
     var clipped = clip_box(bounds_min, bounds_max, ray);
     // Inside where a + b·s ≥ 0.
@@ -43,7 +43,7 @@ fn safe_dir(dir: vec3f) -> vec3f {
     return select(dir, tiny, abs(dir) < vec3f(TINY_DIR));
 }
 
-// Smallest magnitude of a direction component that is divided by.
+// Least magnitude of a direction component that is divided by.
 const TINY_DIR: f32 = 1e-9;
 
 // A ray, and world distance per unit of view depth along it.
@@ -66,7 +66,7 @@ fn basis_ray(basis: Basis, x: f32, y: f32) -> CameraRay {
 struct PixelLine {
     o: vec3f,
     d: vec3f,
-    // View depth of the origin, and what it grows by for each unit of s.
+    // View depth of the origin, and its change per unit of s.
     depth: vec2f,
 }
 
@@ -80,7 +80,7 @@ fn pixel_line(basis: Basis, ray: Ray) -> PixelLine {
     );
 }
 
-// Of a vector from the eye, with the weight of a point where rays are parallel, or of a direction, with none.
+// The pixel of a vector from the eye. With parallel rays, `weight` is 1 for a point and 0 for a direction.
 fn pixel_from_world(basis: Basis, v: vec3f, weight: f32) -> vec3f {
     let w = dot(v, basis.forward) * basis.perspective + weight;
     let x = dot(v, basis.right) / dot(basis.right, basis.right);

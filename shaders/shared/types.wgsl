@@ -1,5 +1,5 @@
-// What the kernels and the host share: the same structs, names and constants as crates/gpu/src/gpu_types.rs. Every
-// kernel is a plain concatenation of parts, in the order that crates/gpu/src/shaders.rs states; this part is first.
+// The structs, names and constants that kernels share with crates/gpu/src/gpu_types.rs. A kernel is a concatenation
+// of parts in the order of crates/gpu/src/shaders.rs; this part is first.
 
 // A camera as an eye and three vectors (core::camera::Basis), with the depth interval of the camera.
 struct Basis {
@@ -11,16 +11,16 @@ struct Basis {
     width: f32,
     up: vec3f,
     height: f32,
-    // 1 where rays meet in the eye, 0 where they are parallel.
+    // 1 for a perspective, 0 for parallel rays.
     perspective: f32,
     padding_0: u32,
     padding_1: u32,
     padding_2: u32,
 }
 
-// A volume, its look and what is constant over all rays (core::kernels::march::{Scene, Marcher}).
+// A volume, its look and everything that is constant over all rays (core::kernels::march::{Scene, Marcher}).
 struct Scene {
-    // What is left of the volume (core::clip::Region).
+    // The visible part of the volume (core::clip::Region).
     bounds_min: vec3f,
     x_scale: f32,
     bounds_max: vec3f,
@@ -29,7 +29,7 @@ struct Scene {
     // Greatest step along the shortest side of voxels, world units.
     step_length: f32,
     half_dims: vec3f,
-    // Whether to shade at all.
+    // Whether there is any shading.
     shaded: u32,
     dims: vec3i,
     ambient: f32,
@@ -40,15 +40,15 @@ struct Scene {
     clip_offset: f32,
 }
 
-// core::transfer::TransferTable, and what else a march knows of values (core::kernels::march::modes).
+// core::transfer::TransferTable, and more facts about values for a march (core::kernels::march::modes).
 struct TransferTable {
     integral: array<vec4f, TABLE_BINS + 1>,
     density: array<vec4f, TABLE_BINS + 1>,
     surfaces: array<Surface, MAX_ISOS>,
     num_surfaces: u32,
-    // Steps whose greatest key is not above this do not matter.
+    // Steps whose greatest key is at most this do not matter.
     key_limit: f32,
-    // Whether the matter of surfaces lies on the side of the lesser values.
+    // Whether surfaces enclose matter of lesser values.
     has_lesser_bodies: u32,
 }
 
@@ -67,18 +67,18 @@ struct Band {
     num_pixels: u32,
 }
 
-// A layered frame with what is constant over all new rays (core::kernels::raycast::Raycaster). Before the first frame its
-// box is empty.
+// A layered frame with everything that is constant over all new rays (core::kernels::raycast::Raycaster). Before the
+// first frame its box is empty.
 struct Raycaster {
     basis: Basis,
-    // What is left of the volume, with a margin (core::clip::Region).
+    // The visible part of the volume, with a margin (core::clip::Region).
     bounds_min: vec3f,
     units_per_depth: f32,
     bounds_max: vec3f,
     padding_0: u32,
     clip_normal: vec3f,
     clip_offset: f32,
-    // The volume's box, whatever is left of it.
+    // The whole box of the volume.
     volume_min: vec3f,
     // How segments become one colour: core::mode::Compositing.
     compositing: u32,
@@ -89,11 +89,11 @@ struct Raycaster {
 // Several layered frames of one volume, the newest first (core::kernels::combine::Combiner).
 struct Combination {
     casters: array<Raycaster, MAX_FRAMES>,
-    // Where the planes of each begin (combine.wgsl).
+    // Start of each frame's planes (combine.wgsl).
     places: array<vec4u, MAX_FRAMES>,
-    // What is left of the volume, with the widest of the margins.
+    // The visible part of the volume, with the widest of the margins.
     bounds_min: vec3f,
-    // Lists from the border on which the newest frame's coverage grows to 1.
+    // Width of the border band in which the newest frame's coverage grows to 1, lists.
     band: f32,
     bounds_max: vec3f,
     num_frames: u32,
@@ -101,16 +101,16 @@ struct Combination {
     clip_offset: f32,
 }
 
-// How a picture goes to the screen.
+// How a picture is written to the screen.
 struct Display {
-    // Linear colour behind the volume.
+    // Linear background behind the volume.
     background: vec3f,
     padding_0: u32,
 }
 
-// Most frames that a picture is made of.
+// Most frames in one picture.
 const MAX_FRAMES: u32 = 4;
-// Compositing: core::mode::Compositing by number.
+// The numbers of core::mode::Compositing.
 const BY_OVER: u32 = 0;
 const BY_GREATEST: u32 = 1;
 const BY_MEAN: u32 = 2;

@@ -53,7 +53,7 @@ pub struct LatencyReport {
     /// The conditions of all rows.
     pub conditions: LatencyConditions,
     /// One for each scene, method, speed and round-trip time.
-    pub rows: Vec<LatencyRow>,
+    pub(crate) rows: Vec<LatencyRow>,
 }
 
 /// The conditions of all rows.
@@ -63,19 +63,18 @@ pub struct LatencyConditions {
     #[serde(flatten)]
     pub subject: SubjectConditions,
     /// The requested backend of server and viewer.
-    pub backend: String,
+    pub(crate) backend: String,
     /// Displayed pictures per second.
-    pub refresh_hz: f32,
+    pub(crate) refresh_hz: f32,
 }
 
 /// One run.
 #[derive(Clone, Debug, Serialize)]
 pub struct LatencyRow {
-    /// Name of the scene.
-    pub scene: String,
+    pub(crate) scene: String,
     /// The method, and the figures of the run.
     #[serde(flatten)]
-    pub report: Report,
+    pub(crate) report: Report,
 }
 
 /// Measures, in real time.
@@ -109,7 +108,6 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     Ok(LatencyReport { conditions, rows })
 }
 
-/// The subject of the table.
 fn subject_of(options: &LatencyOptions) -> Subject {
     let demo = &options.demo;
     Subject {

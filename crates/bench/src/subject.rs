@@ -137,30 +137,23 @@ impl<E> Failures<E> {
 /// The conditions of all rows in a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct SubjectConditions {
-    /// Version of this program.
-    pub version: &'static str,
-    /// Columns and rows of the pictures.
-    pub size: [u32; 2],
-    /// Vertical field of view, degrees.
-    pub fov_deg: f32,
+    pub(crate) version: &'static str,
+    pub(crate) size: [u32; 2],
+    pub(crate) fov_deg: f32,
     /// Azimuth and elevation of the generating camera, degrees.
-    pub orbit_deg: [f32; 2],
-    /// Its distance in radii of the bounding sphere.
-    pub distance_radii: f32,
+    pub(crate) orbit_deg: [f32; 2],
+    pub(crate) distance_radii: f32,
     /// Turns, degrees.
     pub angles_deg: Vec<f32>,
     /// Preset or file of all scenes; `None` for the one that suits each.
-    pub transfer: Option<String>,
+    pub(crate) transfer: Option<String>,
     /// What a pixel shows of its ray.
-    pub mode: &'static str,
-    /// The surfaces of mode `iso`.
-    pub isos: Isos,
+    pub(crate) mode: &'static str,
+    pub(crate) isos: Isos,
     /// The visible part of the volumes.
-    pub clip: Clip,
-    /// The part of each file.
-    pub part: Selection,
-    /// Whether gradients shade.
-    pub shading: bool,
+    pub(crate) clip: Clip,
+    pub(crate) part: Selection,
+    pub(crate) shading: bool,
     /// Threads of the CPU.
     pub threads: usize,
     /// Scenes with missing rows, and the cause.

@@ -1,20 +1,22 @@
 //! The one definition of a layered frame, used by every generator, the codec and every renderer.
 //!
 //! A layered frame holds, for each pixel of the generating view, a short list of segments along its ray, front to
-//! back. A segment is read as a homogeneous medium between two planes of constant view depth; gaps between segments
-//! are empty space. List `i` covers the pixel area `[i, i+1)` and was marched along its centre.
+//! back. A segment is a homogeneous medium between two planes of constant view depth; gaps between segments are empty
+//! space. List `i` covers the pixel area `[i, i+1)` and was marched along its centre.
 //!
 //! A segment is 12 bytes in three planes of `u32`, the same on the CPU and the GPU. Planes are separate so that each
 //! fits a 128 MiB storage binding at 1920×1080 with 15 segments in every list:
-//! - `depth`: front in the low and back in the high 16 bits, each the view depth mapped linearly from
-//!   [near, far] to [0, 65535] (Zellmann 2012). Front < back always.
+//! - `depth`: front in the low and back in the high 16 bits, each the view depth mapped linearly from [near, far] to
+//!   [0, 65535] (Zellmann 2012). Front < back always.
 //! - `c_rg`, `c_b_tau`: red and green, blue and optical depth τ, as half floats, low bits first. C is the
 //!   premultiplied colour of the segment composited on its own; τ = −ln(1 − α) ≤ [`TAU_MAX`].
 //!
-//! That is so in the modes whose pieces are composited with *over*. In a projection ([`crate::mode::Compositing`]) matter
-//! neither hides nor dims, and the same fields hold other numbers. Of the greatest: C is what the segment shows, wherever
-//! a ray crosses it, and in the place of τ stands its key ([`slot_from_key`]); what has the greatest key on a ray is
-//! shown. Of the mean: C is the segment's share of what its list shows, so the list shows the sum of its C, and τ is 0.
+//! This holds for modes that composite with *over*. In a projection ([`crate::mode::Compositing`]) matter neither
+//! hides nor dims, and the fields hold other numbers:
+//! - greatest: C is what the segment shows on any crossing ray. Its key replaces τ ([`slot_from_key`]); the greatest
+//!   key on a ray is shown.
+//! - mean: C is the segment's share of what its list shows, so the list shows the sum of its C. τ is 0.
+//!
 //! The opacity of what a projection shows is its greatest channel.
 
 use glam::Vec3;

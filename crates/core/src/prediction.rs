@@ -30,7 +30,6 @@ pub struct Predictor {
     horizon: Horizon,
 }
 
-/// A displayed pose.
 #[derive(Clone, Copy, Debug)]
 struct Observation {
     at: Duration,
@@ -283,8 +282,8 @@ mod tests {
     }
 
     /// Plays a path at 60 Hz with frames that are shown `delay` after their wish; the mean error in degrees of the
-    /// poses asked for and of the poses at the time of asking, both against the pose at the time of showing, counted from
-    /// second `from` to 8.
+    /// poses asked for and of the poses at the time of asking, both against the pose at the time of showing, counted
+    /// from second `from` to 8.
     fn play(path: impl Fn(f32) -> Pose, from: f32, delay: f32) -> (f32, f32) {
         let mut p = Predictor::default();
         let at = |s: f32| Duration::from_secs_f32(s);

@@ -3,8 +3,8 @@
 //! - **voxel**: continuous; voxel `i` covers `[i, i+1)` and its centre is at `i + 0.5`. x runs fastest in memory.
 //! - **world**: physical length (the unit of the volume's spacing). Right-handed. The centre of the volume's box is
 //!   the origin; the axes are the volume's own.
-//! - **upright**: world space turned so that +y is up and +z to the front ([`world_from_upright`]): what angles of an orbit are
-//!   told in.
+//! - **upright**: world space turned so that +y is up and +z to the front ([`world_from_upright`]): what angles of an
+//!   orbit are told in.
 //! - **view**: right-handed, +x right, +y up; the camera looks along −z. *Depth* is −z, positive in front.
 //! - **pixel**: continuous; pixel `i` covers `[i, i+1)`; x runs right, y runs *down*, row 0 is the top.
 //!

@@ -191,8 +191,8 @@ pub(crate) fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) ->
     TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1 }
 }
 
-/// A transfer function prepared for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1], where x = stored·`x_scale`
-/// + `x_offset`, clamped.
+/// A transfer function prepared for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1]. A stored number has the
+/// position x = stored·`x_scale` + `x_offset`, clamped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TransferTable {
     /// Running integrals over x: (K red, K green, K blue, T); extinctions per world unit.

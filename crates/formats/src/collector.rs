@@ -59,7 +59,6 @@ impl<'a> Collector<'a> {
         self.chosen.in_file * self.dtype.num_bytes() as u64
     }
 
-    /// Bytes of a number in the file.
     pub(crate) fn bytes_per_number(&self) -> u64 {
         self.dtype.num_bytes() as u64
     }
@@ -222,7 +221,6 @@ impl<'a> Collector<'a> {
         Ok(self.sink.as_mut().expect("it was made above"))
     }
 
-    /// Returns the voxels.
     pub(crate) fn finish(mut self) -> Result<Decoded, FormatError> {
         let taken = self.sink()?.len() as u64;
         if taken != self.chosen.num_voxels {

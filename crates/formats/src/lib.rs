@@ -1,15 +1,15 @@
 //! Volume files, transfer functions and presets, to and from the types of `isinglass-core`.
 //!
-//! - [`open`] reads every format of docs/FORMATS.md, raw voxels and the built-in volumes. [`outline`] reads only the header
-//!   and returns what [`open`] would need. [`Loading`] opens a volume on its own thread.
+//! - [`open`] reads every format of docs/FORMATS.md, raw voxels and the built-in volumes. [`outline`] reads only the
+//!   header and returns what [`open`] would need. [`Loading`] opens a volume on its own thread.
 //! - [`load_transfer`] reads a preset or a file with a transfer function.
 //! - [`SavedState`] is a saved view of a volume, as a file or in a link.
 //! - [`VolumeFacts`] is what `isinglass info` prints.
 //! - [`write_whole`] writes a file as a whole or not at all.
 //!
-//! Nothing in a file is trusted. Every length is checked against the file and a memory limit before anything is allocated.
-//! Every error is one line that names the file, what was expected and what was found. This crate draws nothing and knows no
-//! network.
+//! Nothing in a file is trusted. Every length is checked against the file and a memory limit before anything is
+//! allocated. Every error is one line that names the file, what was expected and what was found. This crate draws
+//! nothing and knows no network.
 
 mod axes;
 mod collector;

@@ -24,13 +24,11 @@ pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 pub(crate) struct NpyFile {
     plan: Plan,
     path: PathBuf,
-    /// The location of the array in the file.
     place: ArrayLocation,
     /// Bytes before the first number.
     skip: u64,
 }
 
-/// The location of an array in a file.
 #[derive(Clone, Copy)]
 struct ArrayLocation {
     offset: u64,

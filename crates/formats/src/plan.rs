@@ -14,7 +14,6 @@ use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
 
-/// An axis of the numbers in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Axis {
     pub(crate) size: u64,
@@ -41,7 +40,6 @@ impl Axis {
     }
 }
 
-/// The contents of a header.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     /// Name and variant of the format, such as `NIfTI-1, gzip`.
@@ -57,17 +55,14 @@ pub(crate) struct Plan {
     pub(crate) channel_names: Vec<String>,
     /// Number of channels if no axis has them.
     pub(crate) num_channels: u64,
-    /// The default channel.
     pub(crate) channel: u64,
     /// Number of points in time if no axis has them.
     pub(crate) num_times: u64,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
-    /// The selected level.
     pub(crate) level: usize,
     /// Descriptions of the series of a folder; empty if there is only one.
     pub(crate) series: Vec<String>,
-    /// The default series.
     pub(crate) usual_series: u32,
     pub(crate) modality: Option<String>,
     /// Unit of the values, from [`crate::units::value_unit`].

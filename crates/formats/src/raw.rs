@@ -55,7 +55,6 @@ fn offset_in_toml<S: Serializer>(offset: &u64, serializer: S) -> Result<S::Ok, S
     serializer.serialize_i64(i64::try_from(*offset).unwrap_or(i64::MAX))
 }
 
-/// A raw file and its shape.
 pub(crate) struct RawFile {
     file: File,
     path: PathBuf,

@@ -87,7 +87,6 @@ impl Recent {
         Self::parse(&text).map_err(syntax_error(path, &text))
     }
 
-    /// The list in a text.
     fn parse(text: &str) -> Result<Self, toml::de::Error> {
         let stored: Stored<toml::Table> = toml::from_str(text)?;
         let entry = |table: toml::Table| table.try_into::<StoredEntry>().ok()?.entry();

@@ -142,7 +142,6 @@ const WAYS: [(&str, &str); 10] = [
 
 const BIO_FORMATS: &str = "OME-TIFF, which `bfconvert FILE FILE.ome.tif` (Bio-Formats) makes of it";
 
-/// The supported formats.
 pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTI, MRC, NumPy or OME-Zarr, or raw voxels with their dimensions and type given";
 
 /// Bytes that are enough to recognise all formats.

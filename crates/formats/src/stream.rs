@@ -54,8 +54,8 @@ impl Unpacked {
         Ok(Self { stream, packing, most })
     }
 
-    /// Skips `skip` bytes and passes the next `num_bytes` bytes to `collector`. The checksum at the end is verified, and
-    /// further data cause a warning.
+    /// Skips `skip` bytes and passes the next `num_bytes` bytes to `collector`. The checksum at the end is verified,
+    /// and further data cause a warning.
     pub(crate) fn take(
         mut self,
         collector: &mut Collector,

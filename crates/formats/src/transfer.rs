@@ -120,7 +120,6 @@ pub fn transfer_from_toml(text: &str, path: &str) -> Result<TransferFunction, Fo
     }
 }
 
-/// The whole file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TransferFile {

@@ -18,12 +18,10 @@ pub(crate) enum Json {
     Map(Vec<(String, Json)>),
 }
 
-/// A syntax error.
 #[derive(Debug, PartialEq)]
 pub(crate) struct JsonError {
     /// The line, counted from 1.
     pub(crate) line: usize,
-    /// What was expected there.
     pub(crate) expected: &'static str,
 }
 
@@ -44,7 +42,6 @@ impl Json {
         Some(number as f32).filter(|n| n.is_finite())
     }
 
-    /// A string.
     pub(crate) fn text(&self) -> Option<&str> {
         if let Self::Text(text) = self { Some(text) } else { None }
     }

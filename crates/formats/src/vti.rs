@@ -33,7 +33,6 @@ pub(crate) struct VtiFile {
 #[derive(Clone, Debug)]
 struct FileAttributes {
     endian: Endian,
-    /// Bytes of a size field.
     size_bytes: usize,
     compressor: Compressor,
 }
@@ -192,7 +191,6 @@ impl VtiFile {
     }
 }
 
-/// The elements of a document.
 #[derive(Default)]
 struct Document {
     header: Option<FileAttributes>,
@@ -259,7 +257,6 @@ impl Document {
         Ok(true)
     }
 
-    /// The plan of a channel, and its array.
     fn plan(&mut self, channel: Option<u64>) -> Result<(Plan, DataArray), String> {
         let header = self.header.as_ref().ok_or("there is no VTKFile element")?;
         if self.num_pieces > 1 {

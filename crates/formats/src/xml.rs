@@ -1,7 +1,7 @@
 //! The tags of an XML document with their places.
 //!
-//! `quick-xml` reads them as a stream. `roxmltree` needs the document as one text in memory, and a VTK file has gigabytes
-//! of numbers between its tags.
+//! `quick-xml` reads them as a stream. `roxmltree` needs the document as one text in memory, and a VTK file has
+//! gigabytes of numbers between its tags.
 
 use std::borrow::Cow;
 use std::io::{self, BufRead};
@@ -10,10 +10,8 @@ use quick_xml::events::attributes::Attribute;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
-/// A tag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct XmlTag {
-    /// Its name, without a prefix.
     pub(crate) name: String,
     /// Whether it ends an element, `</name>`.
     pub(crate) is_end: bool,
@@ -23,7 +21,6 @@ pub(crate) struct XmlTag {
 }
 
 impl XmlTag {
-    /// The value of an attribute.
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
     }

@@ -1,7 +1,7 @@
 //! The entries of a ZIP archive and the location of their bytes.
 //!
-//! `rawzip` looks at one record after the other. The crate `zip` would keep a record of every entry in memory, and brings
-//! decoders that [`crate::stream`] has already.
+//! `rawzip` looks at one record after the other. The crate `zip` would keep a record of every entry in memory, and
+//! brings decoders that [`crate::stream`] has already.
 
 use std::fs::File;
 use std::path::Path;
@@ -10,7 +10,6 @@ use rawzip::{ErrorKind, RECOMMENDED_BUFFER_SIZE, ZipArchive};
 
 use crate::error::{FormatError, io_error, malformed};
 
-/// A file in an archive.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub(crate) name: String,

@@ -66,7 +66,6 @@ impl Casts {
         }
     }
 
-    /// Makes a new pipeline.
     pub(crate) fn make(&self, purpose: Purpose, channels: Channels) -> wgpu::RenderPipeline {
         let (layout, module) = &self.texts[purpose.frames as usize];
         let constants = Kernel::RaycastView(purpose, !self.target.is_srgb()).constants();

@@ -14,7 +14,6 @@ use crate::gpu_types::Combination;
 use crate::raycast::{FrameOnGpu, GridBuilder};
 use crate::shaders::{Frames, Purpose};
 
-/// Frames in slots, and the displayed ones.
 pub(crate) struct FramesOnGpu {
     layouts: CasterLayouts,
     builder: GridBuilder,
@@ -96,7 +95,6 @@ impl FramesOnGpu {
         }
     }
 
-    /// Sets how frames are cast.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         self.options = *options;
         for slot in &mut self.slots {

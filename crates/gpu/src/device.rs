@@ -218,7 +218,6 @@ impl Gpu {
         compute_pipeline(self.device(), kernel, entry, groups)
     }
 
-    /// Replaces the text of a kernel.
     #[cfg(test)]
     pub(crate) fn replace(&self, kernel: Kernel, entry: &'static str, text: &str) {
         let layouts = self.layouts();
@@ -454,7 +453,6 @@ fn pipeline_of_text(
     })
 }
 
-/// The compiled text of a kernel.
 pub(crate) fn shader_module(device: &wgpu::Device, kernel: Kernel) -> wgpu::ShaderModule {
     module_of_text(device, &kernel.source())
 }

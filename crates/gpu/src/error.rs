@@ -92,7 +92,6 @@ pub(crate) fn scoped<T>(
     }
 }
 
-/// Converts the error.
 pub(crate) fn from_wgpu(what: &'static str, error: &wgpu::Error) -> GpuError {
     match error {
         wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory(what),

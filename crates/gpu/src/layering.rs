@@ -26,7 +26,6 @@ pub(crate) struct FrameTarget {
     height: u32,
     k: u8,
     max_steps: u32,
-    /// Capacity of the planes, segments.
     capacity: usize,
     camera: wgpu::Buffer,
     offsets: wgpu::Buffer,
@@ -286,7 +285,6 @@ fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
     gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
 }
 
-/// Clamps K as the twin does.
 fn clamp_k(k: u8) -> u8 {
     k.clamp(1, MAX_K as u8)
 }

@@ -144,7 +144,6 @@ impl FrameOnGpu {
         is_written
     }
 
-    /// Sets how the frame is cast.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         if self.options == *options {
             return;
@@ -170,7 +169,6 @@ impl FrameOnGpu {
         self.compositing
     }
 
-    /// The uniform of the casting kernels.
     pub(crate) fn uniform(&self) -> Raycaster {
         self.uniform
     }
@@ -266,7 +264,6 @@ fn planes(bytes: [u64; NUM_PLANES], alignment: u64) -> [Plane; NUM_PLANES] {
     })
 }
 
-/// Size of one of the buffers.
 fn num_bytes(planes: &[Plane; NUM_PLANES], buffer: usize) -> u64 {
     planes.iter().filter(|p| p.buffer == buffer).map(|p| p.start + p.size).max().unwrap_or(0)
 }

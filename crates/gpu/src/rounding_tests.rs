@@ -99,8 +99,9 @@ fn jumps_leave_out_nothing_by_other_rounding() {
         // The tolerance of all pictures.
         assert!(difference <= 2, "{what}: {difference}");
     }
-    // Negative controls: a stretch whose first half is not tested; and what was met stays met, as it is with a compiler that gives
-    // a variable its zeros once only (Tint), which crosses a column twice where the last stretch of a ray is empty.
+    // Negative controls: a stretch whose first half is not tested; and what was met stays met, as it is with a
+    // compiler that gives a variable its zeros once only (Tint), which crosses a column twice where the last stretch
+    // of a ray is empty.
     let wrong: [(&str, Changes); 2] = [
         ("half a stretch", &[("row_out, enter.depth,", "row_out, 0.5 * (enter.depth + border.depth),")]),
         (

@@ -24,7 +24,6 @@ pub(crate) struct SceneOnGpu {
     occupancy: wgpu::Buffer,
     /// How the kernels must read the voxels.
     pub(crate) kind: TexelKind,
-    /// The rendering mode.
     pub(crate) mode: Mode,
     /// Number of steps on the longest ray.
     pub(crate) max_steps: u32,

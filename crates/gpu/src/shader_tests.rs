@@ -133,7 +133,6 @@ fn check(source: &str) -> Result<naga::Module, String> {
     Ok(module)
 }
 
-/// The layout of the named struct of a module.
 fn wgsl_layout(module: &naga::Module, name: &str) -> Option<Layout> {
     let context = module.to_ctx();
     module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).and_then(|(_, ty)| match &ty.inner {
@@ -148,7 +147,6 @@ fn wgsl_layout(module: &naga::Module, name: &str) -> Option<Layout> {
     })
 }
 
-/// Numeric constants of a module, by name.
 fn wgsl_constants(module: &naga::Module) -> BTreeMap<String, f64> {
     let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
         naga::Expression::Literal(naga::Literal::F32(x)) => Some(f64::from(x)),

@@ -73,7 +73,8 @@ impl Purpose {
 pub(crate) enum Kernel {
     /// Entry point `render`.
     Render(TexelKind, Mode, Extent),
-    /// Entry points `generate`, `count` and `choose`. K is read from a buffer: drivers take seconds to compile a kernel.
+    /// Entry points `generate`, `count` and `choose`. K is read from a buffer: drivers take seconds to compile a
+    /// kernel.
     Generate(TexelKind, Mode),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
@@ -101,7 +102,6 @@ impl Kernel {
         }
     }
 
-    /// The whole WGSL text.
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
             Self::Render(kind, mode, extent) => {

@@ -21,7 +21,6 @@ pub struct WarmUp {
     pub(crate) draws: Vec<Draw>,
 }
 
-/// A pipeline and its groups.
 pub(crate) struct Draw {
     pub(crate) pipeline: Pipeline,
     pub(crate) groups: Vec<wgpu::BindGroup>,

@@ -120,7 +120,6 @@ impl Plan {
         self.eyes.iter().map(mean).collect()
     }
 
-    /// Combines the pictures of all eyes.
     pub(crate) fn compose(&self, pictures: &[Picture], background: [u8; 3]) -> Rgb8 {
         match pictures {
             [left, right] => {

@@ -16,7 +16,6 @@ use isinglass_server::{Library, Loaded, Loader, Survey};
 
 use crate::memory;
 
-/// Opens parts of one file.
 pub(crate) struct FileLoader {
     /// The source, as for [`open`].
     source: String,
@@ -28,13 +27,9 @@ pub(crate) struct FileLoader {
     max_memory: u64,
 }
 
-/// A volume to serve, and its file.
 pub(crate) struct OpenedFile {
-    /// The voxels.
     pub(crate) volume: Arc<Volume>,
-    /// The first transfer function.
     pub(crate) transfer: TransferFunction,
-    /// The rest of the file.
     pub(crate) library: Library,
 }
 

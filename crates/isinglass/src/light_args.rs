@@ -25,7 +25,6 @@ pub(crate) struct LightArgs {
 }
 
 impl LightArgs {
-    /// The lighting for a look.
     pub(crate) fn lighting(&self) -> Lighting {
         let defaults = Lighting::default();
         let [azimuth_degrees, elevation_degrees] =

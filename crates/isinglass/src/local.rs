@@ -18,7 +18,6 @@ use crate::library::FileLoader;
 use crate::memory;
 use crate::state_args::Seen;
 
-/// Starts local servers.
 pub(crate) struct Locals {
     backend: BackendChoice,
     /// The backend, opened with the first volume and kept, because opening takes a while.

@@ -51,7 +51,6 @@ fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Reports a failure in one line.
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     // Some bad usage only appears when several arguments are combined.
     if let Some(error) = error.downcast_ref() {

@@ -27,7 +27,6 @@ use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
 use crate::window_args::WindowArgs;
 
-/// The source of a state.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct StateArgs {
     /// Use a saved state: a file of the viewer's, or a link that it copied. Flags override it
@@ -41,7 +40,6 @@ impl StateArgs {
         self.state.is_some()
     }
 
-    /// The file or link.
     pub(crate) fn text(&self) -> Option<&str> {
         self.state.as_deref()
     }
@@ -275,7 +273,6 @@ impl Seen {
         if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
     }
 
-    /// The background behind the volume.
     pub(crate) fn background(&self, flag: [u8; 3]) -> [u8; 3] {
         match self.state.view.background {
             Some(Srgb(rgb)) if !self.given.has("background") => rgb,

@@ -91,5 +91,4 @@ fn parse_eye_angle(text: &str) -> Result<f32, String> {
     degrees.ok_or_else(|| format!("expected 0 to {MAX_EYE_ANGLE_DEGREES} degrees"))
 }
 
-/// Greatest angle in the panel.
 const MAX_EYE_ANGLE_DEGREES: f32 = 8.0;

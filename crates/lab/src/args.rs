@@ -1,4 +1,4 @@
-//! What the tables of the laboratory are asked for.
+//! Arguments of the laboratory's tables.
 
 use std::path::PathBuf;
 
@@ -15,14 +15,15 @@ use isinglass_core::orbit::Orbit;
 use isinglass_formats::{check_writable, write_whole};
 use serde::Serialize;
 
-/// What all tables have in common.
+/// Arguments of all tables.
 #[derive(Args)]
 pub(crate) struct CommonArgs {
-    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
-    /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
+    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a
+    /// built-in volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from
+    /// shared/data
     #[arg(value_name = "SCENE")]
     pub(crate) scenes: Vec<String>,
-    /// Columns and rows of pictures, and of frames if nothing else is said
+    /// Columns and rows of pictures, and by default of frames
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "256x256")]
     pub(crate) size: [u32; 2],
     /// Vertical field of view, degrees
@@ -37,7 +38,7 @@ pub(crate) struct CommonArgs {
     /// Whether gradients shade the colours
     #[arg(long, value_enum, default_value_t = Switch::On)]
     pub(crate) shading: Switch,
-    /// What a pixel tells of its ray: composite, mip, minip, average or iso
+    /// What a pixel shows of its ray: composite, mip, minip, average or iso
     #[arg(long, value_name = "MODE", default_value_t = Mode::default())]
     pub(crate) mode: Mode,
     /// As JSON
@@ -68,12 +69,12 @@ impl CommonArgs {
         for skipped in &selection.skipped {
             note(&format!("skipped {skipped}"));
         }
-        // What cannot be opened is refused before hours of measuring.
+        // A source that cannot be opened is rejected before hours of measuring.
         selection.scenes.iter().try_for_each(scenes::SceneSource::check)?;
         Ok(selection.scenes)
     }
 
-    /// What is looked at.
+    /// The subject of the table.
     pub(crate) fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         Ok(Subject {
             scenes: self.select()?,
@@ -89,12 +90,12 @@ impl CommonArgs {
         })
     }
 
-    /// Refuses a file that cannot be written to.
+    /// Rejects a file that cannot be written.
     pub(crate) fn check_output(&self) -> Result<()> {
         Ok(self.output.iter().try_for_each(|path| check_writable(path))?)
     }
 
-    /// Prints, then writes: what was measured is not lost with a file, nor with a scene that failed, which is told last.
+    /// Prints before it writes, so that an unwritable file loses no results. Failed scenes are reported last.
     pub(crate) fn publish(&self, report: &impl Serialize, table: &str, failed: &[String]) -> Result<()> {
         let text = serde_json::to_string_pretty(report)? + "\n";
         let printed = print(if self.json { &text } else { table });
@@ -106,7 +107,7 @@ impl CommonArgs {
     }
 }
 
-/// Writes text to standard output. A reader that went away is no failure.
+/// Writes text to standard output. A closed pipe is no failure.
 pub(crate) fn print(text: &str) -> Result<()> {
     use std::io::Write;
     let mut out = std::io::stdout().lock();
@@ -139,7 +140,7 @@ pub(crate) fn parse_angle(text: &str) -> Result<f32, String> {
     number(text, -360.0, 360.0, "degrees")
 }
 
-/// Degrees a second.
+/// Degrees per second.
 pub(crate) fn parse_speed(text: &str) -> Result<f32, String> {
     number(text, 0.1, 3600.0, "degrees a second")
 }
@@ -149,7 +150,7 @@ pub(crate) fn parse_ms(text: &str) -> Result<f32, String> {
     number(text.strip_suffix("ms").unwrap_or(text), 0.0, 60_000.0, "milliseconds")
 }
 
-/// A side of a frame in units of the picture's.
+/// A side of a frame relative to the picture's.
 pub(crate) fn parse_list_scale(text: &str) -> Result<f32, String> {
     number(text, 0.05, 1.0, "of the picture's side")
 }

@@ -1,4 +1,4 @@
-//! What a table can be asked for by name: methods with the frames that they are given, and how lists are read.
+//! Choices by name: methods with the rules of their frames, and ways to read lists.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,12 +9,12 @@ use isinglass_core::mode::Mode;
 use crate::rivals::Method;
 use crate::rules::Rule;
 
-/// `METHOD` or `METHOD@RULE`: a method on the frames of all rules, or on those of one, as its paper has it.
+/// `METHOD` or `METHOD@RULE`: a method on the frames of all rules, or on those of one, as in its paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MethodChoice {
     /// How frames become pictures.
     pub method: Method,
-    /// The rule of the frames; none: every rule that is measured.
+    /// The rule of the frames; `None` for every measured rule.
     pub rule: Option<Rule>,
 }
 
@@ -45,9 +45,8 @@ impl FromStr for MethodChoice {
     }
 }
 
-/// Every rule with the methods that are given its frames, each once; rules that are one in a mode are one here.
-/// Those that come with a rule of their own are
-/// given that rule's frames only.
+/// Every rule with the methods for its frames, each once. Rules that coincide in a mode appear once. A method with a
+/// rule of its own only gets frames of that rule.
 pub fn methods_by_rule(rules: &[Rule], methods: &[MethodChoice], mode: Mode) -> Vec<(Rule, Vec<Method>)> {
     let mut of_rules: Vec<(Rule, Vec<Method>)> = Vec::new();
     let all = rules.iter().flat_map(|rule| {

@@ -1,4 +1,4 @@
-//! What can go wrong while comparing.
+//! Errors of comparisons.
 
 use isinglass_bench::BenchError;
 use isinglass_core::codec::CodecError;
@@ -14,13 +14,13 @@ use crate::rules::all_samples::AllSamplesError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LabError {
-    /// What measuring the product can run into.
+    /// Measuring the product failed.
     #[error(transparent)]
     Bench(#[from] BenchError),
     /// Not every sample can be kept.
     #[error(transparent)]
     AllSamples(#[from] AllSamplesError),
-    /// A method that knows nothing but the composite mode.
+    /// The method only knows the composite mode.
     #[error("--method {method}: composites with over, expected layers in mode {mode}")]
     Mode {
         /// The method.
@@ -28,20 +28,20 @@ pub enum LabError {
         /// The mode.
         mode: Mode,
     },
-    /// The codec of somebody else failed.
+    /// A rival codec failed.
     #[error("{codec}: {cause}")]
     Rival {
         /// Its name.
         codec: &'static str,
-        /// What is wrong.
+        /// The problem.
         cause: String,
     },
     /// No codec has that name.
     #[error("unknown codec {found:?}, expected one of {expected}")]
     UnknownCodec {
-        /// What was asked for.
+        /// The requested name.
         found: String,
-        /// What there is.
+        /// The existing names.
         expected: String,
     },
 }

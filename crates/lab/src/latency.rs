@@ -1,4 +1,4 @@
-//! What is shown under latency: the headless demonstration of ours beside those of the papers.
+//! Quality under latency: the headless demonstration with our method and those of the papers.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,18 +15,18 @@ use crate::choices::MethodChoice;
 use crate::rivals::Method;
 use crate::rules::Rule;
 
-/// `METHOD[@RULE][:no-prediction]`: a method, the rule by which the server makes its frames, and whether frames are
-/// asked for from where the camera will be.
+/// `METHOD[@RULE][:no-prediction]`: a method, the rule of the server's frames, and whether frames are requested for
+/// the predicted pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LatencyMethod {
     /// Method and rule. Without a rule, frames are ours.
     pub choice: MethodChoice,
-    /// Whether prediction is switched off, as the papers have none.
+    /// Whether prediction is off, as in the papers.
     pub never_predicts: bool,
 }
 
 impl LatencyMethod {
-    /// For the table.
+    /// The contender for the table.
     pub fn contender(self) -> Contender {
         let rule = self.choice.rule.unwrap_or_default();
         let is_ours = rule == Rule::default() && self.choice.method == Method::Layers;
@@ -40,7 +40,7 @@ impl LatencyMethod {
 }
 
 impl Method {
-    /// How a demonstration makes its pictures; none for the ray cast, which it has itself.
+    /// How a demonstration makes its pictures; `None` for the ray cast, which it has itself.
     pub fn picture_maker(self) -> Option<PictureMaker> {
         if self == Self::Layers {
             return None;

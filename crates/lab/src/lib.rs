@@ -1,8 +1,8 @@
-//! What the papers did, beside what the product does: their layering rules, their ways of making a picture from depths,
-//! and image codecs on the planes of layered frames.
+//! The methods of the papers beside the product's: layering rules, pictures from depths, and image codecs on the
+//! planes of layered frames.
 //!
-//! This crate compares, and nothing depends on it. Pictures of the product come from the product's own kernels, frames
-//! from its own server, and errors from `isinglass_core::image_error`.
+//! This crate compares, and nothing depends on it. Pictures of the product come from its own kernels, frames from its
+//! own server, and errors from `isinglass_core::image_error`.
 
 pub mod choices;
 pub mod codec;

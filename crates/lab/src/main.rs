@@ -57,8 +57,8 @@ struct QualityArgs {
     /// Rules, between commas
     #[arg(long, value_name = "RULE", value_delimiter = ',', default_value = DEFAULT_RULES)]
     layering: Vec<Rule>,
-    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh or last-image, between commas. With @RULE
-    /// on frames of that rule only, as point-warp@single-depth and slabs-mesh@slabs
+    /// How frames become pictures: layers, point-warp, slabs-planar, slabs-mesh or last-image, between commas. With
+    /// @RULE on frames of that rule only, as point-warp@single-depth and slabs-mesh@slabs
     #[arg(long, value_name = "METHOD[@RULE]", value_delimiter = ',', default_values_t = [MethodChoice::default()])]
     method: Vec<MethodChoice>,
     /// How the ray cast reads lists, between commas: mixed takes the two lists that a ray runs between, nearest (as the
@@ -88,8 +88,8 @@ struct QualityArgs {
 struct CodecArgs {
     /// Codecs, between commas: blocks, exact, raw-zstd, png-published, blocks-planes, and in a build with --features
     /// rivals raw-lz4, jpeg2000-published, jpeg2000-planes, htj2k-published, htj2k-planes, avif-planes,
-    /// webp-published; there also jpegxl-planes, jpegxl-modular-planes and avif-aom-planes, where cjxl and djxl, or avifenc
-    /// and avifdec are installed [default: all]
+    /// webp-published; there also jpegxl-planes, jpegxl-modular-planes and avif-aom-planes, where cjxl and djxl, or
+    /// avifenc and avifdec are installed [default: all]
     #[arg(long, value_name = "CODEC", value_delimiter = ',')]
     codec: Vec<String>,
     /// The codec that others are compared with by BD-rate [default: jpeg2000-published in a build
@@ -102,11 +102,12 @@ struct CodecArgs {
     /// Turns of azimuth, degrees, between commas; 0 is the generating camera
     #[arg(long, value_name = "DEG", value_parser = parse_angle, value_delimiter = ',', default_value = "0,5,10", allow_hyphen_values = true)]
     angles: Vec<f32>,
-    /// Sides of frames in units of the pictures', between commas: every codec but those as published has the choice, and
-    /// those want 1 among them
+    /// Sides of frames in units of the pictures', between commas: every codec but those as published has the choice,
+    /// and those want 1 among them
     #[arg(long, value_name = "SHARE", value_parser = parse_list_scale, value_delimiter = ',', default_value = "1")]
     list_scale: Vec<f32>,
-    /// Turns that frames in blocks are made to be seen at, 0 to 10 degrees, or "all", between commas: blocks have the choice
+    /// Turns that frames in blocks are made to be seen at, 0 to 10 degrees, or "all", between commas: blocks have the
+    /// choice
     #[arg(long, value_name = "DEG", value_parser = parse_seen_at, value_delimiter = ',', default_value = "all")]
     seen_at: Vec<SeenAt>,
     /// Also draw the curves as SVG, whole or not at all
@@ -139,8 +140,8 @@ struct CodecArgs {
 
 #[derive(Args)]
 struct LatencyArgs {
-    /// How frames become pictures, between commas: as in `quality`, and with :no-prediction at the end without prediction,
-    /// as point-warp@single-depth:no-prediction
+    /// How frames become pictures, between commas: as in `quality`, and with :no-prediction at the end without
+    /// prediction, as point-warp@single-depth:no-prediction
     #[arg(long, value_name = "METHOD", value_delimiter = ',', default_values_t = [LatencyMethod::default()])]
     method: Vec<LatencyMethod>,
     /// Round-trip times, ms, between commas

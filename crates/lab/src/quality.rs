@@ -1,8 +1,8 @@
-//! How near novel views come to full renderings, for each scene, layering rule, list length and turn.
+//! How close novel views come to full renderings, for each scene, layering rule, list length and turn.
 //!
-//! The truth is the full rendering from the turned camera. A row is the mean over a turn to either side. A layered
-//! frame is made into pictures by the ray cast and, where asked for, by the rival methods. Beside them stands
-//! `last-image`, the picture of the unturned camera shown unchanged: what a viewer of pictures shows.
+//! The truth is the full rendering from the turned camera. A row is the mean over a turn to either side. The ray cast
+//! makes pictures of a layered frame, and so do the rival methods on request. For comparison, `last-image` is the
+//! picture of the unturned camera, shown unchanged, as a viewer of pictures would.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -29,11 +29,11 @@ use isinglass_bench::subject::{Subject, SubjectConditions, each_scene};
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct QualityOptions {
-    /// What is looked at; turns are to either side.
+    /// The subject; turns are to either side.
     pub subject: Subject,
     /// How frames are made.
     pub rules: Vec<Rule>,
-    /// How frames become pictures. [`Method::LastImage`] is measured in any case, once a scene.
+    /// How frames become pictures. [`Method::LastImage`] is always measured, once per scene.
     pub methods: Vec<MethodChoice>,
     /// How the ray cast reads lists.
     pub reconstructions: Vec<Reconstruction>,
@@ -43,7 +43,7 @@ pub struct QualityOptions {
     pub frame_intrinsics: Intrinsics,
     /// How frames are encoded.
     pub codec: codec::Settings,
-    /// Whether frames are also measured as they are after encoding and decoding.
+    /// Whether frames are also measured after encoding and decoding.
     pub measures_wire: bool,
 }
 
@@ -57,69 +57,56 @@ impl QualityOptions {
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct QualityReport {
-    /// What holds for all rows.
+    /// The conditions of all rows.
     pub conditions: QualityConditions,
-    /// One for each scene, method, K, way of reading lists and turn.
-    pub rows: Vec<QualityRow>,
+    /// One row for each scene, method, K, way of reading lists and turn.
+    pub(crate) rows: Vec<QualityRow>,
 }
 
-/// What holds for all rows of a report.
+/// The conditions of all rows in a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct QualityConditions {
-    /// What holds for any table of pictures.
+    /// The conditions of any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
-    /// Where the kernels ran.
-    pub backend: String,
-    /// Columns and rows of lists.
-    pub frame_size: [u32; 2],
+    pub(crate) backend: String,
+    pub(crate) frame_size: [u32; 2],
     /// Bits of a colour channel on the wire.
-    pub color_bits: u8,
+    pub(crate) color_bits: u8,
     /// Background of the pictures compared.
-    pub background: &'static str,
+    pub(crate) background: &'static str,
 }
 
 /// Means over a turn to either side.
 #[derive(Clone, Debug, Serialize)]
 pub struct QualityRow {
-    /// Name of the scene.
-    pub scene: String,
+    pub(crate) scene: String,
     /// Rule of the frame that was ray-cast, or the name of another [`Method`].
-    pub method: String,
+    pub(crate) method: String,
     /// Rule of the frame; none for `last-image`.
-    pub layering: Option<&'static str>,
-    /// Where the novel view was made: rival methods run on the CPU; none for `last-image`.
-    pub view_backend: Option<String>,
+    pub(crate) layering: Option<&'static str>,
+    /// Where the novel view was made: rivals run on the CPU; `None` for `last-image`.
+    pub(crate) view_backend: Option<String>,
     /// How lists were read; none for what does not ray-cast.
-    pub reconstruction: Option<&'static str>,
-    /// K of the rule; 0 for `last-image`, 255 for lists without an end.
-    pub k: u8,
-    /// Turn, degrees.
-    pub angle_deg: f32,
-    /// See [`ImageError`].
-    pub dssim: f64,
-    /// See [`ImageError`].
-    pub dssim_object: f64,
-    /// See [`ImageError`].
-    pub ssim: f64,
-    /// See [`ImageError`].
-    pub psnr_db: f64,
-    /// Greatest difference, 0 to 255.
-    pub max_abs_255: u8,
-    /// DSSIM of the frame as it is after encoding and decoding; none for `last-image` and where it was not measured.
-    pub dssim_wire: Option<f64>,
-    /// Time to make the frame.
-    pub generate_ms: Option<f64>,
-    /// Time to make the frame ready for views, once.
-    pub prepare_ms: Option<f64>,
+    pub(crate) reconstruction: Option<&'static str>,
+    /// K of the rule; 0 for `last-image`, 255 for unbounded lists.
+    pub(crate) k: u8,
+    pub(crate) angle_deg: f32,
+    pub(crate) dssim: f64,
+    pub(crate) dssim_object: f64,
+    pub(crate) ssim: f64,
+    pub(crate) psnr_db: f64,
+    pub(crate) max_abs_255: u8,
+    /// DSSIM of the frame after encoding and decoding; `None` for `last-image` and if it was not measured.
+    pub(crate) dssim_wire: Option<f64>,
+    pub(crate) generate_ms: Option<f64>,
+    /// Time to prepare the frame for views, once.
+    pub(crate) prepare_ms: Option<f64>,
     /// Time to cast it, or to draw it by another method.
-    pub novel_view_ms: Option<f64>,
-    /// Bytes of the encoded frame.
-    pub bytes: Option<usize>,
-    /// Segments in a list, over lists that have any.
-    pub segments_mean: Option<f64>,
-    /// Segments of the frame.
-    pub segments_total: Option<usize>,
+    pub(crate) novel_view_ms: Option<f64>,
+    pub(crate) bytes: Option<usize>,
+    pub(crate) segments_mean: Option<f64>,
+    pub(crate) segments_total: Option<usize>,
 }
 
 /// Measures. Takes minutes for the default scenes on the CPU.
@@ -187,8 +174,8 @@ pub fn table(report: &QualityReport) -> String {
     text
 }
 
-/// Runs `body` and returns its result and milliseconds: the lesser of two times if the first was short, as a first run
-/// may have to compile shaders or fill caches.
+/// Runs `body` and returns its result and milliseconds. A short first run is repeated and the lesser time counts,
+/// because it may compile shaders or fill caches.
 pub fn timed<T>(mut body: impl FnMut() -> Result<T, LabError>) -> Result<(T, f64), LabError> {
     let start = Instant::now();
     let mut result = body()?;
@@ -262,12 +249,11 @@ fn measure_scene(
     Ok(())
 }
 
-/// A frame to be measured.
 struct Made {
     rule: Rule,
     k: u8,
     frame: Arc<LayeredFrame>,
-    /// After encoding and decoding, and the bytes between; none if no codec takes the frame.
+    /// The frame after encoding and decoding, and its bytes; `None` if no codec takes it.
     wire: Option<(Arc<LayeredFrame>, usize)>,
     generate_ms: f64,
 }
@@ -291,7 +277,6 @@ impl Made {
     }
 }
 
-/// What pictures are compared with.
 struct TruthPictures<'a> {
     camera_at: &'a dyn Fn(f32) -> Camera,
     /// By the bits of the angle.
@@ -309,7 +294,7 @@ fn measure_method(
     truth: &TruthPictures<'_>,
     rows: &mut Vec<QualityRow>,
 ) -> Result<(), LabError> {
-    // Lists without an end may be more than a GPU holds.
+    // Unbounded lists may exceed a GPU's limits.
     let backend = if made.rule == Rule::AllSamples { &Backend::Cpu } else { backend };
     let prepare = |frame: &Arc<LayeredFrame>| method.prepare(backend, frame.clone(), truth.bounds);
     let (mut exact, prepare_ms) = timed(|| prepare(&made.frame))?;
@@ -407,5 +392,5 @@ impl Mean {
     }
 }
 
-/// A run below this is repeated.
+/// Shorter runs are repeated.
 const SHORT_MS: f64 = 400.0;

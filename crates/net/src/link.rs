@@ -103,7 +103,6 @@ pub fn state_of_link(s: &str) -> Result<String, LinkError> {
     Parts::of(s)?.state.ok_or(LinkError::Missing("state"))
 }
 
-/// The parts of a link that are present.
 struct Parts {
     host: String,
     port: u16,

@@ -28,9 +28,7 @@ pub(crate) struct Generator {
     pictures: Arc<Semaphore>,
 }
 
-/// A frame and its cost.
 pub(crate) struct Generated {
-    /// The frame.
     pub(crate) frame: LayeredFrame,
     /// Time for marching and layering, µs.
     pub(crate) generate_micros: u64,
@@ -100,7 +98,7 @@ struct FrameJob {
     reply: Reply<Generated>,
 }
 
-/// A part of a picture, from a row on.
+/// The next rows of a picture.
 struct RowsJob {
     scene: SceneNumber,
     look: Look,
@@ -111,7 +109,6 @@ struct RowsJob {
     reply: Reply<Picture>,
 }
 
-/// State of the rendering thread.
 struct RenderThread {
     renderer: Renderer,
     look: Look,
@@ -121,10 +118,10 @@ struct RenderThread {
 }
 
 impl Generator {
-    /// Puts a scene, which has `look`, on a thread of its own.
+    /// Puts a scene with `look` on a thread of its own.
     ///
     /// # Errors
-    /// If the scene does not fit the backend, or there is no thread to be had.
+    /// If the scene does not fit the backend, or no thread is available.
     pub(crate) fn start(
         backend: &Backend,
         scene: Scene,
@@ -140,7 +137,8 @@ impl Generator {
             lights,
             after_work: after_work.clone(),
         };
-        // Its own threads: on the common ones, encoding a frame would wait until the next one is generated.
+        // The march has threads of its own: on shared ones, encoding a frame would wait until the next one is
+        // generated.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
         let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
         let work = move || state.work(&mut receiver);
@@ -151,7 +149,7 @@ impl Generator {
         Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)) })
     }
 
-    /// The frame for `header` of a scene under a valid look, as long as the wish holds. `None` if the thread has ended.
+    /// The frame for `header` of a scene under a valid look, while the wish holds. `None` if the thread has ended.
     ///
     /// # Errors
     /// If this frame cannot be made.
@@ -168,7 +166,7 @@ impl Generator {
         answer.await.ok()
     }
 
-    /// Frames that are begun from now on are of another scene, which has `look`. False if the thread has ended.
+    /// Later frames show another scene, which has `look`. Returns false if the thread has ended.
     pub(crate) async fn replace(
         &self,
         renderer: Renderer,
@@ -187,9 +185,9 @@ impl Generator {
         self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
     }
 
-    /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade, piece by piece:
-    /// frames are made between. 8-bit sRGB over a linear background, three bytes a pixel. One picture at a time, whoever
-    /// asks, as they are large. `None` if the thread has ended; whoever drops this gives the picture up.
+    /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade. It is 8-bit
+    /// sRGB over a linear background, three bytes per pixel. It is made in pieces, with frames in between, and only
+    /// one at a time, because pictures are large. `None` if the thread has ended. Dropping this cancels the picture.
     ///
     /// # Errors
     /// If it cannot be made.
@@ -214,7 +212,7 @@ impl Generator {
                     first += rows.height;
                     srgb.extend(rows.to_srgb8(background));
                 }
-                // Another renderer has taken the place of a lost one: once more.
+                // Another renderer has replaced a lost one, so this tries once more.
                 Err(e) if e.is_lost() && !std::mem::replace(&mut has_failed, true) => {}
                 Err(e) => return Some(Err(e)),
             }
@@ -223,7 +221,7 @@ impl Generator {
     }
 }
 
-/// On the backend, or on the CPU if that fails by itself or is too small.
+/// A renderer on the backend, or on the CPU if that fails by itself or is too small.
 pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, GpuError> {
     match backend.renderer(scene.clone()) {
         Err(e) if e.asks_for_cpu() => {
@@ -237,7 +235,7 @@ pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, G
 impl RenderThread {
     fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
         while let Some(job) = jobs.blocking_recv() {
-            // Nobody waits any more where the reply is closed: the viewer has left while its order was in the queue.
+            // A closed reply means that the viewer left while its order was in the queue.
             match job {
                 Job::Frame(order) if !order.reply.is_closed() => {
                     let made = self.attempt(|state| state.generate(&order));
@@ -256,7 +254,7 @@ impl RenderThread {
         }
     }
 
-    /// A defect in one frame must not end the service of everyone.
+    /// A panic in one frame must not end the service for everyone.
     fn attempt<T>(
         &mut self,
         work: impl FnOnce(&mut Self) -> Result<T, GenerateError>,
@@ -281,7 +279,7 @@ impl RenderThread {
         Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64, is_draft })
     }
 
-    /// As many rows of a picture as take no longer than a frame.
+    /// Renders as many rows of a picture as take no longer than a frame.
     fn rows(&mut self, order: &RowsJob) -> Result<Picture, GenerateError> {
         self.prepare(order.scene, &order.look, order.lit.as_ref())?;
         let Intrinsics { width, height, .. } = order.camera.intrinsics;
@@ -300,7 +298,7 @@ impl RenderThread {
         }
         let is_set = self.look.marches_like(look);
         if is_set && self.is_final() {
-            // So that it is not the first to go.
+            // This marks the look as used, so that it is not evicted first.
             self.lights.known(look);
             return Ok(());
         }
@@ -321,9 +319,9 @@ impl RenderThread {
     }
 }
 
-/// Every viewer waits for at most one frame; those beyond this wait to ask.
+/// Most waiting jobs. Every viewer waits for at most one frame; further ones wait to ask.
 const MAX_JOBS: usize = 16;
-/// Pixels of a picture that are made at a time, so that no viewer waits long for its frame: about a tenth of a second on two
-/// cores, and on a GPU much less.
+/// Pixels of a picture per piece, so that no viewer waits long for its frame: about a tenth of a second on two cores,
+/// and much less on a GPU.
 const CPU_PIXELS: u32 = 1 << 16;
 const GPU_PIXELS: u32 = 1 << 20;

@@ -1,10 +1,10 @@
-//! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own
-//! pose and look. Another part of the volume's file may take its place, for all of them.
+//! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own pose
+//! and look. Another part of the volume's file may take its place, for all of them.
 //!
 //! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
-//! waiting, so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so that the
-//! coder and the network are free when it is done. None is made for a pose that has been answered. At rest the same frame is
-//! sent again finer, and at last exactly. This crate opens no files and no window.
+//! waiting, so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so
+//! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
+//! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod generator;
 mod lights;

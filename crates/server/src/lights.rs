@@ -42,7 +42,6 @@ impl Lights {
         }
     }
 
-    /// The volume.
     pub(crate) fn volume(&self) -> &Volume {
         &self.base.volume
     }

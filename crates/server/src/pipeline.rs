@@ -45,7 +45,6 @@ pub(crate) struct Ticket {
     pub(crate) wish: Wish,
 }
 
-/// A frame that is coded.
 pub(crate) struct Coded {
     pub(crate) ticket: Ticket,
     pub(crate) generated: Generated,
@@ -85,10 +84,8 @@ pub(crate) struct Pipeline {
     coders: Coders,
     schedule: Schedule,
     generating: Option<At<Outcome, (Asked, Wish)>>,
-    /// Generated, waits for the coder.
     made: Option<(Asked, Generated)>,
     coding: Option<At<Result<Coded, CodecError>, Ticket>>,
-    /// Coded, waits for the network.
     coded: Option<Coded>,
     sending: Option<At<Result<Sent, SessionClosed>, Ticket>>,
 }

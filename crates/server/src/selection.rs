@@ -55,24 +55,18 @@ pub struct Loaded {
     pub transfer: TransferFunction,
 }
 
-/// The volume that is shown.
 #[derive(Debug)]
 pub(crate) struct Present {
-    /// The greeting of new viewers.
     pub(crate) greeting: Arc<Greeting>,
     /// The volume's box.
     pub(crate) bounds: Aabb,
-    /// The volume and its shade.
     pub(crate) lights: Lights,
-    /// The generator's scene.
     pub(crate) scene: SceneNumber,
-    /// The choices in the file.
     pub(crate) parts: Option<Choices>,
     /// Memory of the volume, bytes.
     bytes: u64,
 }
 
-/// Number of a generator's scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SceneNumber(pub(crate) u32);
 

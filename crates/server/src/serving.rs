@@ -82,10 +82,8 @@ pub(crate) async fn serve(
 struct Viewer {
     session: Session,
     common: Common,
-    /// The volume of its frames.
     present: Arc<Present>,
     frames: FramesServer,
-    /// Its frames in progress.
     pipeline: Pipeline,
     /// References for later frames.
     sent: References,

@@ -13,14 +13,11 @@ use super::play::Played;
 use crate::error::BenchError;
 use crate::progress::Progress;
 
-/// Results of the comparison.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Evaluation {
-    /// The pictures in order of time.
     pub(crate) pictures: Vec<Evaluated>,
     /// Times of pictures from one prepared frame, ms.
     pub(crate) view_ms: Vec<f64>,
-    /// Pictures to look at.
     pub(crate) samples: Vec<Sample>,
 }
 

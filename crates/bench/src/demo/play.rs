@@ -13,7 +13,6 @@ use super::script::{Motion, Script};
 use crate::error::BenchError;
 use crate::progress::Progress;
 
-/// One refresh of the display.
 #[derive(Clone, Debug)]
 pub(crate) struct Tick {
     /// Time since the camera began to move.
@@ -24,7 +23,6 @@ pub(crate) struct Tick {
     pub(crate) input: Pose,
     /// The camera of the displayed picture.
     pub(crate) camera: Camera,
-    /// The frame that it was cast from.
     pub(crate) frame: FrameId,
     /// The frame itself, for refreshes that are compared.
     pub(crate) kept: Option<Arc<ReceivedFrame>>,
@@ -44,7 +42,6 @@ pub(crate) struct Tick {
 #[derive(Clone, Debug)]
 pub(crate) struct Played {
     pub(crate) ticks: Vec<Tick>,
-    /// The camera path.
     pub(crate) script: Script,
     /// The transport's measurement at the end.
     pub(crate) round_trip: Duration,

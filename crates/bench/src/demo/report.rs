@@ -20,67 +20,56 @@ use crate::error::BenchError;
 /// after each stop. The first frame was on the screen before the camera moved.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// The volume.
-    pub source: String,
-    /// The part of its file.
-    pub part: Selection,
-    /// Columns and rows of the pictures.
-    pub size: [u32; 2],
+    pub(crate) source: String,
+    pub(crate) part: Selection,
+    pub(crate) size: [u32; 2],
     /// Method of the pictures: `layers`, or a rival.
-    pub method: String,
+    pub(crate) method: String,
     /// Requested mean length of lists.
-    pub k: u8,
-    /// How frames were coded.
-    pub codec: &'static str,
-    /// Best quality of frames in blocks.
-    pub quality: u8,
-    /// Speed of the camera.
-    pub degrees_per_second: f32,
+    pub(crate) k: u8,
+    pub(crate) codec: &'static str,
+    pub(crate) quality: u8,
+    pub(crate) degrees_per_second: f32,
     /// Whether a recorded path replaced the orbit, whose speed then does not matter.
-    pub plays_path: bool,
-    /// Seed of the link's random numbers.
-    pub seed: u64,
+    pub(crate) plays_path: bool,
+    pub(crate) seed: u64,
     /// Round-trip delay of the link.
-    pub rtt_ms: f64,
+    pub(crate) rtt_ms: f64,
     /// Greatest additional delay, each way.
-    pub jitter_ms: f64,
+    pub(crate) jitter_ms: f64,
     /// Fraction of packets lost, each way.
-    pub loss: f64,
+    pub(crate) loss: f64,
     /// Rate of the link each way; `None` for unlimited.
-    pub bandwidth_mbit: Option<f64>,
-    /// Where kernels ran.
-    pub backend: String,
+    pub(crate) bandwidth_mbit: Option<f64>,
+    pub(crate) backend: String,
     /// Displayed pictures, one per refresh.
-    pub frames_shown: usize,
-    /// Mean DSSIM of the displayed pictures.
-    pub dssim_shown_mean: f64,
-    /// 95th percentile of the same.
-    pub dssim_shown_p95: f64,
+    pub(crate) frames_shown: usize,
+    pub(crate) dssim_shown_mean: f64,
+    pub(crate) dssim_shown_p95: f64,
     /// Mean DSSIM of the newest server image at the same moments, displayed unchanged.
-    pub dssim_last_image_mean: f64,
+    pub(crate) dssim_last_image_mean: f64,
     /// Most refreshes from an input to the first picture with that camera. It counts late choices of the camera, and
     /// refreshes that pass while a picture is made, by its median time.
-    pub pose_lag_frames_max: usize,
+    pub(crate) pose_lag_frames_max: usize,
     /// Median time for a picture of one prepared frame, measured after playing.
-    pub novel_view_ms: f64,
+    pub(crate) novel_view_ms: f64,
     /// Mean time since the displayed frame's pose was set, while the camera moved.
-    pub frame_age_ms_mean: f64,
+    pub(crate) frame_age_ms_mean: f64,
     /// Mean angle between the displayed frame's pose and that of the picture, while the camera moved.
-    pub frame_turned_deg_mean: f64,
+    pub(crate) frame_turned_deg_mean: f64,
     /// Whether frames were requested for the predicted pose.
-    pub predict: bool,
-    /// Whether frames had a margin.
-    pub guard_band: bool,
+    pub(crate) predict: bool,
+    pub(crate) guard_band: bool,
     /// Whether older frames filled what the newest lacked.
-    pub kept_frames: bool,
+    pub(crate) kept_frames: bool,
     /// Mean size of the displayed server frames, as far as they had arrived when the next one replaced them.
-    pub bytes_per_frame_mean: f64,
+    pub(crate) bytes_per_frame_mean: f64,
     /// Number of freezes as in the WebRTC statistics: gaps between new server frames while the camera moved, longer
     /// than three mean gaps and than a mean gap and 150 ms. The time from a movement's start, minus a round trip, and
     /// that to its end count as gaps.
-    pub freezes: usize,
+    pub(crate) freezes: usize,
     /// Greatest difference between the picture at the end of a rest and a full rendering by the server's renderer.
-    pub rest_max_abs_255: u8,
+    pub(crate) rest_max_abs_255: u8,
 }
 
 impl Report {

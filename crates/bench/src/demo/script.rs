@@ -13,12 +13,7 @@ use isinglass_core::orbit::Orbit;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Motion {
     /// An orbit at constant speed, forward and back.
-    Orbit {
-        /// Where it begins.
-        start: Orbit,
-        /// Its speed.
-        degrees_per_second: f32,
-    },
+    Orbit { start: Orbit, degrees_per_second: f32 },
     /// A recorded path, unchanged.
     Recorded(CameraPath),
 }
@@ -30,7 +25,6 @@ impl Motion {
     }
 }
 
-/// A motion with its rests.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Script {
     motion: Motion,
@@ -94,12 +88,10 @@ impl Script {
         turn
     }
 
-    /// Total duration.
     pub(crate) fn duration(&self) -> Duration {
         Duration::from_secs_f32(self.phases.iter().map(|p| p.seconds).sum())
     }
 
-    /// Times of rest.
     pub(crate) fn rests(&self) -> Vec<Range<Duration>> {
         let mut rests = Vec::new();
         let mut at = 0.0;

@@ -14,13 +14,12 @@ use isinglass_formats::OpenedScene;
 
 /// Medians over a few turns of the camera, by timestamps, ms.
 #[derive(Clone, Debug, Serialize)]
-pub struct DeviceTimes {
-    /// A layered frame.
-    pub generate_ms: f64,
+pub(crate) struct DeviceTimes {
+    pub(crate) generate_ms: f64,
     /// A rendering that does not stop at opaque matter, for comparison.
-    pub render_through_ms: f64,
+    pub(crate) render_through_ms: f64,
     /// A novel view, turned by some degrees.
-    pub novel_view_ms: f64,
+    pub(crate) novel_view_ms: f64,
 }
 
 /// `None` without a device or its clock.

@@ -25,7 +25,6 @@ pub(super) struct Recording {
     pub(super) ages_micros: Vec<u64>,
     /// Number of refreshes that showed a new frame.
     pub(super) num_new: usize,
-    /// Duration of the measurement.
     pub(super) measured: Duration,
     /// The transport's measurement at the end.
     pub(super) round_trip: Duration,

@@ -11,85 +11,67 @@ use super::play::Recording;
 /// The results.
 #[derive(Clone, Debug, Serialize)]
 pub struct PipelineReport {
-    /// The volume.
-    pub source: String,
-    /// Columns and rows of the picture.
-    pub size: [u32; 2],
-    /// Mean length of lists.
-    pub k: u8,
-    /// Coding of frames.
-    pub codec: &'static str,
-    /// Where kernels ran.
-    pub backend: String,
-    /// Number of worker threads.
-    pub threads: usize,
+    pub(crate) source: String,
+    pub(crate) size: [u32; 2],
+    pub(crate) k: u8,
+    pub(crate) codec: &'static str,
+    pub(crate) backend: String,
+    pub(crate) threads: usize,
     /// The link's own round trip, ms.
-    pub rtt_ms: f64,
-    /// Its jitter, ms.
-    pub jitter_ms: f64,
+    pub(crate) rtt_ms: f64,
+    pub(crate) jitter_ms: f64,
     /// Its rate, Mbit/s; `None` for no limit.
-    pub bandwidth_mbit: Option<f64>,
+    pub(crate) bandwidth_mbit: Option<f64>,
     /// The round trip measured by the transport, ms.
-    pub measured_rtt_ms: f64,
-    /// Refreshes of the display a second.
-    pub refresh_hz: f32,
-    /// Speed of the camera.
-    pub degrees_per_second: f32,
-    /// Duration of the measurement.
-    pub seconds: f64,
+    pub(crate) measured_rtt_ms: f64,
+    pub(crate) refresh_hz: f32,
+    pub(crate) degrees_per_second: f32,
+    pub(crate) seconds: f64,
     /// Time to the first whole picture: opening, bricks, tables, device, first frame.
-    pub first_picture_seconds: f64,
+    pub(crate) first_picture_seconds: f64,
     /// New frames on the screen per second.
-    pub new_frames_per_second: f64,
-    /// Number of frames that began.
-    pub frames_begun: usize,
+    pub(crate) new_frames_per_second: f64,
+    pub(crate) frames_begun: usize,
     /// Number of those that were shown.
-    pub frames_shown: usize,
+    pub(crate) frames_shown: usize,
     /// Frames that were skipped for a newer one, by the last stage that they reached.
-    pub given_up: Vec<GivenUp>,
+    pub(crate) given_up: Vec<GivenUp>,
     /// Time since the displayed frame's pose was set, at each refresh.
-    pub age_ms: Spread,
-    /// Bytes of a frame.
-    pub bytes: Spread,
-    /// Bytes per second.
-    pub bytes_per_second: f64,
+    pub(crate) age_ms: Spread,
+    pub(crate) bytes: Spread,
+    pub(crate) bytes_per_second: f64,
     /// Stages of the frames that were shown.
-    pub stages: Vec<StageRow>,
+    pub(crate) stages: Vec<StageRow>,
     /// Times by the device's own clock; `None` where it has none.
-    pub device: Option<DeviceTimes>,
+    pub(crate) device: Option<DeviceTimes>,
 }
 
 /// Frames that stopped early.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct GivenUp {
     /// The last stage that they reached.
-    pub after: &'static str,
-    /// Their number.
-    pub frames: usize,
+    pub(crate) after: &'static str,
+    pub(crate) frames: usize,
 }
 
 /// A stage in the lives of frames.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageRow {
-    /// Its name.
-    pub stage: &'static str,
+    pub(crate) stage: &'static str,
     /// Number of frames with its stamp.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Time since the previous stage, ms.
-    pub step_ms: Spread,
+    pub(crate) step_ms: Spread,
     /// Time since the pose was set, ms.
-    pub since_asked_ms: Spread,
+    pub(crate) since_asked_ms: Spread,
 }
 
 /// Mean, median and 95th percentile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
-    /// The mean.
-    pub mean: f64,
-    /// The median.
-    pub p50: f64,
-    /// The 95th percentile.
-    pub p95: f64,
+    pub(crate) mean: f64,
+    pub(crate) p50: f64,
+    pub(crate) p95: f64,
 }
 
 impl Spread {

@@ -33,30 +33,26 @@ pub struct SpeedReport {
     /// The conditions of all rows.
     pub conditions: SpeedConditions,
     /// One row for each scene, backend, frame size, K and turn.
-    pub rows: Vec<SpeedRow>,
+    pub(crate) rows: Vec<SpeedRow>,
     /// Times to prepare each volume.
-    pub preparations: Vec<Preparation>,
+    pub(crate) preparations: Vec<Preparation>,
 }
 
 /// Times to prepare a volume on a backend, seconds.
 #[derive(Clone, Debug, Serialize)]
 pub struct Preparation {
-    /// Name of the scene.
-    pub scene: String,
-    /// Voxels along x, y and z.
-    pub dims: [u32; 3],
-    /// Where the kernels ran.
-    pub backend: String,
+    pub(crate) scene: String,
+    pub(crate) dims: [u32; 3],
+    pub(crate) backend: String,
     /// Time to read or make the voxels.
-    pub volume_seconds: f64,
-    /// Time for their histogram.
-    pub histogram_seconds: f64,
+    pub(crate) volume_seconds: f64,
+    pub(crate) histogram_seconds: f64,
     /// Time for the minima and maxima of bricks.
-    pub bricks_seconds: f64,
+    pub(crate) bricks_seconds: f64,
     /// Time for transfer function, visible bricks and light.
-    pub look_seconds: f64,
+    pub(crate) look_seconds: f64,
     /// Time for the upload and the device's kernels; almost none on the CPU.
-    pub upload_seconds: f64,
+    pub(crate) upload_seconds: f64,
 }
 
 /// The conditions of all rows.
@@ -65,80 +61,56 @@ pub struct SpeedConditions {
     /// The conditions of any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
-    /// Number of counted rounds.
-    pub repeats: u32,
-    /// The reported statistic.
-    pub statistic: &'static str,
+    pub(crate) repeats: u32,
+    pub(crate) statistic: &'static str,
 }
 
 /// Milliseconds, with readback to the CPU. Fields called `gpu` measure only the passes by the device's timestamps,
 /// and are `None` without such a clock. Ratios and rates prefer the device's times.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpeedRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// Voxels along x, y and z.
-    pub dims: [u32; 3],
-    /// Where the kernels ran.
-    pub backend: String,
+    pub(crate) scene: String,
+    pub(crate) dims: [u32; 3],
+    pub(crate) backend: String,
     /// Requested mean length of lists.
-    pub k: u8,
-    /// Columns and rows of lists.
-    pub frame_size: [u32; 2],
-    /// Turn of the novel view.
-    pub angle_deg: f32,
+    pub(crate) k: u8,
+    pub(crate) frame_size: [u32; 2],
+    pub(crate) angle_deg: f32,
     /// Full rendering from the turned camera.
-    pub render_ms: f64,
-    /// The same by the device's clock.
-    pub render_gpu_ms: Option<f64>,
+    pub(crate) render_ms: f64,
+    pub(crate) render_gpu_ms: Option<f64>,
     /// Full rendering from the frame's camera that does not stop at opaque matter.
-    pub render_through_ms: f64,
-    /// The same by the device's clock.
-    pub render_through_gpu_ms: Option<f64>,
-    /// A layered frame.
-    pub generate_ms: f64,
-    /// The same by the device's clock.
-    pub generate_gpu_ms: Option<f64>,
-    /// Encoding it.
-    pub encode_ms: f64,
-    /// Decoding it.
-    pub decode_ms: f64,
+    pub(crate) render_through_ms: f64,
+    pub(crate) render_through_gpu_ms: Option<f64>,
+    pub(crate) generate_ms: f64,
+    pub(crate) generate_gpu_ms: Option<f64>,
+    pub(crate) encode_ms: f64,
+    pub(crate) decode_ms: f64,
     /// Preparing it for views, once.
-    pub prepare_ms: f64,
-    /// Casting it.
-    pub novel_view_ms: f64,
-    /// The same by the device's clock.
-    pub novel_view_gpu_ms: Option<f64>,
+    pub(crate) prepare_ms: f64,
+    pub(crate) novel_view_ms: f64,
+    pub(crate) novel_view_gpu_ms: Option<f64>,
     /// Casting it without the empty-space grid.
-    pub novel_view_no_grid_ms: f64,
-    /// The same by the device's clock.
-    pub novel_view_no_grid_gpu_ms: Option<f64>,
-    /// Novel views per second.
-    pub fps: f64,
-    /// Full renderings per second.
-    pub render_fps: f64,
+    pub(crate) novel_view_no_grid_ms: f64,
+    pub(crate) novel_view_no_grid_gpu_ms: Option<f64>,
+    pub(crate) fps: f64,
+    pub(crate) render_fps: f64,
     /// Novel view relative to the full rendering from the same camera.
-    pub view_over_render: f64,
+    pub(crate) view_over_render: f64,
     /// Generation relative to the full rendering that does not stop.
-    pub generate_over_through: f64,
+    pub(crate) generate_over_through: f64,
     /// Fraction of the time without the grid that it saves.
-    pub grid_gain: f64,
+    pub(crate) grid_gain: f64,
     /// Fraction of the grid's cells that are empty.
-    pub empty_share: f32,
-    /// SSIM of the novel view against the full rendering.
-    pub ssim: f64,
-    /// DSSIM of the same.
-    pub dssim: f64,
+    pub(crate) empty_share: f32,
+    pub(crate) ssim: f64,
+    pub(crate) dssim: f64,
     /// The same over the bounding rectangle of what is not background.
-    pub dssim_object: f64,
-    /// Peak signal to noise ratio of the same.
-    pub psnr_db: f64,
-    /// Bytes of the encoded frame.
-    pub bytes: usize,
-    /// Mean segments per list, over lists that have any.
-    pub segments_mean: f64,
-    /// Segments of the frame.
-    pub segments_total: usize,
+    pub(crate) dssim_object: f64,
+    pub(crate) psnr_db: f64,
+    pub(crate) bytes: usize,
+    pub(crate) segments_mean: f64,
+    pub(crate) segments_total: usize,
 }
 
 /// Measures.

@@ -29,7 +29,6 @@ pub(super) struct Tasks<'a> {
     dims: [u32; 3],
     orbit: Orbit,
     renderer: Renderer,
-    /// Turned cameras, one per angle.
     turned: Vec<Camera>,
     frames: Vec<MadeFrame>,
     tasks: Vec<Task>,
@@ -78,7 +77,6 @@ impl Time {
     }
 }
 
-/// The result, and seconds.
 fn in_seconds<T>(body: impl FnOnce() -> Result<T, BenchError>) -> Result<(T, f64), BenchError> {
     let started = Instant::now();
     let made = body()?;
@@ -194,7 +192,6 @@ impl<'a> Tasks<'a> {
         }
     }
 
-    /// All rows after the rounds.
     pub(super) fn rows(&mut self, source: &SceneSource, rows: &mut Vec<SpeedRow>) -> Result<(), BenchError> {
         let truths: Vec<Picture> =
             self.turned.iter().map(|camera| self.renderer.render(camera)).collect::<Result<_, _>>()?;

@@ -250,7 +250,6 @@ impl<S: FrameSource> ViewerApp<S> {
         Some(ValueScale::of(&self.viewing.source().description()?.volume))
     }
 
-    /// Shows news for a while.
     fn tell(&mut self, now: Duration, text: impl Into<String>) {
         self.notice = Some((text.into(), now));
     }

@@ -74,7 +74,6 @@ pub(crate) fn names_part(saved: &SavedVolume) -> bool {
     [channel, time, level, series].into_iter().any(Option::is_some) || region.is_some()
 }
 
-/// Writes a part into a saved volume.
 pub(crate) fn save_part(volume: SavedVolume, part: &Part) -> SavedVolume {
     let &Part { channel, time, level, series, region } = part;
     let region = region.map(|ends| {

@@ -67,7 +67,6 @@ impl Default for InitialOrbit {
 pub struct CameraControls {
     initial: InitialOrbit,
     world_from_upright: Quat,
-    /// Middle of the volume.
     middle: Vec3,
     /// What the camera turns about.
     center: Vec3,

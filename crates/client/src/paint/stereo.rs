@@ -8,7 +8,6 @@ use isinglass_core::kernels::lens::View;
 use isinglass_core::space::Aabb;
 pub use isinglass_formats::StereoPicture as StereoMode;
 
-/// All modes and their names in the panel.
 pub(crate) const MODES: [(StereoMode, &str); 3] =
     [(StereoMode::Off, "off"), (StereoMode::SideBySide, "side by side"), (StereoMode::RedCyan, "red-cyan")];
 

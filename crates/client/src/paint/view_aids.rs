@@ -50,7 +50,6 @@ impl ViewAids {
         self.background.map(|c| linear_from_srgb(f32::from(c) / 255.0))
     }
 
-    /// The directions of the axes in words.
     pub(crate) fn axes_in_words(scene: &AidsScene<'_>) -> String {
         let view_from_world = scene.camera.pose.world_from_view.inverse();
         let toward = |direction: Vec3| {
@@ -73,7 +72,6 @@ impl ViewAids {
         Rect::from_center_size(center, Vec2::splat(2.0 * (AXIS_LENGTH + LETTER_GAP)))
     }
 
-    /// A pen for this background.
     pub(crate) fn pen<'a>(&self, painter: &'a Painter) -> Pen<'a> {
         let [r, g, b] = self.background.map(f32::from);
         let is_dark = 0.299 * r + 0.587 * g + 0.114 * b < 128.0;

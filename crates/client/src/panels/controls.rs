@@ -40,7 +40,6 @@ pub(crate) fn percent(ui: &mut Ui, share: &mut f32, range: RangeInclusive<f32>) 
     slider
 }
 
-/// A field for a whole number.
 pub(crate) fn whole<'a, N: Numeric>(ui: &Ui, value: &'a mut N, range: RangeInclusive<N>) -> DragValue<'a> {
     DragValue::new(value).range(range).update_while_editing(false).custom_parser(reader(ui))
 }

@@ -1,7 +1,7 @@
 //! The panels over the picture. A panel shows what it is given and returns what the person asks for.
 //!
-//! Panels do not know each other; `app` places them. What they share is in `background`, `controls`, `file_field`, `part_pickers`, `style`, `text` and
-//! `value_scale`.
+//! Panels do not know each other; `app` places them. What they share is in `background`, `controls`, `file_field`,
+//! `part_pickers`, `style`, `text` and `value_scale`.
 
 pub(crate) mod background;
 pub(crate) mod banner;

@@ -8,7 +8,6 @@ use isinglass_core::wire::{Probed, VolumeDescription, Welcome};
 
 use crate::panels::style::pane;
 
-/// The probe, on or off.
 #[derive(Debug, Default)]
 pub(crate) struct ValueProbe {
     is_on: bool,

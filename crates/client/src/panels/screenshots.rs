@@ -25,7 +25,6 @@ use crate::view::waker_of;
 pub(crate) struct Subject {
     /// Name of the volume, from which the files get theirs.
     pub(crate) name: String,
-    /// The camera of the window.
     pub(crate) pose: Pose,
     pub(crate) intrinsics: Intrinsics,
     /// sRGB behind the volume.

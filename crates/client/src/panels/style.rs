@@ -5,16 +5,13 @@ use egui::{Color32, Frame, Margin, Stroke, Ui};
 /// The room that is taken around a pane, points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Taken {
-    /// On the left.
     pub(crate) left: f32,
-    /// On the right.
     pub(crate) right: f32,
     /// At the edge of the window where the pane lies.
     pub(crate) edge: f32,
 }
 
 impl Taken {
-    /// The width left for a pane.
     pub(crate) fn width(&self, ctx: &egui::Context) -> f32 {
         ctx.content_rect().width() - self.left - self.right
     }

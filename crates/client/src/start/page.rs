@@ -24,7 +24,6 @@ pub(crate) enum PageWish {
     Forget(usize),
 }
 
-/// What the page shows at a refresh.
 pub(crate) struct PageScene<'a> {
     pub(crate) services: &'a Services,
     pub(crate) recent: &'a RecentList,

@@ -1,17 +1,17 @@
-//! What is asked for beyond the picture of this moment: where the camera will be, and what lies beside its view.
+//! What the viewer requests beyond the present picture: a predicted camera, and a margin around its view.
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose, Projection};
 
 use isinglass_core::space::Aabb;
 
-/// What a viewer does against the delay of its frames.
+/// A viewer's measures against latency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Foresight {
-    /// Frames are asked for from where the camera will be when they are shown.
+    /// Requests frames for the predicted camera.
     pub predicts: bool,
-    /// Frames are asked for with a margin around the picture where the volume goes on beyond it.
+    /// Requests frames with a margin where the volume continues beyond the picture.
     pub guards: bool,
-    /// What the newest frame does not see is taken from older ones.
+    /// Fills what the newest frame lacks from older ones.
     pub keeps: bool,
 }
 
@@ -22,26 +22,25 @@ impl Default for Foresight {
 }
 
 impl Foresight {
-    /// Nothing.
+    /// No measure.
     pub const NONE: Self = Self { predicts: false, guards: false, keeps: false };
 }
 
-/// What the server makes at most.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
-    /// Columns and rows.
+    /// Most columns or rows.
     pub(crate) max_side: u32,
-    /// Columns times rows.
+    /// Most columns times rows.
     pub(crate) max_lists: usize,
 }
 
-/// The largest margin that a frame gets whose picture alone would be `frame`: as much as there is to see beside it, a
-/// seventh of its longer side at most, and within what the server makes.
+/// The largest margin around the picture `frame`: what is visible beside it, at most a seventh of its longer side,
+/// and within the server's limits.
 pub(crate) fn widest(frame: Camera, bounds: &Aabb, limits: Limits) -> Intrinsics {
     guarded(frame, bounds, limits, f32::INFINITY)
 }
 
-/// The frame for a camera that moves: with a margin as wide as the picture moves on the way from `now` to `reach`.
+/// The frame for a moving camera, with a margin as wide as the picture moves from `now` to `reach`.
 pub(crate) fn guard_band(
     frame: Camera,
     now: &Camera,
@@ -58,15 +57,15 @@ pub(crate) fn guard_band(
     let shift = |corner| {
         let (a, b) = (from.pixel_from_point(corner), to.pixel_from_point(corner));
         let moved = (a.truncate() / a.z - b.truncate() / b.z).abs().max_element();
-        // Behind the eye there is no picture that could move.
+        // Behind the eye there is no picture.
         if a.z > 0.0 && b.z > 0.0 { moved } else { f32::INFINITY }
     };
     let moved = bounds.corners().into_iter().map(shift).fold(0.0, f32::max);
     guarded(frame, bounds, limits, moved)
 }
 
-/// The pose of an eye whose picture moves as the camera's does. Parallel rays have none, and zooming changes the height of
-/// what they show instead: theirs is as far away as makes the height grow with the distance.
+/// The pose of an eye whose picture moves like the camera's. Zooming with parallel rays changes the height of the
+/// picture and not the eye, so here the distance grows with the height.
 pub(crate) fn eye_of(camera: &Camera, bounds: &Aabb) -> Pose {
     let Projection::Orthographic { height } = camera.intrinsics.projection else { return camera.pose };
     let forward = camera.pose.forward();
@@ -90,7 +89,7 @@ fn guarded(frame: Camera, bounds: &Aabb, limits: Limits, moved: f32) -> Intrinsi
     let i = frame.intrinsics;
     let longer = i.width.max(i.height) as f32;
     let wanted = moved.clamp(LEAST_SHARE * longer, GREATEST_SHARE * longer).min(frame.overhang(bounds));
-    // Whole tiles, so that frames do not change their size at every refresh.
+    // Whole tiles keep the size of frames from changing at every refresh.
     let mut margin = (wanted / TILE).ceil() as u32 * TILE as u32;
     let fits = |margin: u32| {
         let wide = i.with_margin(margin);
@@ -105,13 +104,13 @@ fn guarded(frame: Camera, bounds: &Aabb, limits: Limits, moved: f32) -> Intrinsi
 
 /// Margins are multiples of this many pixels: the codec's tiles.
 const TILE: f32 = 16.0;
-/// Least and greatest margin on each side, in units of the longer side. The least is what a hand that starts moves
-/// within a short round trip; the greatest makes a frame 1.7 times as large.
+/// Least and greatest margin on each side, in units of the longer side. The least covers a hand's first movement in a
+/// short round trip; the greatest makes a frame 1.7 times as large.
 const LEAST_SHARE: f32 = 0.04;
 const GREATEST_SHARE: f32 = 0.15;
-/// As that of an eye with a field of view of 0.7 radians.
+/// The distance of an eye with a field of view of 0.7 radians.
 const DISTANCE_PER_HEIGHT: f32 = 1.37;
-/// Wider views are refused by the server.
+/// The server refuses wider views.
 const MAX_FOV_Y: f32 = 3.0;
 
 #[cfg(test)]

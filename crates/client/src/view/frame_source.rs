@@ -1,4 +1,4 @@
-//! The viewer's door to the frames: what it asks of whoever brings them. The network client is one; tests have others.
+//! The source of frames for the viewer. The network client is one; tests have others.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,37 +9,37 @@ use isinglass_core::session::ClientSession;
 use isinglass_core::wire::Welcome;
 use isinglass_net::{Client, LinkStats, ReceivedFrame, State, Talking};
 
-/// Brings layered frames. No call waits for anything but a lock that is held for moments: the viewer polls it at every
-/// refresh.
+/// Brings layered frames. The viewer polls it at every refresh, so calls wait only for locks that are held for
+/// moments.
 pub trait FrameSource {
-    /// The conversation with the server: all that the viewer may ask for, and what it has heard.
+    /// The conversation with the server: everything that the viewer can say, and what it has heard.
     fn talk(&self) -> Talking<'_, ClientSession>;
 
-    /// The newest frame that can be shown. The same `Arc` as long as nothing has changed.
+    /// The newest displayable frame. It is the same `Arc` until something changes.
     fn latest_frame(&self) -> Option<Arc<ReceivedFrame>>;
 
-    /// A frame was on the screen, for the ledger.
+    /// Notes for the ledger that a frame was on the screen.
     fn note_shown(&mut self, frame: FrameId);
 
-    /// Where the connection stands.
+    /// The state of the connection.
     fn state(&self) -> State;
 
-    /// What the connection costs.
+    /// Statistics of the connection.
     fn stats(&self) -> LinkStats;
 
-    /// Asks for a frame from `pose`, set at `now`; the newest wins, and an unusable pose is ignored.
+    /// Requests a frame from `pose`, set at `now`. The newest wins, and an unusable pose is ignored.
     fn set_pose(&mut self, now: Duration, pose: Pose, intrinsics: Intrinsics) {
         if let Err(e) = self.talk().pose.set(now.as_micros() as u64, pose, intrinsics) {
             tracing::warn!("pose ignored: {e}");
         }
     }
 
-    /// What the server said of the volume, once it did.
+    /// The server's description of the volume, once known.
     fn description(&self) -> Option<Arc<Welcome>> {
         self.talk().link.description()
     }
 
-    /// Whether a frame is of the volume that is described, and not of the one before.
+    /// Whether a frame shows the described volume, and not the previous one.
     fn is_of_volume(&self, frame: &ReceivedFrame) -> bool {
         frame.is_of(&self.talk())
     }

@@ -20,9 +20,9 @@ pub struct DisplayRecord {
     pub at: Duration,
     /// The camera of the picture, from the pose of the same refresh.
     pub camera: Camera,
-    /// The frame that was cast; none before the first.
+    /// The frame that was cast; `None` before the first.
     pub frame: Option<Arc<ReceivedFrame>>,
-    /// Older frames for what `frame` does not see.
+    /// Older frames that fill what `frame` lacks.
     pub kept: Vec<Arc<ReceivedFrame>>,
     /// How the picture relates to the server's.
     pub standing: Standing,
@@ -32,7 +32,7 @@ pub struct DisplayRecord {
     pub turned_degrees: Option<f32>,
     /// The connection's state.
     pub state: State,
-    /// What the connection costs.
+    /// Statistics of the connection.
     pub stats: LinkStats,
 }
 

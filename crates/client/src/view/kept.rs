@@ -1,4 +1,4 @@
-//! Older frames that the viewer keeps for what the newest does not see.
+//! Older frames that fill what the newest lacks.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ pub(crate) struct KeptFrames {
 }
 
 impl KeptFrames {
-    /// Keeps a complete frame that is shown. A frame of another volume, look or connection drops all before it.
+    /// Keeps a complete displayed frame. A frame of another volume, look or connection drops all earlier ones.
     pub(crate) fn note(&mut self, shown: &Arc<ReceivedFrame>, bounds: &Aabb) {
         if self.bounds.replace(*bounds) != Some(*bounds) {
             self.frames.clear();
@@ -41,7 +41,7 @@ impl KeptFrames {
         }
     }
 
-    /// The frames to combine with the newest for a picture; none if it sees all of it.
+    /// The frames to combine with the newest for a picture; empty if it sees all of it.
     pub(crate) fn choose(
         &self,
         newest: &Arc<ReceivedFrame>,
@@ -79,7 +79,7 @@ fn num_bytes(frame: &LayeredFrame) -> usize {
 
 /// Kept frames, the newest included: twice as many as a picture combines.
 const MAX_KEPT: usize = 7;
-/// Size of all kept frames together: three of 1920×1080 with six segments a list.
+/// Most bytes of all kept frames together: three of 1920×1080 with six segments per list.
 const MAX_KEPT_BYTES: usize = 512 << 20;
 
 #[cfg(test)]

@@ -6,9 +6,9 @@ use isinglass_net::Link;
 
 /// Starts servers in this process for volumes that are opened in the window. The viewer itself renders no volume.
 ///
-/// Functions that may take time are called on threads where they may.
+/// Slow functions are called on threads that may block.
 pub trait LocalServers: Send + Sync {
-    /// Memory that volumes may take, bytes.
+    /// Memory limit for volumes, bytes.
     fn max_bytes(&self) -> u64;
 
     /// Checks that a volume fits beside `held` bytes.
@@ -17,22 +17,22 @@ pub trait LocalServers: Send + Sync {
     /// One line for a person if it does not.
     fn check(&self, outline: &Outline, held: u64) -> Result<(), String>;
 
-    /// Serves a volume that was read as `request` says. May take a moment.
+    /// Serves a volume that was read for `request`. May take a moment.
     ///
     /// # Errors
-    /// One line for a person.
+    /// One line for the user.
     fn start(&self, volume: Volume, outline: &Outline, request: &LoadRequest) -> Result<LocalServer, String>;
 }
 
 /// A server in this process.
 pub struct LocalServer {
-    /// Lets the window in.
+    /// Admits the window.
     pub link: Link,
     /// Ends the server when it is dropped, which may take a moment.
     pub server: Box<dyn Send>,
 }
 
-/// Reads the header of a volume, and checks that there is room for it.
+/// Reads the header of a volume, and checks that memory suffices.
 pub(crate) fn survey(
     request: &LoadRequest,
     held: u64,
@@ -41,7 +41,7 @@ pub(crate) fn survey(
     let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
     let options = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
     let found = match outline(&source, &options) {
-        // The check explains what is needed.
+        // The check explains the needs.
         Err(FormatError::TooLarge { .. }) => {
             outline(&source, &OpenOptions { max_bytes: u64::MAX, ..options })
         }

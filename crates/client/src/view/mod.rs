@@ -1,4 +1,4 @@
-//! Which frame is shown: where frames come from, what is requested of the server, and how a frame on screen relates to
+//! Chooses the frame to show: the source of frames, the requests to the server, and how a displayed frame relates to
 //! the camera. Nothing here draws.
 
 use std::sync::Arc;
@@ -19,7 +19,6 @@ pub type BoxedSource = Box<dyn frame_source::FrameSource + Send>;
 /// Wakes the window from any thread: something to show has arrived.
 pub type Waker = Arc<dyn Fn() + Send + Sync>;
 
-/// The waker of a window.
 pub(crate) fn waker_of(ctx: &egui::Context) -> Waker {
     let ctx = ctx.clone();
     Arc::new(move || ctx.request_repaint())

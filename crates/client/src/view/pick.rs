@@ -6,8 +6,8 @@ use isinglass_core::clip::Region;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::mode::Compositing;
 
-/// The point on the ray through a pixel in front of which half of its visible opacity lies, world space. On an opaque
-/// surface that is the surface, in a cloud its visible middle. None where next to nothing is visible.
+/// The point on a pixel's ray with half of the visible opacity in front of it, world space. On an opaque surface that
+/// is the surface, in a cloud its visible middle. `None` where almost nothing is visible.
 pub(crate) fn visible_point(
     frame: &LayeredFrame,
     region: &Region,
@@ -48,7 +48,7 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     let level_depth = (camera.far - camera.near) / f32::from(u16::MAX);
     let level = |p: Vec3| ((p - basis.eye).dot(basis.forward) - camera.near) / level_depth;
     let (a, b) = (level(from), level(to));
-    // Across the lists both ends have one depth.
+    // A line across the lists has the same depth at both ends.
     let (a, b) = (a.min(b), a.max(b).max(a.min(b) + 1e-2));
     let mut tau = 0.0;
     for i in frame.list(list) {
@@ -67,9 +67,7 @@ fn optical_depth(frame: &LayeredFrame, from: Vec3, to: Vec3) -> f32 {
     tau
 }
 
-/// Steps along the ray.
 const NUM_STEPS: usize = 512;
-/// Less is invisible.
 const LEAST_OPACITY: f32 = 0.02;
 
 #[cfg(test)]

@@ -43,7 +43,7 @@ pub struct QualityControl {
     /// The time of each step when it was last cast, and when that was.
     measured: [Option<(Duration, Duration)>; LADDER.len()],
     changed_at: Duration,
-    /// The shortest time between refreshes of late: the display's period if casts are fast.
+    /// The shortest recent time between refreshes: the display's period if casts are fast.
     period: Duration,
     /// The step whose first time was slightly too long, which needs a second one to count.
     doubted: Option<usize>,
@@ -63,7 +63,7 @@ impl QualityControl {
         let Some(step) = LADDER.iter().position(|q| *q == quality) else { return };
         let longer = self.period + time.saturating_sub(self.period).mul_f32(PERIOD_GAIN);
         self.period = time.min(longer).min(LONGEST_PERIOD);
-        // A single slow refresh may be a driver that compiles or a clock that speeds up: the next one tells.
+        // A single slow refresh may be a compiling driver or a clock that speeds up, so the next one decides.
         let is_hiccup =
             time > self.target && time <= self.target.mul_f32(HICCUP) && !self.is_known(now, step);
         if is_hiccup && self.doubted != Some(step) {
@@ -158,7 +158,7 @@ const ALONE: usize = 1;
 /// Time of each step relative to the second: the share of its pixels, and a constant tenth. Kept frames are tried if
 /// there is some time to spare: their cost depends on how much of the picture they fill.
 const COSTS: [f32; LADDER.len()] = [1.4, 1.0, 0.61, 0.33, 0.21, 0.16];
-/// With kept frames a picture takes at most so many times as long as without.
+/// Factor that kept frames may add to the time of a picture.
 const MOST_OF_KEPT: u32 = 4;
 /// A step is chosen if it should need no more than this share of the time.
 const HEADROOM: f32 = 0.85;
@@ -171,13 +171,13 @@ const MEMORY: Duration = Duration::from_secs(5);
 /// A rate counts as held if it is missed by this factor: two periods at 59.94 Hz are longer than a thirtieth of a
 /// second.
 const SLACK: f32 = 1.05;
-/// The longest period of a display: what takes longer is a cast.
+/// The longest period of a display: longer times are those of casts.
 const LONGEST_PERIOD: Duration = Duration::from_millis(21);
 /// How fast the period follows longer times, so that two refreshes without a wait between them are soon forgotten.
 const PERIOD_GAIN: f32 = 0.05;
-/// A step that takes at most so many periods may cost anything up to that.
+/// Up to this many periods, the cost of a step is unknown.
 const AT_PERIOD: f32 = 1.15;
-/// A first time of up to so many targets counts when it comes twice.
+/// A first time of up to this many targets counts only when it repeats.
 const HICCUP: f32 = 2.5;
 /// Least refresh rate, 1/s.
 const MIN_RATE: f32 = 0.1;
@@ -307,7 +307,8 @@ mod tests {
         }
     }
 
-    /// Where there are no kept frames to cast, nothing is learnt of them, and a slow picture is made smaller all the same.
+    /// Where there are no kept frames to cast, nothing is learnt of them, and a slow picture is made smaller all the
+    /// same.
     #[test]
     fn without_kept_frames_the_picture_itself_counts() {
         let (mut control, mut now) = (QualityControl::new(30.0), Duration::ZERO);

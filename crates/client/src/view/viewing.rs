@@ -1,5 +1,5 @@
-//! What a viewer does at every refresh, with or without a window: ask for the camera's frame, take the newest one
-//! there is, and know how the two stand to each other. Nothing here waits, draws or reads a clock.
+//! The work of a viewer at every refresh, with or without a window: request the camera's frame, take the newest one,
+//! and relate the two. Nothing here waits, draws or reads a clock.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -20,16 +20,16 @@ use crate::view::foresight::{Foresight, Limits, camera_of, eye_of, guard_band, w
 use crate::view::frame_source::FrameSource;
 use crate::view::kept::KeptFrames;
 
-/// How the picture on screen stands to the server's picture of the same camera.
+/// How the displayed picture relates to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// No frame has come yet.
+    /// No frame has arrived yet.
     Waiting,
     /// The camera moves; the picture is a novel view of the newest frame.
     Moving,
     /// The camera rests; its own frame is not complete yet.
     Refining,
-    /// The camera rests, and there is no connection: whatever is shown, nothing better can come.
+    /// The camera rests without a connection, so nothing better can arrive.
     Offline,
     /// The camera's own frame is complete, but in blocks or of another size than the picture, or the picture is for two
     /// eyes.
@@ -38,17 +38,17 @@ pub enum Standing {
     Exact,
 }
 
-/// The size of the frames that are asked for.
+/// The size of requested frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameSize {
-    /// Frames are at most so wide.
+    /// Greatest width of a frame.
     pub max_width: u32,
-    /// Frames are at most so high.
+    /// Greatest height of a frame.
     pub max_height: u32,
     /// Size of a frame in units of the picture's, at most 1.
     pub scale: f32,
-    /// While the camera moves, frames are made so much smaller that the server needs no longer than this for one: a
-    /// coarser frame that is fresh beats a fine one that is late. At rest they have their full size again.
+    /// Longest time of the server for a frame of a moving camera; frames shrink to keep it. A coarser fresh frame
+    /// beats a fine late one. At rest they have their full size again.
     pub moving_budget: Option<Duration>,
 }
 
@@ -59,7 +59,7 @@ impl Default for FrameSize {
 }
 
 impl FrameSize {
-    /// The frame to ask for when the picture is `picture`: the same view, scaled down evenly if it is too large. The
+    /// The frame to request for the picture `picture`: the same view, scaled down evenly if it is too large. The
     /// server's limit is `max_side`.
     pub fn frame_for(&self, picture: Intrinsics, max_side: u32) -> Intrinsics {
         let (width, height) = (picture.width.max(1) as f32, picture.height.max(1) as f32);
@@ -69,7 +69,7 @@ impl FrameSize {
         Intrinsics { width: scaled(width), height: scaled(height), ..picture }
     }
 
-    /// The same while the camera moves, if a list costs the server `micros_per_list`.
+    /// The same for a moving camera, if a list costs the server `micros_per_list`.
     fn moving_frame_for(
         &self,
         picture: Intrinsics,
@@ -87,39 +87,38 @@ impl FrameSize {
     }
 }
 
-/// What to draw at a refresh, and how it stands.
+/// What to draw at a refresh, and its relation to the server.
 #[derive(Clone, Debug)]
 pub struct Refresh {
     /// The camera of the picture.
     pub camera: Camera,
     /// The box of the volume.
     pub bounds: Aabb,
-    /// What of the volume is to be seen, now: whatever the frame holds.
+    /// The part of the volume to show now, whatever the frame holds.
     pub clip: Clip,
     /// The frame to cast.
     pub frame: Option<Arc<ReceivedFrame>>,
-    /// Older frames for what it does not see; most often none.
+    /// Older frames for what it lacks; usually none.
     pub kept: Vec<Arc<ReceivedFrame>>,
-    /// How picture and server stand.
+    /// Relation of the picture to the server's.
     pub standing: Standing,
-    /// Time since the pose that the frame answers was last wished for: zero as long as the camera rests there.
+    /// Time since the frame's pose was last requested: zero while the camera rests there.
     pub frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera's.
     pub turned_degrees: Option<f32>,
-    /// Whether the pose asked for is not the camera's but one that it is expected to reach. A camera that stops must be
-    /// refreshed once more to be asked for itself.
+    /// Whether the requested pose is a predicted one. A camera that stops needs one more refresh to request its own.
     pub is_ahead: bool,
-    /// Whether camera or frame differ from the refresh before.
+    /// Whether the camera or the frame differs from the previous refresh.
     pub changed: bool,
-    /// Since when the picture has been made with an older look than is wished for; none: it is made with that look, or with
-    /// one that shows more and is cut here.
+    /// Since when the picture has an older look than the chosen one. `None` if it has that look, or one that shows
+    /// more and is cut here.
     pub older_look_since: Option<Duration>,
 }
 
-/// Keeps the wishes and the newest frame. Call [`Viewing::refresh`] once for each picture.
+/// Keeps the requests and the newest frame. Call [`Viewing::refresh`] once for each picture.
 pub struct Viewing<S> {
     source: S,
-    /// How large the frames are.
+    /// The size of frames.
     pub frame_size: FrameSize,
     foresight: Foresight,
     predictor: Predictor,
@@ -127,24 +126,24 @@ pub struct Viewing<S> {
     /// The pose of the newest frame whose delay was measured.
     measured: PoseId,
     asked: Option<(Pose, Intrinsics)>,
-    /// Poses that were asked for, and when they last were.
+    /// Requested poses, and when each was last requested.
     left: VecDeque<(Pose, Duration)>,
     last: Option<(Camera, Option<Arc<ReceivedFrame>>)>,
-    /// The first refresh.
+    /// The time of the first refresh.
     began_at: Option<Duration>,
     moved_at: Duration,
     refreshed_at: Duration,
-    /// What a list costs the server to generate and encode, as it last said.
+    /// The server's last known cost of generating and encoding a list.
     micros_per_list: Option<f32>,
-    /// The last change of the one wished for.
+    /// The last change of the chosen look.
     look_changed_at: Option<Duration>,
     older_look_since: Option<Duration>,
-    /// The box of the volume that the newest frame is of.
+    /// The box of the newest frame's volume.
     frame_bounds: Option<Aabb>,
 }
 
 impl<S: FrameSource> Viewing<S> {
-    /// Shows what `source` brings.
+    /// Shows the frames of `source`.
     pub fn new(source: S, frame_size: FrameSize, foresight: Foresight) -> Self {
         Self {
             source,
@@ -166,17 +165,17 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// Whoever brought the frames.
+    /// Takes the source of frames.
     pub fn into_source(self) -> S {
         self.source
     }
 
-    /// Whoever brings the frames.
+    /// The source of frames.
     pub fn source(&self) -> &S {
         &self.source
     }
 
-    /// The same, for what the viewer has to say beside its wishes.
+    /// The source of frames, for anything else that the viewer says.
     pub fn source_mut(&mut self) -> &mut S {
         &mut self.source
     }
@@ -208,7 +207,7 @@ impl<S: FrameSource> Viewing<S> {
             self.left.push_back((left, self.refreshed_at));
         }
         let is_of_volume = frame.as_deref().is_none_or(|f| self.source.is_of_volume(f));
-        // How exact frames are seen says nothing of frames in blocks: they are there at rest, or come another way.
+        // Exact frames say nothing about frames in blocks: they arrive at rest, or in another way.
         let tells = |f: &&ReceivedFrame| !f.is_exact && is_of_volume && self.is_moving(now);
         let told = frame.as_deref().filter(tells).map(|f| turned_degrees(f, &camera, bounds));
         self.source.talk().quietly().pose.note_turn(told);
@@ -229,7 +228,7 @@ impl<S: FrameSource> Viewing<S> {
             self.source.note_shown(f.frame.header.frame);
         }
         self.last = Some((camera, frame.clone()));
-        // Until the first frame of another volume is there, the one before is shown as it was, and as large.
+        // Until the first frame of another volume arrives, the previous volume stays at its size.
         let drawn = *self.frame_bounds.get_or_insert(*bounds);
         let (drawn, camera) = match is_of_volume {
             true => (*self.frame_bounds.insert(*bounds), camera),
@@ -258,8 +257,8 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// The size to ask for. `ahead` is the camera of the picture to ask for, `shown` the one shown, and `own` its frame, if it
-    /// is there.
+    /// The size to request. `ahead` is the camera of the request, `shown` the displayed one, and `own` its frame, if
+    /// present.
     fn size(
         &self,
         now: Duration,
@@ -274,7 +273,7 @@ impl<S: FrameSource> Viewing<S> {
         let k = self.source.talk().look.in_force().map_or(MAX_K as u8, |(_, look)| look.k);
         let limits = Limits { max_side, max_lists: max_lists(k) };
         if let Some(own) = own {
-            // The picture is the server's own; what lies beside it is for the movement to come.
+            // The picture is already the server's own; matter beside it is for the next movement.
             let has_margin = own.frame.header.camera.intrinsics != full;
             return match self.foresight.guards {
                 true if has_margin => own.frame.header.camera.intrinsics,
@@ -286,7 +285,7 @@ impl<S: FrameSource> Viewing<S> {
             return self.frame_size.moving_frame_for(picture, max_side, Some(UNKNOWN_MICROS_PER_LIST));
         }
         if !self.is_moving(now) {
-            // An edit is seen at once in a small frame, and its full one is asked for when the hand rests.
+            // An edit first appears in a small frame; the full one is requested when the hand rests.
             return match self.is_changing_look(now) {
                 true => self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list),
                 false => full,
@@ -304,8 +303,8 @@ impl<S: FrameSource> Viewing<S> {
         wide(of_size(growth))
     }
 
-    /// The frame to show: the newest, unless the picture is the server's own already and the newest, of the same
-    /// pose, is not complete, or no longer exact.
+    /// The frame to show: the newest. The exception is a picture that is already the server's own, if the newest has
+    /// the same pose but is incomplete or no longer exact.
     fn choose(
         &self,
         now: Duration,
@@ -321,8 +320,8 @@ impl<S: FrameSource> Viewing<S> {
         Some(shown.cloned().unwrap_or(newest))
     }
 
-    /// Learns how long a wish takes, when its frame is there for the first time. A pose that is answered again, with
-    /// another look or on another connection, says nothing.
+    /// Measures the time from a request to its frame. A pose that is answered again, with another look or connection,
+    /// does not count.
     fn note_delay(&mut self, now: Duration, frame: Option<&ReceivedFrame>) {
         let Some(frame) = frame.filter(|f| f.frame.header.pose > self.measured) else { return };
         self.measured = frame.frame.header.pose;
@@ -331,12 +330,12 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// The look to show as chosen: the one asked for last, until the server has it.
+    /// The chosen look: the last request until the server has it.
     pub fn look(&self) -> Option<Arc<Look>> {
         self.source.talk().look.chosen()
     }
 
-    /// Asks for another look; one that cannot be used is ignored.
+    /// Requests another look; an invalid one is ignored.
     pub fn set_look(&mut self, now: Duration, look: Look) {
         match self.source.talk().look.set(now.as_micros() as u64, look) {
             Ok(()) => self.look_changed_at = Some(now),
@@ -344,8 +343,8 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// Whether a picture of a frame is that of the look that was asked for last: if the frame has it, or one that differs in
-    /// showing more of the volume, which the viewer cuts.
+    /// Whether a picture of a frame has the last requested look. That holds for a frame with it, or with one that
+    /// only shows more of the volume, which the viewer cuts.
     fn shows_wanted_look(&self, frame: &ReceivedFrame, bounds: &Aabb) -> bool {
         let version = frame.frame.header.look;
         let (is_chosen, looks) = {
@@ -360,8 +359,8 @@ impl<S: FrameSource> Viewing<S> {
             })
     }
 
-    /// Whether no frame has been there and the first is being asked for. That one is small, so that there is something to
-    /// see while the server makes a whole one, which is asked for a moment later: by then the server is at work.
+    /// Whether the first frame is being requested. It is small, so that something appears while the server makes a
+    /// whole one. That is requested a moment later, when the server is at work.
     fn is_beginning(&self, now: Duration) -> bool {
         let has_frame = self.last.as_ref().is_some_and(|(_, frame)| frame.is_some());
         !has_frame && self.began_at.is_some_and(|began| now < began + BEGINNING)
@@ -375,7 +374,7 @@ impl<S: FrameSource> Viewing<S> {
         self.look_changed_at.is_some_and(|at| now < at + REST)
     }
 
-    /// Learns what a list costs when the server has spoken of the frame that is shown.
+    /// Learns the cost of a list from the server's report on the displayed frame.
     fn note_cost(&mut self, frame: Option<&ReceivedFrame>) {
         let cost = self.source.stats().server;
         if let Some(header) = frame.map(|f| &f.frame.header).filter(|h| h.frame == cost.frame) {
@@ -404,9 +403,9 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// Whether a frame is the camera's own, complete, of the look that is wished for, and no better one is to come.
+    /// Whether a frame is the camera's own, complete and of the chosen look, and no better one will come.
     fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
-        // A server may send a frame in blocks again exactly, or leave it at that.
+        // A server may send a frame in blocks again exactly, or not.
         let complete_since = frame.times.at(Stage::WholeDecoded).map(Duration::from_micros);
         let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
         let is_of_look = || {
@@ -418,20 +417,20 @@ impl<S: FrameSource> Viewing<S> {
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> Option<Duration> {
         let Camera { pose: of_frame, intrinsics, .. } = &frame.frame.header.camera;
-        // With parallel rays the pose does not say how much is seen.
+        // With parallel rays the pose does not tell the visible height.
         let is_parallel = intrinsics.projection.is_orthographic();
         let is_zoomed = is_parallel && intrinsics.projection != own.1.projection && !is_own(frame, own);
         if *of_frame == own.0 && !is_zoomed {
             return Some(Duration::ZERO);
         }
         let left = self.left.iter().rev().find(|(p, _)| p == of_frame && !is_parallel).map(|(_, at)| *at);
-        // A pose that is forgotten is older than all that are not.
+        // A forgotten pose is older than all remembered ones.
         let since = left.or_else(|| Some(Duration::from_micros(frame.times.at(Stage::Asked)?)))?;
         now.checked_sub(since)
     }
 }
 
-/// How far a camera is turned from a frame's, about the middle of the box, degrees.
+/// The angle between a camera and a frame's, about the middle of the box, degrees.
 fn turned_degrees(frame: &ReceivedFrame, camera: &Camera, bounds: &Aabb) -> f32 {
     let (of_frame, shown) = (eye_of(&frame.frame.header.camera, bounds), eye_of(camera, bounds));
     angle_between_degrees(&of_frame, &shown, bounds.center())
@@ -448,32 +447,32 @@ fn scaled(camera: &Camera, from: &Aabb, to: &Aabb) -> Camera {
     Camera::new(Pose { eye, ..pose }, intrinsics, to)
 }
 
-/// Whether a camera sees anything otherwise than another one. A window may change its size without that.
+/// Whether two cameras see different things. The size of a window may change without that.
 fn has_moved(a: &Camera, b: &Camera) -> bool {
     let [of_a, of_b] = [a, b].map(|c| c.intrinsics.projection);
     a.pose != b.pose || (of_a != of_b && (of_a.is_orthographic() || of_b.is_orthographic()))
 }
 
-/// Whether a frame holds the lists of `full` from `pose`, with or without a margin around them. A smaller frame, asked
-/// for while the camera moved, settles nothing: the full one has yet to be asked for.
+/// Whether a frame holds the lists of `full` from `pose`, with or without a margin. A smaller frame of a moving
+/// camera settles nothing: the full one must still be requested.
 fn is_own(frame: &ReceivedFrame, (pose, full): (Pose, Intrinsics)) -> bool {
     let camera = &frame.frame.header.camera;
     camera.pose == pose && camera.intrinsics.margin_around(&full).is_some()
 }
 
-/// A hand that has not moved the camera for so long rests: longer than a refresh at 10 Hz, too short to notice.
+/// A camera rests when it has not moved for this time: longer than a refresh at 10 Hz, and too short to notice.
 const REST: Duration = Duration::from_millis(150);
-/// The first frame is asked for in the size of a moving camera's for so long: a few refreshes.
+/// How long the first frame is requested in a small size: a few refreshes.
 const BEGINNING: Duration = Duration::from_millis(80);
-/// What a list is taken to cost a server that has not spoken of it: what one takes that has two cores and no GPU.
+/// Assumed cost of a list before the server reports it: that of two cores without a GPU.
 const UNKNOWN_MICROS_PER_LIST: f32 = 3.0;
-/// Sizes of frames while the camera moves: few, so that they do not change all the time.
+/// Sizes of frames while the camera moves: few, so that they rarely change.
 const MOVING_SCALES: [f32; 5] = [1.0, 0.75, 0.5, 0.35, LEAST_MOVING_SCALE];
 const LEAST_MOVING_SCALE: f32 = 0.25;
-/// How long an exact frame is waited for behind the same in blocks. One may take longer on a narrow link; then a margin is
-/// asked for too early, no more.
+/// How long to wait for an exact frame after the same in blocks. On a narrow link it may take longer; then a margin
+/// is merely requested too early.
 const FINER_PATIENCE: Duration = Duration::from_millis(1500);
-/// Poses that are remembered: at 60 Hz four seconds' worth, longer than any round trip.
+/// Number of remembered poses: four seconds' worth at 60 Hz, longer than any round trip.
 const MAX_LEFT: usize = 256;
 
 #[cfg(test)]

@@ -1,21 +1,21 @@
-//! Novel views from several layered frames: what the newest frame does not see is taken from older ones (the open
-//! question of Mueller 1999). Twin of `shaders/combine.wgsl`.
+//! Novel views from several layered frames: older frames fill what the newest lacks (the open question of Mueller
+//! 1999). Twin of `shaders/combine.wgsl`.
 //!
-//! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, since every plane of the
-//! frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces, and in each piece
-//! the first frame, the newest first, that sees it is cast. Frames of different cameras show the same matter by
-//! different segments, so a hard change would be a seam. Inside a frame's border its coverage c therefore grows over a
-//! band of a few lists from 0 to 1, and in the band the media of the frames are mixed: frame n has the weight
-//! w_n = c_n·Π_{m<n}(1 − c_m), normalised to a sum of 1, so that where no other frame sees anything the one that does is
-//! shown as it is. Extinctions are weighted, source colours with them:
+//! A frame knows what lies in the frustum of its camera. On a new ray that is one interval, because every plane of
+//! the frustum is linear along it in homogeneous pixel coordinates. The planes cut the ray into pieces. Each piece is
+//! cast from the newest frame that covers it.
+//!
+//! Frames of different cameras show the same matter by different segments, so a hard change would be a visible seam.
+//! Inside a frame's border its coverage c therefore grows from 0 to 1 over a band of a few lists. In the band, frames
+//! are mixed. Frame n has the weight w_n = c_n·Π_{m<n}(1 − c_m), normalised to a sum of 1, so a frame that is alone
+//! is shown as it is. The weights apply to extinctions, and through these to source colours:
 //!
 //!   τ = Σ w_n·τ_n,  C = Σ w_n·τ_n·E_n / τ · (1 − e^−τ).
 //!
-//! In a projection the greatest key wins over all pieces, or colours add, and in the band colours and keys are weighted.
+//! In a projection the greatest key wins over all pieces, or colours add. In the band colours and keys are weighted.
 //!
-//! The newest frame's band is no wider than what the picture shows beyond its border. So from its own pose, and as long
-//! as it sees all of the picture, the picture is that of the newest frame alone; and a camera that turns away from
-//! it makes the band grow from nothing.
+//! The newest frame's band is no wider than what the picture shows beyond its border. So a picture that lies inside
+//! the newest frame shows that frame alone. When the camera turns away, the band grows from nothing.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -37,7 +37,6 @@ pub struct Combiner {
     options: CastOptions,
 }
 
-/// One frame.
 struct FrameLayer {
     caster: Raycaster,
     view: FrameFrustum,
@@ -189,7 +188,7 @@ impl Combiner {
             });
             match (next, &mut pending) {
                 (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => {
-                    *end = to
+                    *end = to;
                 }
                 _ => {
                     if let Some((piece, within)) = pending.take() {
@@ -304,9 +303,9 @@ pub fn combine_clipped(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera,
     picture
 }
 
-/// Chooses the `kept` frames that show what the newest lacks in a picture, by their cameras: at most [`MAX_FRAMES`] −
-/// 1. The one that adds most comes first; of two alike, the later in the list does. Empty if the newest sees
-/// everything.
+/// Chooses the `kept` frames that show what the newest lacks in a picture, by their cameras: one less than
+/// [`MAX_FRAMES`] at most. The one that adds most comes first; of two alike, the later in the list does. Empty if the
+/// newest sees everything.
 pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb) -> Vec<usize> {
     let sees = |camera: &Camera, p: Vec3, inset: f32| {
         let view = FrameFrustum::of(camera);

@@ -33,7 +33,6 @@ impl EmptySpace {
     }
 }
 
-/// The word of one tile.
 fn occupied(frame: &LayeredFrame, tile_x: u32, tile_y: u32) -> u32 {
     let size = frame.header.camera.intrinsics;
     let rows = tile_y * TILE..size.height.min((tile_y + 1) * TILE);

@@ -1,19 +1,18 @@
-//! Pictures that are averages of pinhole pictures: stereo pair, depth of field, motion blur (Lochmann 2016, section
-//! 4.3). Every pinhole view is cast by the kernel of the plain picture from the same layered frame; there is no kernel
-//! of its own here, only the choice of the views and their mean.
+//! Pictures that are means of pinhole pictures: stereo pair, depth of field, motion blur (Lochmann 2016, section
+//! 4.3). The plain kernel casts every pinhole view from the same layered frame; this module only chooses the views.
 //!
-//! **A shifted eye.** An eye that is moved by o within the plane of the camera sees the plane at view depth f, the
-//! focus, in place if its picture is shifted back (an off-axis frustum, not a turned camera: no vertical parallax).
-//! As the direction of a pixel has view depth 1,
+//! **A shifted eye.** An eye that moves by o within the plane of the camera keeps the plane at view depth f, the
+//! focus, in place if its picture is shifted back. This is an off-axis frustum and not a turned camera, so there is
+//! no vertical parallax. As the direction of a pixel has view depth 1,
 //!
-//!   eye' = eye + o,   forward' = forward − o/f,   right' = right,   up' = up,
+//!   eye' = eye + o,   forward' = forward − o/f,   right' = right,   up' = up.
 //!
-//! so a [`Basis`] whose `forward` is no longer perpendicular holds it, and view depths stay what they were. A point at
-//! depth z then moves in the picture by o·(1/f − 1/z)/tan(fov/2) half pictures: nothing at the focus.
+//! So a [`Basis`] holds it whose `forward` is no longer perpendicular, and view depths stay the same. A point at
+//! depth z moves in the picture by o·(1/f − 1/z)/tan(fov/2) half pictures, which is nothing at the focus.
 //!
-//! **Stereo**: o = ∓½ eye distance to the right. **Thin lens**: o over a disc; what is at depth z becomes a disc of
-//! radius a·|1/f − 1/z| times half the picture's height over tan(fov_y/2), in pixels. **Shutter**: the pose moves from
-//! one to another. Lens and shutter together take sample i of both.
+//! **Stereo**: o = ∓½ eye distance to the right. **Thin lens**: o covers a disc. A point at depth z becomes a disc of
+//! radius a·|1/f − 1/z| times half the picture's height over tan(fov_y/2), in pixels. **Shutter**: the pose moves
+//! from one to another. Lens and shutter together both use sample i.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;

@@ -157,7 +157,8 @@ impl Scene {
         if s1 <= s0 {
             return None;
         }
-        // Along longer sides of voxels a step is longer too, so each ray takes the same steps between two voxels.
+        // Steps are longer along longer sides of voxels: no ray takes more of them between two voxels than along the
+        // shortest side.
         let voxel_from_world = self.volume.spacing().recip();
         let voxels = (ray.dir * voxel_from_world).length();
         let share = (voxels / voxel_from_world.max_element()).min(1.0);

@@ -2,26 +2,27 @@
 //! of `shaders/raycast.wgsl`.
 //!
 //! A new ray P(s) = O + s·D is linear in the homogeneous pixel coordinates (x·w, y·w, w) of the generating camera,
-//! w being the view depth there. The six planes of its frustum are linear in s too, so the ray is clipped before any
-//! division, also when it runs towards the old eye or starts behind it. Between the clipped ends
-//! with depths w0, w1 and world distance S, the projection is a straight line; with t its parameter,
+//! with w the view depth there. The six planes of its frustum are linear in s too. So the ray is clipped before any
+//! division, even if it runs towards the old eye or starts behind it. Between the clipped ends with depths w0, w1 and
+//! world distance S, the projection is a straight line. With t its parameter,
 //!
-//!   depth(t) = w0·w1/(w1 + t(w0 − w1)),    distance(t) = S·t·w0/(w1 + t(w0 − w1)),
+//!   depth(t) = w0·w1/(w1 + t(w0 − w1)),    distance(t) = S·t·w0/(w1 + t(w0 − w1)).
 //!
-//! so one division a list gives both, by three constants a ray (S·w0, w1, w0 − w1). Where the rays of the generating
-//! camera are parallel, w is 1 everywhere and the depth linear in t; the sum of both forms, each times 0 or 1, holds for
-//! either camera. In each list the segments that
-//! the ray's depth interval overlaps are composited in the ray's order, front to back or, if the ray runs towards
-//! the old eye, back to front. A segment crossed over a length l of its own length z gives opacity 1 − (1 − α)^(l/z).
+//! One division per list gives both, from three constants per ray (S·w0, w1, w0 − w1). For parallel rays, w is 1
+//! everywhere and the depth is linear in t. The sum of both forms, each times 0 or 1, holds for either camera.
+//!
+//! In each list, the segments in the ray's depth interval are composited in the ray's order: front to back, or back
+//! to front if the ray runs towards the old eye. A segment of length z that is crossed over a length l has the
+//! opacity 1 − (1 − α)^(l/z).
 //!
 //! A DDA (Amanatides & Woo 1987) walks along the axis on which the line runs faster, from one column (or row) of
-//! lists to the next. Across it the line lies between the centres of two lists: both are composited over the same
-//! interval and mixed by nearness. Along the line lists have their exact shares of it; across it this removes the
-//! stair-steps of the nearest list. A ray of the frame's own pose runs through a centre, where the nearest list has
-//! all of the weight, so the own pose stays exact (ours; the sources take the nearest list).
+//! lists to the next. Across that axis the line lies between the centres of two lists. Both are composited over the
+//! same interval and mixed by nearness, which removes the stair-steps of the nearest list. A ray of the frame's own
+//! pose runs through a centre, where the nearest list has all of the weight. So the own pose stays exact (ours; the
+//! papers take the nearest list).
 //!
-//! Beside the shader: what a picture's rays can reach is found before they are cast (`reach`), and the lists of a tile's
-//! columns are looked up together and composited after that (`line`, `media` and `pieces`).
+//! Beyond the shader, the twin first finds what a picture's rays can reach (`reach`). It looks the lists of a tile's
+//! columns up together and composites them afterwards (`line`, `media` and `pieces`).
 
 mod line;
 mod media;
@@ -107,7 +108,6 @@ pub struct Raycaster {
 /// A list that may hold a segment on the ray.
 #[derive(Clone, Copy, Default)]
 struct Met {
-    /// The part of the stretch.
     part: u32,
     list: u32,
     nearness: f32,

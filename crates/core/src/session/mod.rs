@@ -1,15 +1,16 @@
-//! The conversation of a viewer with its server, without any I/O: one subject a file, with both halves and their tests.
+//! The conversation between a viewer and its server, without any I/O: one subject per file, with both halves and
+//! tests.
 //!
-//! Bytes and times come in through `handle_*`; decisions come out of `poll_*`. Times are microseconds on the clock of the
-//! side that asks. No clock of one machine is ever subtracted from the other's.
+//! Bytes and times come in through `handle_*`; decisions come out of `poll_*`. Times are microseconds on the clock of
+//! the calling side. The clocks of two machines are never mixed.
 //!
 //! - [`client`], [`server`]: all halves of a side.
-//! - [`link`]: the connection itself; [`admission`]: who is let in.
-//! - [`pose`]: where frames are wanted from; [`look`]: what they look like; [`selection`]: which part of the file they show.
-//! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they are begun; [`chunks`]: what of
-//!   them is sent, given up and decoded.
+//! - [`link`]: the connection itself; [`admission`]: who may join.
+//! - [`pose`]: the camera of the frames; [`look`]: their look; [`selection`]: the part of the file that they show.
+//! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
+//!   is sent, given up and decoded.
 //! - [`probe`], [`screenshot`]: the value at a point, and a picture to keep.
-//! - [`ledger`]: every frame's life, on either side.
+//! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
 

@@ -250,7 +250,6 @@ impl Pair {
     }
 }
 
-/// A look with this name.
 pub(crate) fn look(name: &str) -> Look {
     let point = |x: f32| ControlPoint { x, color: [1.0; 3], opacity: x };
     let (domain, unit_length) = (Domain::Full, UnitLength::Voxel);
@@ -262,7 +261,6 @@ pub(crate) fn look(name: &str) -> Look {
     })
 }
 
-/// A volume with this name.
 pub(crate) fn volume(name: &str) -> VolumeDescription {
     VolumeDescription {
         name: name.into(),

@@ -141,8 +141,8 @@ impl CodingControl {
         self.interval_micros.add(micros as f64);
     }
 
-    /// Notes the angle by which the viewer shows frames turned, degrees. `None` if the next frame is not one of a moving
-    /// camera, or if the angle is unknown.
+    /// Notes the angle by which the viewer shows frames turned, degrees. `None` if the next frame is not one of a
+    /// moving camera, or if the angle is unknown.
     pub fn handle_turned(&mut self, degrees: Option<u8>) {
         self.is_turned = degrees.is_some();
         if let Some(now) = degrees {
@@ -279,7 +279,6 @@ fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
 
-/// A moving mean.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean(Option<f64>);
 

@@ -27,7 +27,6 @@ pub struct Schedule {
     decode_nanos_per_list: u16,
 }
 
-/// The state of one station.
 #[derive(Clone, Copy, Debug, Default)]
 struct At {
     time: Estimate,
@@ -144,7 +143,8 @@ mod tests {
 
     /// What a pipeline with stations of constant times made.
     struct Run {
-        /// For each frame: when it was begun, generated, taken up by the coder, coded, taken up by the sender, sent; ms.
+        /// For each frame: when it was begun, generated, taken up by the coder, coded, taken up by the sender, sent;
+        /// ms.
         frames: Vec<[u64; 6]>,
     }
 

@@ -160,7 +160,6 @@ fn cell_sides(volume: &Volume, voxels: [usize; 3]) -> Vec3 {
     volume.spacing() * Vec3::from_array(voxels.map(|n| n as f32))
 }
 
-/// Extinction of a stored number.
 fn sigma_of(table: &TransferTable, stored: f32) -> f32 {
     // `clamp` would pass NaN on, which numbers of the greatest domains may become.
     let x = stored * table.x_scale + table.x_offset;

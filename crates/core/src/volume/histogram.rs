@@ -77,7 +77,6 @@ impl Histogram {
     }
 }
 
-/// Counts the voxels of each number.
 fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
     let lo = lo as usize;
     let bin = |x: T| (x.into() as usize).saturating_sub(lo);
@@ -183,7 +182,6 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
     (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * at) as f32
 }
 
-/// Number of bins for floats.
 const NUM_BINS: usize = 65_536;
 /// Voxels in one thread's share: many times the bins.
 const PART: usize = 1 << 21;

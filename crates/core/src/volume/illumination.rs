@@ -36,7 +36,6 @@ pub struct Illumination {
     lit: Option<Arc<Lit>>,
 }
 
-/// A shade and its level of detail.
 type GradedShade = (Detail, Arc<Shade>);
 
 /// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.

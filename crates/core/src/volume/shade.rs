@@ -39,7 +39,6 @@ pub(crate) struct Shade {
     pub(crate) dims: [usize; 3],
     /// Voxels of a cell along x, y, z.
     pub(crate) voxels: [usize; 3],
-    /// The shares.
     pub(crate) shares: Vec<f32>,
 }
 
@@ -266,7 +265,6 @@ impl Sweep {
     }
 }
 
-/// A shift as whole cells and a fraction.
 struct CellShift {
     whole: isize,
     part: f32,

@@ -1,6 +1,6 @@
-//! Literal bytes of one of each message and of each variant inside: bincode numbers variants and fields by their order, so
-//! reordering one changes the wire without a word. Whoever changes bytes here raises [`PROTOCOL_VERSION`] and reads
-//! docs/PROTOCOL.md.
+//! Literal bytes of one of each message and of each variant inside: bincode numbers variants and fields by their
+//! order, so reordering one changes the wire without a word. Whoever changes bytes here raises [`PROTOCOL_VERSION`]
+//! and reads docs/PROTOCOL.md.
 
 use glam::{Quat, Vec3};
 
@@ -25,7 +25,6 @@ fn transfer() -> TransferFunction {
     }
 }
 
-/// A look with everything in it.
 fn look() -> Look {
     Look {
         transfer: TransferFunction {

@@ -8,10 +8,8 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use super::tags::{self, Tag};
 use crate::dtype::Endian;
 
-/// The contents of a file.
 #[derive(Debug, Default)]
 pub(super) struct DataSet {
-    /// UID of the transfer syntax.
     pub(super) syntax: String,
     /// Values of the whole file, or shared by all of its frames.
     pub(super) fields: Elements,
@@ -119,7 +117,6 @@ impl DataSet {
     }
 }
 
-/// The header of an element.
 struct Head {
     tag: Tag,
     vr: [u8; 2],

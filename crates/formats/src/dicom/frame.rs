@@ -82,7 +82,6 @@ impl Shape {
         })
     }
 
-    /// Pixels of a frame.
     pub(super) fn num_pixels(&self) -> u64 {
         u64::from(self.columns) * u64::from(self.rows)
     }
@@ -93,10 +92,8 @@ impl Shape {
     }
 }
 
-/// A slice.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
-    /// Number of its file.
     pub(super) file: usize,
     /// Offsets and lengths of the parts of its pixel data.
     pub(super) parts: Vec<(u64, u64)>,
@@ -143,10 +140,8 @@ fn is_near<const N: usize>(a: &Option<[f64; N]>, b: &Option<[f64; N]>, most: f64
 pub(super) struct FileStack {
     pub(super) shape: Shape,
     pub(super) series_uid: String,
-    /// Description of the series.
     pub(super) name: String,
     pub(super) modality: Option<String>,
-    /// Unit of the values.
     pub(super) value_unit: Option<String>,
     pub(super) plane: Plane,
     /// Distance of slices that the file states, in millimetres.

@@ -43,7 +43,6 @@ impl Coding {
         })
     }
 
-    /// Its name.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Plain { .. } => "plain",

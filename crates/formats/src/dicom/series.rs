@@ -26,7 +26,6 @@ pub(super) struct Series {
     frames: Vec<Frame>,
 }
 
-/// A sorted series.
 pub(super) struct Stacked {
     /// Sorted by time, then along the normal.
     pub(super) frames: Vec<Frame>,
@@ -86,7 +85,6 @@ impl Series {
         self.shape.num_pixels() * self.frames.len() as u64
     }
 
-    /// A description for lists.
     pub(super) fn name(&self) -> String {
         let modality = self.modality.as_ref().map_or(String::new(), |m| format!(" {m}"));
         let Shape { columns, rows, .. } = self.shape;

@@ -8,7 +8,6 @@ use crate::error::HeaderError;
 use crate::plan::{Axis, Role, color_names};
 use crate::warning::{Warning, WarningKind};
 
-/// The axes of a header.
 #[derive(Debug, PartialEq)]
 pub(super) struct Axes {
     /// Each axis of the file, and a third spatial axis if the file has two.
@@ -44,7 +43,6 @@ impl Axes {
     }
 }
 
-/// The kind of an axis in lower case.
 fn kind(header: &NrrdHeader, axis: usize) -> String {
     header.kinds.as_ref().map_or("???", |k| &k[axis]).to_ascii_lowercase()
 }

@@ -39,5 +39,4 @@ pub fn state_from_link(text: &str) -> Result<ReadState, FormatError> {
 
 /// Longest text of a state in a link, in characters.
 pub const MAX_LINK_BYTES: usize = 64 << 10;
-/// Name of the state in messages.
 const NAME: &str = "the link's state";

@@ -428,9 +428,7 @@ pub fn is_state(bytes: &[u8]) -> bool {
 pub const MAX_STATE_BYTES: u64 = 1 << 20;
 /// The key that marks a TOML file as a state.
 const VERSION_KEY: &str = "isinglass_state";
-/// The version of the form.
 const VERSION: i64 = 1;
-/// The beginning of links.
 const LINK_SCHEME: &str = "isinglass://";
 /// The beginning of built-in volumes.
 const BUILTIN: &str = "builtin:";

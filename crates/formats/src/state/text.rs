@@ -35,7 +35,6 @@ impl StateFile {
     }
 }
 
-/// The text of a state.
 pub(super) fn write(state: &SavedState) -> String {
     let mut out = String::new();
     write_table(&mut out, "", &StateFile::of(state).table());

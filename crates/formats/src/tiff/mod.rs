@@ -36,7 +36,6 @@ pub(crate) struct TiffFile {
     reader: Option<(u32, PageDecoder)>,
 }
 
-/// A page of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PageLocation {
     pub(super) file: u32,
@@ -57,7 +56,6 @@ pub(super) struct Stack {
     pub(super) series: Vec<String>,
     /// Slope and intercept that turn numbers into values.
     pub(super) value_map: (f64, f64),
-    /// Unit of the values.
     pub(super) value_unit: Option<String>,
     /// A warning about assumed axes.
     pub(super) guess: Option<String>,
@@ -73,7 +71,6 @@ pub(super) enum PlaneAxis {
 }
 
 impl PlaneAxis {
-    /// Its name in a message.
     fn name(self) -> &'static str {
         match self {
             Self::Z => "z",

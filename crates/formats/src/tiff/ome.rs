@@ -13,14 +13,12 @@ pub(super) fn is_ome(text: &str) -> bool {
     text.get(..text.len().min(4096)).or_else(|| text.get(..1000)).unwrap_or(text).contains("<OME")
 }
 
-/// The contents of a description.
 pub(super) struct Ome {
     images: Vec<Image>,
     /// Another file that contains the description.
     pub(super) metadata_file: Option<String>,
 }
 
-/// One image of the file.
 #[derive(Default)]
 struct Image {
     name: String,
@@ -30,7 +28,6 @@ struct Image {
 }
 
 impl Image {
-    /// An attribute of its pixels.
     fn get(&self, name: &str) -> Option<&str> {
         self.pixels.as_ref()?.get(name)
     }
@@ -48,7 +45,6 @@ impl Image {
     }
 }
 
-/// The files of an image.
 pub(super) struct Files {
     /// Numbers of the files by name. 0 is the file that was opened.
     numbers: HashMap<String, u32>,
@@ -74,7 +70,6 @@ impl Ome {
         parse(text)
     }
 
-    /// Number of images.
     pub(super) fn num_images(&self) -> usize {
         self.images.len()
     }

@@ -55,14 +55,11 @@ pub(super) struct Group {
     pub(super) is_white: bool,
 }
 
-/// The contents of a file.
 pub(super) struct Scan {
     /// The supported pages in groups. The first group begins with the first page.
     pub(super) groups: Vec<Group>,
-    /// Description of the first page.
     pub(super) description: Option<String>,
     pub(super) endian: Endian,
-    /// Number of other pages.
     pub(super) num_other: usize,
 }
 
@@ -236,7 +233,6 @@ impl PageError {
     }
 }
 
-/// The shape of the current page.
 pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageError> {
     let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
     let color = decoder.colortype().map_err(PageError::Tiff)?;

@@ -14,7 +14,6 @@ use crate::warning::WarningKind;
 /// The files of an image, before they are read.
 pub(super) struct OmeSet {
     ome: Ome,
-    /// Number of the image.
     index: usize,
     files: Files,
     /// The file that was opened, and the others in `files`.

@@ -28,7 +28,6 @@ pub(super) struct Array {
     pub(super) version: u8,
 }
 
-/// The index of a shard.
 #[derive(Clone, Debug)]
 pub(super) struct Shard {
     pub(super) chunk: Vec<u64>,
@@ -151,7 +150,6 @@ impl Array {
         })
     }
 
-    /// The file of a chunk.
     pub(super) fn chunk_path(&self, index: &[u64]) -> PathBuf {
         let words: Vec<String> = index.iter().map(u64::to_string).collect();
         let words = words.join(&self.separator.to_string());

@@ -21,7 +21,6 @@ use crate::plan::{Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
 
-/// A level of an image.
 pub(crate) struct ZarrImage {
     plan: Plan,
     array: Array,

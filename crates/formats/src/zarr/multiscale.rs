@@ -159,7 +159,6 @@ impl Multiscale {
         own.then(&self.all)
     }
 
-    /// The plan of a level.
     pub(super) fn plan(&self, arrays: &[Array], level: usize) -> Result<Plan, String> {
         let array = &arrays[level];
         if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {

@@ -15,7 +15,6 @@ pub(crate) struct BackendArgs {
 }
 
 impl BackendArgs {
-    /// Opens the backend.
     pub(crate) fn open(&self) -> Result<Backend> {
         Ok(Backend::open(self.backend)?)
     }

@@ -9,8 +9,8 @@ use isinglass_core::session::rate::{CodingMode, CodingPlan, DEFAULT_QUALITY};
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Coding")]
 pub(crate) struct PlanArgs {
-    /// Codec: exact, which keeps every list and depth; blocks, which takes far fewer bytes; or auto: blocks while the camera
-    /// moves and exact frames where it rests
+    /// Codec: exact, which keeps every list and depth; blocks, which takes far fewer bytes; or auto: blocks while the
+    /// camera moves and exact frames where it rests
     #[arg(long, value_enum, default_value_t = ModeChoice::Auto)]
     codec: ModeChoice,
     /// Best quality of frames in blocks, from 0 to 100; less where the link is too narrow for it

@@ -27,7 +27,6 @@ pub(crate) struct LinkArgs {
 }
 
 impl LinkArgs {
-    /// The link.
     pub(crate) fn model(&self, rtt: Duration) -> Result<LinkModel> {
         let &Self { jitter, loss, bandwidth: bandwidth_mbit, seed } = self;
         let model = LinkModel { rtt, jitter, loss, bandwidth_mbit, seed, ..LinkModel::default() };

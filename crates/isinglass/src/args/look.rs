@@ -52,7 +52,6 @@ impl LookArgs {
         self.tf.as_deref().filter(|name| preset(name).is_none())
     }
 
-    /// The mode, and its surfaces.
     pub(crate) fn mode(&self) -> Result<(RenderMode, Isos)> {
         let isos = self.iso.unwrap_or_default();
         match (self.mode, self.iso) {
@@ -64,7 +63,6 @@ impl LookArgs {
         }
     }
 
-    /// The settings of a march.
     pub(crate) fn march_settings(&self, lighting: Lighting) -> Result<MarchSettings> {
         let (mode, isos) = self.mode()?;
         Ok(MarchSettings {

@@ -46,7 +46,6 @@ pub(crate) struct PathArgs {
 }
 
 impl PathArgs {
-    /// Reads the path.
     pub(crate) fn read(&self) -> Result<Option<CameraPath>> {
         let Some(path) = &self.path else { return Ok(None) };
         let name = path.display();

@@ -86,13 +86,11 @@ pub(crate) fn parse_size(text: &str) -> Result<[u32; 2], String> {
         .ok_or_else(|| format!("expected WxH with sides of 1 to {MAX_SIDE}, such as 512x512"))
 }
 
-/// Degrees.
 pub(crate) fn parse_fov(text: &str) -> Result<f32, String> {
     let degrees = text.parse::<f32>().ok().filter(|d| (1.0..=170.0).contains(d));
     degrees.ok_or_else(|| "expected 1 to 170 degrees".into())
 }
 
-/// A list length.
 pub(crate) fn parse_k(text: &str) -> Result<u8, String> {
     let k = text.parse::<u8>().ok().filter(|&k| (1..=MAX_K).contains(&usize::from(k)));
     k.ok_or_else(|| format!("expected 1 to {MAX_K}"))

@@ -19,8 +19,8 @@ use crate::memory::MemoryArgs;
 /// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
-    /// and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with
+    /// --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>)]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
@@ -30,12 +30,10 @@ pub(crate) struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// The source of the volume.
     pub(crate) fn source(&self) -> Result<&str> {
         self.volume.as_deref().context("expected VOLUME")
     }
 
-    /// The source with all options.
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
         Ok(VolumeSource { source, raw, selection, spacing: self.part.spacing })
@@ -124,7 +122,6 @@ pub(crate) struct PartArgs {
 }
 
 impl PartArgs {
-    /// The part.
     pub(crate) fn selection(&self) -> Selection {
         let &Self { channel, time, level, series, region, .. } = self;
         Selection { channel, time, level, series, region }

@@ -45,8 +45,9 @@ enum Table {
 /// Arguments of all tables.
 #[derive(Args)]
 struct CommonArgs {
-    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
-    /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
+    /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a
+    /// built-in volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from
+    /// shared/data
     #[arg(value_name = "SCENE", help_heading = None::<&'static str>)]
     scenes: Vec<String>,
     /// Columns and rows of pictures, and by default of frames
@@ -94,7 +95,6 @@ impl CommonArgs {
         Ok(scenes)
     }
 
-    /// The subject of the table.
     fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         let (mode, isos) = self.look.mode()?;
         Ok(Subject {

@@ -18,7 +18,6 @@ pub(crate) struct DoctorArgs {
     json: bool,
 }
 
-/// The result of one check.
 #[derive(Serialize)]
 struct Check {
     name: &'static str,

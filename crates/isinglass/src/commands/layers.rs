@@ -25,8 +25,8 @@ use crate::state_args::StateArgs;
 pub(crate) struct LayersArgs {
     #[command(flatten)]
     state: StateArgs,
-    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the front, which is
-    /// a body's anterior side where the file knows it and +z otherwise
+    /// Azimuth and elevation in degrees, and distance in radii of the volume's bounding sphere; 0,0 looks from the
+    /// front, which is a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
     /// File to write, such as a.iglf

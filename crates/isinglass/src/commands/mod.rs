@@ -48,7 +48,6 @@ impl Command {
         if matches!(self, Self::Serve(_)) { "warn" } else { "error" }
     }
 
-    /// Runs the command.
     pub(crate) fn run(self, given: Given) -> Result<()> {
         match self {
             Self::Demo(args) => demo::run(args, given),

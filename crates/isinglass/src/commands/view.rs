@@ -27,8 +27,8 @@ use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
-    /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the list of
-    /// processes; or a volume of this machine, as for `serve` [default: a page to choose one]
+    /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the
+    /// list of processes; or a volume of this machine, as for `serve` [default: a page to choose one]
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]
@@ -179,7 +179,6 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     write_path(args.record.as_deref(), recorder.as_deref())
 }
 
-/// Writes the recorded camera path.
 fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Result<()> {
     if let (Some(file), Some(recorder)) = (file, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
@@ -204,7 +203,6 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     Ok((client, waker))
 }
 
-/// The link in the first line of a text.
 fn read_link(text: impl BufRead) -> Result<Link> {
     let mut line = String::new();
     text.take(LONGEST_LINK).read_line(&mut line).context("standard input")?;

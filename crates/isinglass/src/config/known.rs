@@ -8,16 +8,13 @@ use isinglass_client::Bindings;
 pub(super) struct Known {
     /// The table in the file, and the first part of the variable's name.
     pub(super) section: &'static str,
-    /// The key in the table.
     pub(super) key: &'static str,
-    /// The field of the flag.
     pub(super) arg: &'static str,
     /// The commands with this flag. The first one's file, `server.toml` or `viewer.toml`, may contain the setting.
     pub(super) commands: &'static [&'static str],
 }
 
 impl Known {
-    /// The flag in a command that has it.
     pub(super) fn argument<'a>(&self, command: &'a Command) -> &'a Arg {
         let id = self.arg_in(command.get_name());
         command.get_arguments().find(|a| a.get_id() == id).expect("the table names flags")
@@ -28,7 +25,6 @@ impl Known {
         if command == "demo" && self.arg == "size" { "window_size" } else { self.arg }
     }
 
-    /// The file with the setting.
     pub(super) fn file(&self) -> &'static str {
         if self.commands[0] == "serve" { SERVER } else { VIEWER }
     }
@@ -94,7 +90,6 @@ pub(super) fn expected(section: &str) -> String {
     format!("one of {section}.{{{}}}", keys.join(", "))
 }
 
-/// The commands with settings.
 pub(super) const COMMANDS: [&str; 3] = ["serve", "view", "demo"];
 /// The file that `serve` reads.
 pub(super) const SERVER: &str = "server.toml";

@@ -23,7 +23,6 @@ use sources::{Origin, Sourced};
 
 pub(crate) use print::print;
 
-/// Adds the flags of all commands with settings.
 pub(crate) fn with_flags(command: Command) -> Command {
     known::COMMANDS.iter().fold(command, |command, name| {
         command.mut_subcommand(name, |c| {
@@ -43,14 +42,12 @@ pub(crate) fn with_flags(command: Command) -> Command {
     })
 }
 
-/// The settings for the called command.
 #[derive(Default)]
 pub(crate) struct Settings {
     /// The command; `None` if it has no settings.
     command: Option<&'static str>,
     /// The effective texts, with their settings.
     held: Vec<(&'static Known, Sourced)>,
-    /// Keys and mouse.
     pub(crate) bindings: Bindings,
     /// The origins of bindings that differ from the defaults.
     bound: Vec<(String, Origin)>,

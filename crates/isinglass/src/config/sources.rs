@@ -9,7 +9,6 @@ use isinglass_formats::{SettingValue, read_settings};
 
 use super::known::{BINDINGS, SERVER, SETTINGS, VIEWER, expected};
 
-/// A setting and its origin.
 #[derive(Clone, Debug)]
 pub(super) struct Sourced {
     pub(super) section: String,
@@ -165,7 +164,6 @@ fn system_folder() -> Option<PathBuf> {
     }
 }
 
-/// The folder of the user's settings.
 fn user_folder() -> Option<PathBuf> {
     let absolute = |name| env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     let folder = if let Some(folder) = absolute("XDG_CONFIG_HOME") {

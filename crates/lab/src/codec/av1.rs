@@ -14,7 +14,6 @@ use crate::error::LabError;
 
 /// AV1 stills at a preset of the encoder: 0 is the slowest, 10 the fastest.
 pub(crate) struct Av1 {
-    /// The preset.
     pub(crate) speed: u8,
 }
 
@@ -45,7 +44,7 @@ impl ImageCodec for Av1 {
     }
 }
 
-/// What an encoder is given.
+/// What an encoder gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// One picture.
@@ -54,14 +53,10 @@ pub(crate) enum Kind {
     Sequence,
 }
 
-/// A coded picture of a stream.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
-    /// Its place in the sequence.
     pub(crate) index: u64,
-    /// Bytes of it.
     pub(crate) bytes: usize,
-    /// As it is decoded.
     pub(crate) decoded: Option<Raster>,
 }
 
@@ -73,7 +68,7 @@ pub(crate) struct Av1Stream {
 }
 
 impl Av1Stream {
-    /// Pictures are to be shaped like `like`.
+    /// An encoder for pictures shaped like `like`.
     pub(crate) fn new(like: &Raster, speed: u8, quantizer: usize, kind: Kind) -> Result<Self, LabError> {
         let mut config = EncoderConfig::with_speed_preset(speed);
         (config.width, config.height) = (like.width as usize, like.height as usize);
@@ -90,13 +85,13 @@ impl Av1Stream {
                 config.speed_settings.rdo_lookahead_frames = 1;
             }
         }
-        // Without threads of its own it uses those of the caller, as all codecs here do.
+        // Without threads of its own it uses the caller's, as all codecs here do.
         let config = Config::new().with_encoder_config(config);
         let context = config.new_context().map_err(|e| failed(&e))?;
         Ok(Self { context, shape: Raster { samples: Vec::new(), ..like.clone() } })
     }
 
-    /// Gives it the next picture, and takes what is ready.
+    /// Passes the next picture, and takes what is ready.
     pub(crate) fn push(&mut self, raster: &Raster) -> Result<Vec<Picture>, LabError> {
         let mut frame = self.context.new_frame();
         fill(&mut frame, raster);

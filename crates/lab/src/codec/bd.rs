@@ -15,10 +15,9 @@ use serde::Serialize;
 /// One measured point of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RatePoint {
-    /// Bytes of a frame.
-    pub bytes: f64,
+    pub(crate) bytes: f64,
     /// Distortion, 0 to 1.
-    pub dssim: f64,
+    pub(crate) dssim: f64,
 }
 
 impl RatePoint {
@@ -31,31 +30,31 @@ impl RatePoint {
 /// The difference between two curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BdRate {
-    /// Bytes of the test more than those of the anchor, percent, in the mean over the range.
-    pub percent: f64,
-    /// The same in the middle of the range alone.
-    pub middle_percent: f64,
+    /// Mean excess of the test's bytes over the anchor's, percent.
+    pub(crate) percent: f64,
+    /// The same only in the middle of the range.
+    pub(crate) middle_percent: f64,
     /// Where both curves begin and end, decibels.
-    pub range_db: [f64; 2],
+    pub(crate) range_db: [f64; 2],
 }
 
 /// Why two curves have no mean difference.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BdError {
-    /// A curve is no curve.
+    /// A curve has too few points.
     #[error("few points: {found} on the front, expected at least {MIN_POINTS}")]
     Points {
-        /// Those on the front.
+        /// Number of points on the front.
         found: usize,
     },
     /// They share hardly any quality.
     #[error("little: {shared:.2} dB are shared, expected at least {LEAST_OVERLAP_DB}")]
     LittleOverlap {
-        /// What they share, decibels.
+        /// The shared range, decibels.
         shared: f64,
     },
-    /// They share no quality. A finer test can still be the better one, if its least bytes are fewer than the anchor's most.
+    /// They share no quality. A finer test can still be better, if its least bytes are below the anchor's most.
     #[error("{} everywhere: {:.1} to {:.1} dB from {least:.0} bytes, anchor {:.1} to {:.1} dB up to {most:.0} bytes",
         if test[0] >= anchor[1] { "finer" } else { "coarser" }, test[0], test[1], anchor[0], anchor[1])]
     NoOverlap {
@@ -70,8 +69,8 @@ pub enum BdError {
     },
 }
 
-/// Compares two sets of points, in any order. What another point of the same set beats in both regards, or a mix of two others
-/// does, does not count.
+/// Compares two sets of points, in any order. Points that another point of the same set, or a mix of two, beats in
+/// both regards do not count.
 pub fn bd_rate(anchor: &[RatePoint], test: &[RatePoint]) -> Result<BdRate, BdError> {
     let (anchor, test) = (Curve::new(anchor)?, Curve::new(test)?);
     let (a, b) = (anchor.range(), test.range());
@@ -108,14 +107,14 @@ pub fn front(points: &[RatePoint]) -> Vec<usize> {
     order
 }
 
-/// Of points on the front in the order of their bytes, those that no mix of two others beats: the lower convex hull in bytes and
-/// DSSIM. A search over several steps leaves points that cost a third more for a hundredth less; nobody would choose
-/// them, and a curve through them is worse than its codec.
+/// Of points on the front in the order of their bytes, those that no mix of two others beats: the lower convex hull
+/// in bytes and DSSIM. A search over several steps leaves points that cost a third more for a hundredth less; nobody
+/// would choose them, and a curve through them is worse than its codec.
 fn hull(points: Vec<RatePoint>) -> Vec<RatePoint> {
     let mut hull: Vec<RatePoint> = Vec::with_capacity(points.len());
     for point in points {
         while let [.., a, b] = hull[..] {
-            // How much lower than b the straight line from a to the point is there.
+            // Height of the straight line from a to the point, relative to b.
             let share = (b.bytes - a.bytes) / (point.bytes - a.bytes);
             if a.dssim + share * (point.dssim - a.dssim) > b.dssim {
                 break;
@@ -137,7 +136,7 @@ struct Curve {
 impl Curve {
     fn new(points: &[RatePoint]) -> Result<Self, BdError> {
         let points = hull(front(points).into_iter().map(|i| points[i]).collect());
-        // Perfect pictures are all of one quality, of which the cheapest is kept.
+        // Perfect pictures have the same quality; the cheapest is kept.
         let quality: Vec<f64> = points.iter().map(RatePoint::quality_db).collect();
         let num = quality.windows(2).take_while(|w| w[1] > w[0]).count() + usize::from(!quality.is_empty());
         if num < MIN_POINTS {
@@ -153,7 +152,7 @@ impl Curve {
         [self.quality[0], self.quality[self.quality.len() - 1]]
     }
 
-    /// Of the logarithm of the rate over `range`, which lies inside the curve's.
+    /// Integral of the logarithm of the rate over `range`, which lies inside the curve's.
     fn integral(&self, range: [f64; 2]) -> f64 {
         (0..self.quality.len() - 1)
             .map(|i| {
@@ -185,8 +184,8 @@ impl Curve {
     }
 }
 
-/// Slopes at the points with which no piece overshoots: weighted harmonic means of the chords at both sides; at the ends the
-/// chord itself.
+/// Slopes at the points with which no piece overshoots: weighted harmonic means of the chords at both sides; at the
+/// ends the chord itself.
 fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
     let step: Vec<f64> = x.windows(2).map(|w| w[1] - w[0]).collect();
     let chord: Vec<f64> = y.windows(2).zip(&step).map(|(w, h)| (w[1] - w[0]) / h).collect();
@@ -207,11 +206,11 @@ fn monotone_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Quality of a picture without any difference: below a millionth DSSIM is rounding.
+/// Quality of a perfect picture: below a millionth DSSIM is rounding.
 pub const BEST_DB: f64 = 60.0;
-/// Points that make a curve.
+/// Fewest points of a curve.
 pub const MIN_POINTS: usize = 3;
-/// What curves share by less says nothing of them.
+/// Shared range below which curves say nothing.
 pub const LEAST_OVERLAP_DB: f64 = 0.5;
 
 #[cfg(test)]

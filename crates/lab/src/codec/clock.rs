@@ -1,13 +1,12 @@
-//! How long coding takes: the time that one thread has computed, where the system tells it, as other programs then do not
-//! count.
+//! Measures coding by the thread's CPU time, where the system reports it, so that other programs do not count.
 
 use std::fs;
 use std::time::Instant;
 
 use crate::error::LabError;
 
-/// Runs `body` and returns its result and milliseconds: the lesser of two times if the first was short. `body` must do
-/// all of its work on the calling thread.
+/// Runs `body` and returns its result and milliseconds; a short run is repeated and the lesser time counts. `body`
+/// must do all of its work on the calling thread.
 pub(crate) fn timed<T>(body: impl Fn() -> Result<T, LabError>) -> Result<(T, f64), LabError> {
     let run = || {
         let (wall, cpu) = (Instant::now(), thread_nanos());
@@ -26,22 +25,22 @@ pub(crate) fn timed<T>(body: impl Fn() -> Result<T, LabError>) -> Result<(T, f64
     Ok((result, ms.min(again)))
 }
 
-/// Nanoseconds that the calling thread has computed; none where the system does not tell.
+/// CPU time of the calling thread, ns; `None` if the system does not report it.
 fn thread_nanos() -> Option<u64> {
-    // The account is brought up to date when the thread gives way, else at the next tick.
+    // The system updates it when the thread yields, or else at the next tick.
     std::thread::yield_now();
     let account = fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     account.split_whitespace().next()?.parse().ok()
 }
 
-/// The clock of the first core, megahertz; none where the system does not tell.
+/// The clock of the first core, MHz; `None` if the system does not report it.
 pub(crate) fn clock_mhz() -> Option<f64> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let line = text.lines().find(|line| line.starts_with("cpu MHz"))?;
     line.split(':').nth(1)?.trim().parse().ok().filter(|mhz| *mhz > 0.0)
 }
 
-/// A run below this is repeated.
+/// Shorter runs are repeated.
 const SHORT_MS: f64 = 400.0;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What is measured: the product's codec, raw segments behind a general compressor, and image codecs on planes.
+//! The measured codecs: the product's, raw segments with a general compressor, and image codecs on planes.
 
 use crate::rules::Rule;
 use isinglass_core::codec::{Coding, Settings, blocks};
@@ -9,11 +9,9 @@ use super::raster::{ImageCodec, Png};
 use super::raw::Compressor;
 use crate::error::LabError;
 
-/// A codec with all of its settings.
 pub(crate) struct Contender {
     /// The name on the command line and in tables.
     pub(crate) name: &'static str,
-    /// How it codes.
     pub(crate) way: Way,
 }
 
@@ -21,14 +19,13 @@ pub(crate) struct Contender {
 pub(crate) enum Way {
     /// By the product, with each of these settings.
     Product(Vec<(String, Coding)>),
-    /// As it lies in memory.
+    /// As it is in memory.
     Raw(Compressor),
-    /// As planes, the settings of each part apart.
+    /// As planes, with settings for each part.
     Planes(Layout, Box<dyn ImageCodec + Send + Sync>),
 }
 
 impl Contender {
-    /// The rule of the frames it is given.
     pub(crate) fn layering(&self) -> Rule {
         match self.way {
             Way::Planes(..) => Layout::LAYERING,
@@ -36,7 +33,7 @@ impl Contender {
         }
     }
 
-    /// Whether it codes frames of projections, whose lists need not be in the order of their depth.
+    /// Whether it codes frames of projections, whose lists may be out of depth order.
     pub(crate) fn takes_projections(&self) -> bool {
         match &self.way {
             Way::Product(settings) => settings.iter().all(|(_, coding)| matches!(coding, Coding::Exact(_))),
@@ -46,7 +43,7 @@ impl Contender {
     }
 }
 
-/// Every codec of this build; blocks are made for each of the turns.
+/// Every codec of this build; blocks have a variant for each of the turns.
 pub(crate) fn all(turns_deg: &[Option<u8>]) -> Vec<Contender> {
     let mut all = product(turns_deg);
     all.push(Contender { name: Compressor::Zstd.name(), way: Way::Raw(Compressor::Zstd) });
@@ -99,7 +96,7 @@ fn others() -> Vec<Contender> {
     all
 }
 
-/// Those of the build that are called `names`, in their order; all if there are no names.
+/// The codecs called `names`, in their order; all without names.
 pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<Contender>, LabError> {
     let mut all = all(turns_deg);
     if names.is_empty() {
@@ -124,9 +121,9 @@ pub(crate) fn select(names: &[String], turns_deg: &[Option<u8>]) -> Result<Vec<C
     Ok(selected)
 }
 
-/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec). Levels of
-/// different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search may leave
-/// some out. Colours and opacities are half as large, too, if the ladder `has_half` of them.
+/// Settings of a part in the order of the search, as (how many times smaller the planes are, level of the codec).
+/// Levels of different sizes overlap: which of them is worth its bytes differs from scene to scene, and the search
+/// may leave some out. Colours and opacities are half as large, too, if the ladder `has_half` of them.
 pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize, has_half: bool) -> Vec<(u32, usize)> {
     let top = num_levels - 1;
     let whole = (0..num_levels).map(|level| (1, level));
@@ -146,13 +143,13 @@ pub(crate) fn ladder(layout: Layout, part: Part, num_levels: usize, has_half: bo
     rungs
 }
 
-/// Between the qualities that are measured.
+/// Step between measured qualities.
 const QUALITY_STEP: usize = 10;
 /// What names end with of codecs that code frames as Lochmann 2016 has it.
 pub(crate) const AS_PUBLISHED: &str = "-published";
-/// JPEG 2000 that way: what others are measured by.
+/// JPEG 2000 as published, the reference for others.
 pub(crate) const PUBLISHED: &str = "jpeg2000-published";
-/// Of 10; without assembly it takes seconds a frame.
+/// Speed of 10; without assembly slower ones take seconds a frame.
 #[cfg(feature = "rivals")]
 pub(super) const AVIF_SPEED: u8 = 9;
 /// AV1 on weighted planes; in a sequence also with prediction.

@@ -1,5 +1,5 @@
-//! High-throughput JPEG 2000 (ISO/IEC 15444-15) by `openjph-core`, a port of OpenJPH to Rust: the irreversible 9/7 wavelet
-//! in stated steps, code blocks of 64×64, one pass each.
+//! High-throughput JPEG 2000 (ISO/IEC 15444-15) by `openjph-core`, a port of OpenJPH to Rust: the irreversible 9/7
+//! wavelet in stated steps, code blocks of 64×64, one pass each.
 //!
 //! The port has no colour transform, so three channels go through the standard's irreversible one here. Samples are
 //! widened to 16 bits before: steps are in parts of the range, and rounding then shows in none.
@@ -17,7 +17,7 @@ use isinglass_core::wire::control::one_line;
 /// HTJ2K.
 pub(crate) struct Htj2k;
 
-/// Base steps, in parts of the range. With finer ones the port breaks blocks that have much to say: depths at 0.0007.
+/// Base steps, as fractions of the range. With finer ones the port breaks complex blocks, such as depths at 0.0007.
 const STEPS: [f32; 8] = [0.15, 0.1, 0.05, 0.025, 0.0125, 0.006, 0.003, 0.0015];
 
 impl ImageCodec for Htj2k {
@@ -48,7 +48,7 @@ fn encode(raster: &Raster, step: f32) -> Result<Vec<u8>, LabError> {
         let cod = stream.access_cod_mut();
         cod.set_reversible(false);
         cod.set_color_transform(false);
-        // A wavelet level halves the sides, which must not become nothing.
+        // A wavelet level halves the sides, which must stay above zero.
         cod.set_num_decomposition(raster.width.min(raster.height).max(1).ilog2().min(MOST_WAVELETS));
         cod.set_block_dims(BLOCK_SIDE, BLOCK_SIDE);
         stream.access_qcd_mut().set_delta(step);
@@ -83,7 +83,7 @@ fn decode(bytes: &[u8], bits: u8) -> Result<Raster, LabError> {
     })
 }
 
-/// The port answers some damage with a panic.
+/// The port panics on some damaged input.
 fn guarded<T>(what: &str, run: impl FnOnce() -> Result<T, String>) -> Result<T, LabError> {
     let found = catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| Err("panicked".into()));
     found.map_err(|cause| LabError::Rival {
@@ -92,7 +92,7 @@ fn guarded<T>(what: &str, run: impl FnOnce() -> Result<T, String>) -> Result<T, 
     })
 }
 
-/// The components that are coded, 16 bits each: the one channel, or luma and two differences.
+/// The coded components, 16 bits each: the one channel, or luma and two differences.
 fn components(raster: &Raster) -> Vec<Vec<i32>> {
     let channels = usize::from(raster.channels);
     let mut components = vec![Vec::with_capacity(raster.samples.len() / channels); channels];

@@ -40,7 +40,7 @@ fn code(raster: &Raster, psnr_db: f32) -> Result<Coded, LabError> {
     code_through_bytes(|| encode(raster, psnr_db), decode)
 }
 
-/// What OpenJPEG takes for the wish that nothing be lost.
+/// OpenJPEG's value for lossless coding.
 const LOSSLESS_DB: f32 = 0.0;
 
 fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, LabError> {
@@ -56,7 +56,7 @@ fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, LabError> {
     parameters.tcp_distoratio[0] = psnr_db;
     parameters.irreversible = i32::from(psnr_db != LOSSLESS_DB);
     parameters.tcp_mct = i8::from(raster.channels == 3) as _;
-    // A wavelet level halves the sides, which must not become nothing.
+    // A wavelet level halves the sides, which must stay above zero.
     let levels = raster.width.min(raster.height).max(1).ilog2();
     parameters.numresolution = parameters.numresolution.min(levels as i32 + 1);
 
@@ -91,8 +91,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Raster, LabError> {
     let mut memory = Memory { bytes: bytes.to_vec(), at: 0 };
     let stream = MemoryStream::new(&mut memory, true)?;
     let mut image = Image(ptr::null_mut());
-    // SAFETY: codec and stream live until the end of this function; the image is freed by its owner, whether it was made
-    // or not.
+    // SAFETY: codec and stream live until the end of this function; the image is freed by its owner, whether it was
+    // made or not.
     let is_done = unsafe {
         sys::opj_setup_decoder(codec.0, &mut parameters) != 0
             && sys::opj_read_header(stream.0, codec.0, &mut image.0) != 0
@@ -180,7 +180,6 @@ impl Drop for Image {
     }
 }
 
-/// An encoder or decoder.
 struct Codec(*mut sys::opj_codec_t);
 
 impl Codec {
@@ -204,7 +203,7 @@ struct Memory {
     at: usize,
 }
 
-/// A stream from or to memory. It must be dropped before the memory is looked at again.
+/// A stream from or to memory. It must be dropped before the memory is used again.
 struct MemoryStream<'a>(*mut sys::opj_stream_t, std::marker::PhantomData<&'a mut Memory>);
 
 impl<'a> MemoryStream<'a> {
@@ -324,7 +323,8 @@ mod tests {
                 assert!(rms(&pair[0].decoded, &given) > rms(&pair[1].decoded, &given));
             }
             let psnr = -20.0 * rms(&coded[2].decoded, &given).log10();
-            // What it promises of all channels together is within a decibel or two: it estimates in the wavelet's domain.
+            // What it promises of all channels together is within a decibel or two: it estimates in the wavelet's
+            // domain.
             assert!((psnr - f64::from(LEVELS_DB[2])).abs() < 3.0, "{psnr}");
         }
     }

@@ -1,14 +1,14 @@
-//! A layered frame as planes that image codecs take, and back. Frames are cut at equal shares of the accumulated opacity
-//! ([`Rule::EqualTransmittance`]): only there do layers meet without gaps, so that k + 1 depths are enough.
+//! A layered frame as planes that image codecs take, and back. Frames are cut at equal shares of the accumulated
+//! opacity ([`Rule::EqualTransmittance`]): only there do layers meet without gaps, so that k + 1 depths are enough.
 //!
-//! [`Layout::Published`] is Lochmann 2016, section 4.3: for each layer colour C and opacity α, and k + 1 depths; what has
-//! no matter is zero. [`Layout::Weighted`] gives an image codec the transforms that help it most: colour by what it adds
-//! to the picture, W_i = k·κ_i·C_i with κ_i = 1 − (i/k)·α, κ_i being the transmittance in front of layer i; the opacity
-//! α of the whole list once, from which equal shares give every layer's; and depths at a fraction of the resolution,
-//! continued into where there is no matter.
+//! [`Layout::Published`] is Lochmann 2016, section 4.3: for each layer colour C and opacity α, and k + 1 depths; what
+//! has no matter is zero. [`Layout::Weighted`] gives an image codec the transforms that help it most: colour by what
+//! it adds to the picture, W_i = k·κ_i·C_i with κ_i = 1 − (i/k)·α, κ_i being the transmittance in front of layer i;
+//! the opacity α of the whole list once, from which equal shares give every layer's; and depths at a fraction of the
+//! resolution, continued into where there is no matter.
 //!
-//! Both send square roots of colours, as pictures do, and both decoders clamp a layer's colour to what its opacity can
-//! emit: ringing beside an edge costs the rivals more than anything else.
+//! Both send square roots of colours, as pictures do, and both decoders clamp a layer's colour to what its opacity
+//! can emit: ringing beside an edge costs the rivals more than anything else.
 
 use crate::rules::Rule;
 use glam::Vec3;
@@ -16,10 +16,10 @@ use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame, Segment};
 
 use super::raster::Raster;
 
-/// Which planes a frame is sent as.
+/// The planes that a frame is sent as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Layout {
-    /// As Lochmann 2016 has it.
+    /// As in Lochmann 2016.
     Published,
     /// With the transforms above.
     Weighted,
@@ -42,11 +42,10 @@ impl Part {
 }
 
 impl Layout {
-    /// The rule of the frames.
     pub(crate) const LAYERING: Rule = Rule::EqualTransmittance;
 
-    /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times smaller on either
-    /// side.
+    /// The planes of a part with at most `max_bits` a sample. Those of [`Layout::Weighted`] are `divisor` times
+    /// smaller on either side.
     pub(crate) fn split(self, frame: &LayeredFrame, part: Part, max_bits: u8, divisor: u32) -> Vec<Raster> {
         let intrinsics = frame.header.camera.intrinsics;
         let size = [intrinsics.width, intrinsics.height];
@@ -141,7 +140,7 @@ impl Layout {
                 }
                 let units = |plane: &[f32]| (plane[i].clamp(0.0, 1.0) * DEPTH_UNITS + 0.5) as u16;
                 let front = units(&depth[j]).max(last);
-                // A layer that has lost its thickness is a thin one.
+                // A layer that lost its thickness becomes a thin one.
                 let back = units(&depth[j + 1]).max(front.saturating_add(LEAST_UNITS));
                 if back <= front {
                     break;
@@ -258,13 +257,13 @@ fn bilinear(plane: &[f32], size: [usize; 2], pixel: [usize; 2], divisor: usize) 
 const W_MAX: f32 = 1.25;
 /// Bits of weighted colour and opacity: codecs that lose anyway lose nothing by more.
 const WEIGHTED_BITS: u8 = 10;
-/// Optical depth of a whole list that is sent as one; e^−10 is nothing in 8 bits.
+/// Optical depth of an opaque list; e^−10 is nothing in 8 bits.
 const TAU_FULL: f32 = 10.0;
-/// Layers below are not shown: less than half a step of 8 bits.
+/// Least visible opacity: half a step of 8 bits.
 const LEAST_ALPHA: f32 = 0.002;
-/// An opacity of one has no optical depth.
+/// An opacity of one has no finite optical depth.
 const ALPHA_MAX: f32 = 0.9999;
-/// Colour over opacity, at most.
+/// Greatest colour over opacity.
 const EMISSION_MAX: f32 = 1.1;
 /// Thickness of a layer whose depths were coded to the same, depth units: a sixteenth of a pixel at 512 lines.
 const LEAST_UNITS: u16 = 8;
@@ -295,8 +294,8 @@ mod tests {
         let frame = frame(Layout::LAYERING, 4);
         for layout in [Layout::Published, Layout::Weighted] {
             let same = rejoined(layout, &frame, 16, [1; 3]);
-            // Half a step of 8 bits on the root of C is up to 1/255 on C and half that on α, and four layers are over one
-            // another. Weighted: half a step of 10 bits, and what is below LEAST_ALPHA.
+            // Half a step of 8 bits on the root of C is up to 1/255 on C and half that on α, and four layers are over
+            // one another. Weighted: half a step of 10 bits, and what is below LEAST_ALPHA.
             assert!(error(&frame, &same) < 0.02, "{layout:?}: {}", error(&frame, &same));
             let coarse = rejoined(layout, &frame, 3, [1; 3]);
             assert!(error(&frame, &coarse) > 0.04, "{layout:?}: {}", error(&frame, &coarse));

@@ -1,4 +1,4 @@
-//! One codec on one frame: every setting it is worth to look at, with its bytes, its times and what is left of the picture.
+//! Measures one codec on one frame: its useful settings with bytes, times and the remaining quality.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -25,19 +25,15 @@ use crate::error::LabError;
 use crate::quality::black_srgb8;
 use isinglass_core::orbit::Orbit;
 
-/// What is left of the picture after one turn of the camera.
+/// The error of the picture after one turn of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distortion {
-    /// Turn of azimuth, degrees.
-    pub angle_deg: f32,
+    pub(crate) angle_deg: f32,
     /// Against the full volume rendering, see [`isinglass_core::image_error::ImageError`].
-    pub dssim: f64,
-    /// The same.
-    pub dssim_object: f64,
-    /// The same.
-    pub psnr_db: f64,
-    /// Time to make the picture.
-    pub novel_view_ms: f64,
+    pub(crate) dssim: f64,
+    pub(crate) dssim_object: f64,
+    pub(crate) psnr_db: f64,
+    pub(crate) novel_view_ms: f64,
 }
 
 /// A frame coded with one setting.
@@ -55,7 +51,7 @@ pub(crate) struct Measured {
 /// Turn in degrees, camera, and the full volume rendering as 8-bit sRGB on black.
 pub(crate) type Truth = (f32, Camera, Vec<u8>);
 
-/// What is left of a frame from where the truth is known.
+/// The error of a frame from all turns with a known truth.
 pub(crate) fn distortion_of(
     backend: &Backend,
     bounds: &Aabb,
@@ -82,19 +78,18 @@ pub(crate) fn distortion_of(
     Ok(all)
 }
 
-/// Judges frames by what is seen of them.
+/// Judges frames by the pictures made of them.
 pub(crate) struct Judge<'a> {
     pub(crate) backend: &'a Backend,
     pub(crate) bounds: Aabb,
     /// The generating camera's place.
     pub(crate) orbit: Orbit,
     pub(crate) truths: Vec<Truth>,
-    /// Coding is timed on its one thread.
+    /// The pool of one thread on which coding is timed.
     pub(crate) pool: &'a ThreadPool,
 }
 
 impl Judge<'_> {
-    /// The frame from every turn.
     pub(crate) fn distortion(&self, frame: LayeredFrame) -> Result<Vec<Distortion>, LabError> {
         distortion_of(self.backend, &self.bounds, &self.truths, frame)
     }
@@ -183,8 +178,8 @@ impl Judge<'_> {
         let mut coded: [HashMap<Rung, CodedPart>; 3] = Default::default();
         let mut places: HashMap<[Rung; 3], usize> = HashMap::new();
         let mut all: Vec<Measured> = Vec::new();
-        // With planes of half the size and without, as a climb that begins with them may never find what is best without; and for
-        // all turns together and for each, as depths matter at some only.
+        // With planes of half the size and without, as a climb that begins with them may never find what is best
+        // without; and for all turns together and for each, as depths matter at some only.
         for (has_half, aim) in
             [false, true].into_iter().flat_map(|h| aims(self.truths.len()).map(move |a| (h, a)))
         {
@@ -225,10 +220,9 @@ impl Judge<'_> {
     }
 }
 
-/// How many times smaller planes are, and the level of their codec.
+/// Divisor of the planes' size, and the level of their codec.
 type Rung = (u32, usize);
 
-/// The planes of a part, coded with one setting.
 struct CodedPart {
     bytes: usize,
     decoded: Vec<Raster>,
@@ -259,7 +253,7 @@ fn settings_name(rungs: [Rung; 3], levels: &[String]) -> String {
     [part("C", rungs[0]), part("α", rungs[1]), part("D", rungs[2])].join(", ")
 }
 
-/// What climbs are for: all turns together (none), and where there are several each alone.
+/// Aims of climbs: all turns together (`None`), and each alone if there are several.
 fn aims(num_turns: usize) -> impl Iterator<Item = Option<usize>> {
     let each = if num_turns > 1 { num_turns } else { 0 };
     std::iter::once(None).chain((0..each).map(Some))

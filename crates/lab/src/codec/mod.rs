@@ -1,9 +1,9 @@
 //! Rate and distortion of codecs on the same layered frames.
 //!
-//! Distortion is what the viewer sees: the coded frame is ray-cast from turned cameras and compared with the full volume
-//! rendering from there, so the loss of the layers counts as well as that of their coding. Each codec is given frames of
-//! the rule it needs, its own transforms and a search of its settings ([`search`](self), [`layout`](self)); points that
-//! others of the same codec beat do not count. Curves are compared by [`bd`].
+//! Distortion is what the viewer sees: the coded frame is ray-cast from turned cameras and compared with the full
+//! volume rendering from there, so the loss of the layers counts as well as that of their coding. Each codec is given
+//! frames of the rule it needs, its own transforms and a search of its settings ([`search`](self), [`layout`](self));
+//! points that others of the same codec beat do not count. Curves are compared by [`bd`].
 //!
 //! Coding runs on one thread, and times are those that it computed. The codecs of others are there in builds with the
 //! feature `rivals` only: the product carries none of them.
@@ -62,23 +62,23 @@ pub use self::times::{TimeOptions, TimeRow, Times};
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct CodecOptions {
-    /// What is looked at.
+    /// The subject of the report.
     pub subject: Subject,
-    /// Names out of [`codec_names`]; none: all.
+    /// Names out of [`codec_names`]; all if empty.
     pub codecs: Vec<String>,
-    /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where that is
-    /// measured, or else `blocks-planes`.
+    /// The codec that others are compared with, which is measured in any case; none: JPEG 2000 as published where
+    /// that is measured, or else `blocks-planes`.
     pub anchor: Option<String>,
     /// Where frames are made and looked at.
     pub backend: BackendChoice,
-    /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those that
-    /// are as published, and for a moving camera, where frames are as large as pictures.
+    /// Sides of the frames in units of the pictures', over 0 and at most 1: every codec has the choice, but for those
+    /// that are as published, and for a moving camera, where frames are as large as pictures.
     pub list_scales: Vec<f32>,
-    /// Turns that frames in blocks are made to be seen at, degrees, none for all of them: blocks have the choice.
+    /// Turns in degrees that blocks may be tuned for; `None` for all of them.
     pub turns_deg: Vec<Option<u8>>,
-    /// Also code a moving camera; none: only stills.
+    /// Also code a moving camera.
     pub sequence: Option<SequenceOptions>,
-    /// Also take times on several threads; none: only those of one thread.
+    /// Also take times on several threads.
     pub times: Option<TimeOptions>,
 }
 
@@ -101,109 +101,91 @@ impl CodecOptions {
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct CodecReport {
-    /// What holds for all points.
+    /// The conditions of all points.
     pub conditions: CodecConditions,
-    /// Frames that no codec has touched.
-    pub uncoded: Vec<Uncoded>,
+    /// Frames without coding.
+    pub(crate) uncoded: Vec<Uncoded>,
     /// Every setting that was measured: in JSON a row for each turn.
     #[serde(rename = "rows", serialize_with = "rows_of")]
-    pub points: Vec<Point>,
+    pub(crate) points: Vec<Point>,
     /// Codecs against the anchor, scene by scene.
-    pub bd_rates: Vec<BdRow>,
+    pub(crate) bd_rates: Vec<BdRow>,
     /// Means of [`CodecReport::bd_rates`] over scenes.
-    pub bd_means: Vec<BdMean>,
-    /// What a moving camera costs.
-    pub sequences: Vec<SequenceRow>,
-    /// What prediction gains there.
-    pub sequence_gains: Vec<SequenceBd>,
+    pub(crate) bd_means: Vec<BdMean>,
+    /// The cost of a moving camera.
+    pub(crate) sequences: Vec<SequenceRow>,
+    /// The gain by prediction there.
+    pub(crate) sequence_gains: Vec<SequenceBd>,
     /// The product's times on several threads.
-    pub times: Vec<TimeRow>,
+    pub(crate) times: Vec<TimeRow>,
 }
 
-/// What holds for all points of a report.
+/// The conditions of all points in a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct CodecConditions {
-    /// What holds for any table of pictures; the threads are those that code.
+    /// The conditions of any table of pictures; the threads are those that code.
     #[serde(flatten)]
     pub subject: SubjectConditions,
     /// Where frames were made and looked at.
-    pub backend: String,
-    /// Clock of the processor by which cycles are counted, megahertz; none where the system does not tell.
-    pub clock_mhz: Option<f64>,
+    pub(crate) backend: String,
+    /// Processor clock for cycle counts, MHz; `None` if the system does not report it.
+    pub(crate) clock_mhz: Option<f64>,
     /// The codec that others are compared with.
-    pub anchor: Option<String>,
+    pub(crate) anchor: Option<String>,
 }
 
-/// A frame that no codec has touched.
+/// A frame without coding.
 #[derive(Clone, Debug, Serialize)]
 pub struct Uncoded {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The rule.
-    pub layering: &'static str,
-    /// Columns and rows of lists.
-    pub lists: [u32; 2],
-    /// Segments of the frame.
-    pub segments: usize,
-    /// Segments in a list, over lists that have any.
-    pub segments_mean: f64,
-    /// Time to make the frame.
-    pub generate_ms: f64,
-    /// From every turn.
-    pub distortion: Vec<Distortion>,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) layering: &'static str,
+    pub(crate) lists: [u32; 2],
+    pub(crate) segments: usize,
+    pub(crate) segments_mean: f64,
+    pub(crate) generate_ms: f64,
+    /// Errors from every turn.
+    pub(crate) distortion: Vec<Distortion>,
 }
 
 /// A frame coded with one setting.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The codec.
+    pub(crate) scene: String,
+    pub(crate) k: u8,
     #[serde(rename = "method")]
-    pub codec: &'static str,
-    /// The rule of its frame.
-    pub layering: &'static str,
-    /// Columns and rows of lists.
-    pub lists: [u32; 2],
+    pub(crate) codec: &'static str,
+    pub(crate) layering: &'static str,
+    pub(crate) lists: [u32; 2],
     /// Segments in a list of the frame before it was coded, over lists that have any.
-    pub segments_mean: f64,
-    /// Time to make that frame.
-    pub generate_ms: f64,
-    /// Its settings.
-    pub settings: String,
-    /// Bytes of the coded frame.
-    pub bytes: usize,
+    pub(crate) segments_mean: f64,
+    pub(crate) generate_ms: f64,
+    pub(crate) settings: String,
+    pub(crate) bytes: usize,
     /// Bytes of colour, opacity and depth, where they are coded apart.
-    pub bytes_color_opacity_depth: Option<[usize; 3]>,
+    pub(crate) bytes_color_opacity_depth: Option<[usize; 3]>,
     /// Bits for each pixel of the picture.
-    pub bits_per_pixel: f64,
+    pub(crate) bits_per_pixel: f64,
     /// With 30 such frames a second, megabits.
-    pub mbit_s_at_30_hz: f64,
-    /// Time to encode, on one thread.
-    pub encode_ms: f64,
+    pub(crate) mbit_s_at_30_hz: f64,
+    pub(crate) encode_ms: f64,
     /// Time to decode; none where the encoder tells what a decoder gets.
-    pub decode_ms: Option<f64>,
+    pub(crate) decode_ms: Option<f64>,
     /// The same for each pixel, nanoseconds.
-    pub encode_ns_per_pixel: f64,
-    /// Time to decode a pixel.
-    pub decode_ns_per_pixel: Option<f64>,
+    pub(crate) encode_ns_per_pixel: f64,
+    pub(crate) decode_ns_per_pixel: Option<f64>,
     /// Cycles to encode a pixel at the clock of the conditions.
-    pub encode_cycles_per_pixel: Option<f64>,
-    /// Cycles to decode a pixel.
-    pub decode_cycles_per_pixel: Option<f64>,
-    /// From every turn.
+    pub(crate) encode_cycles_per_pixel: Option<f64>,
+    pub(crate) decode_cycles_per_pixel: Option<f64>,
+    /// Errors from every turn.
     #[serde(skip)]
-    pub distortion: Vec<Distortion>,
+    pub(crate) distortion: Vec<Distortion>,
     /// Turns at which no other setting of the codec beats this one in bytes and DSSIM both, degrees.
     #[serde(skip)]
-    pub on_front_deg: Vec<f32>,
+    pub(crate) on_front_deg: Vec<f32>,
 }
 
-/// A coded frame from one turn, as it is told in JSON.
+/// A coded frame from one turn, for JSON.
 #[derive(Serialize)]
 struct Row<'a> {
     #[serde(flatten)]
@@ -227,49 +209,43 @@ fn rows_of<S: Serializer>(points: &[Point], serializer: S) -> Result<S::Ok, S::E
 /// A codec against the anchor.
 #[derive(Clone, Debug, Serialize)]
 pub struct BdRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of both; none: each at whatever K is best for it at each rate.
-    pub k: Option<u8>,
-    /// The codec.
-    pub codec: &'static str,
-    /// Turn, degrees.
-    pub angle_deg: f32,
+    pub(crate) scene: String,
+    /// K of both; `None` if each has the best K at each rate.
+    pub(crate) k: Option<u8>,
+    pub(crate) codec: &'static str,
+    pub(crate) angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
-    pub bd_rate_percent: Option<f64>,
-    /// The difference in the middle of the qualities that both reach, percent.
-    pub middle_percent: Option<f64>,
-    /// Over which qualities, decibels of DSSIM.
-    pub range_db: Option<[f64; 2]>,
+    pub(crate) bd_rate_percent: Option<f64>,
+    /// The difference in the middle of the shared qualities, percent.
+    pub(crate) middle_percent: Option<f64>,
+    /// The shared qualities, decibels of DSSIM.
+    pub(crate) range_db: Option<[f64; 2]>,
     /// Why there is no mean difference.
-    pub refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
 /// Mean over scenes.
 #[derive(Clone, Debug, Serialize)]
 pub struct BdMean {
     /// See [`BdRow::k`].
-    pub k: Option<u8>,
-    /// The codec.
-    pub codec: &'static str,
-    /// Turn, degrees.
-    pub angle_deg: f32,
+    pub(crate) k: Option<u8>,
+    pub(crate) codec: &'static str,
+    pub(crate) angle_deg: f32,
     /// Mean of the scenes that have one, percent.
-    pub bd_rate_percent: Option<f64>,
+    pub(crate) bd_rate_percent: Option<f64>,
     /// Mean of the differences in the middle of the curves, percent.
-    pub middle_percent: Option<f64>,
-    /// Scenes with a mean difference.
-    pub scenes: usize,
+    pub(crate) middle_percent: Option<f64>,
+    pub(crate) scenes: usize,
     /// Scenes without: curves that share no quality, or are none.
-    pub refused: usize,
+    pub(crate) refused: usize,
 }
 
-/// The names of the codecs of this build.
+/// The names of this build's codecs.
 pub fn codec_names() -> Vec<&'static str> {
     contenders::all(&[None]).into_iter().map(|c| c.name).collect()
 }
 
-/// Measures. Takes minutes a scene.
+/// Measures. Takes minutes per scene.
 pub fn run(options: &CodecOptions) -> Result<CodecReport, LabError> {
     let contenders = contenders_of(options)?;
     let anchor = anchor(options, &contenders);
@@ -312,7 +288,7 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, LabError> {
 /// The codecs that are asked for and the anchor. Those that cannot code the frames are left out with a note, or refused
 /// where they were named.
 fn contenders_of(options: &CodecOptions) -> Result<Vec<Contender>, LabError> {
-    // An unknown name is refused even if all are measured.
+    // An unknown name is rejected even if all codecs are measured.
     let anchor: Vec<String> = options.anchor.iter().cloned().collect();
     contenders::select(&anchor, &[None])?;
     let is_all = options.codecs.is_empty();
@@ -337,7 +313,7 @@ fn contenders_of(options: &CodecOptions) -> Result<Vec<Contender>, LabError> {
     Ok(contenders)
 }
 
-/// The name of what others are compared with; none if it is not measured.
+/// The name of the anchor; `None` if it is not measured.
 fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Option<&'static str> {
     let wanted = match &options.anchor {
         Some(wanted) => vec![&wanted[..]],
@@ -346,7 +322,6 @@ fn anchor(options: &CodecOptions, contenders: &[Contender]) -> Option<&'static s
     wanted.iter().find_map(|wanted| contenders.iter().map(|c| c.name).find(|name| name == wanted))
 }
 
-/// What is there so far.
 struct Run<'a> {
     options: &'a CodecOptions,
     backend: &'a Backend,
@@ -359,7 +334,6 @@ struct Run<'a> {
     times: Vec<TimeRow>,
 }
 
-/// A frame of the generating camera.
 struct Generated {
     layering: Rule,
     frame: LayeredFrame,
@@ -509,7 +483,7 @@ fn mark_fronts(points: &mut [Point], angles: &[f32]) {
     }
 }
 
-/// Every codec against the anchor: at each K, and with each at its best K.
+/// Every codec against the anchor: at each K, and with the best K of each.
 fn compare(points: &[Point], anchor: &str, options: &CodecOptions) -> Vec<BdRow> {
     let mut codecs: Vec<&'static str> = Vec::new();
     for p in points {
@@ -581,5 +555,5 @@ fn means(rows: &[BdRow]) -> Vec<BdMean> {
 const FALLBACK_ANCHOR: &str = "blocks-planes";
 /// Frames a second that rates are given for.
 const FRAME_RATE_HZ: f64 = 30.0;
-/// That code: of the codecs of others not all can use more.
+/// Threads that code, because not all rival codecs can use more.
 const THREADS: usize = 1;

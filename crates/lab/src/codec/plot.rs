@@ -17,7 +17,6 @@ pub fn svg(report: &CodecReport) -> Result<String, LabError> {
     Ok(text)
 }
 
-/// A line of a chart.
 struct Series {
     label: String,
     color: RGBColor,
@@ -52,7 +51,7 @@ fn draw(text: &mut String, report: &CodecReport) -> Result<(), String> {
     root.present().map_err(|e| said(&e))
 }
 
-/// A line for each codec and K, all that there are in the report, of the points that are wanted.
+/// A line for each codec and K in the report, with the wanted points.
 fn lines(report: &CodecReport, is_wanted: impl Fn(&Point) -> bool, turn: usize) -> Vec<Series> {
     let mut codecs: Vec<&str> = Vec::new();
     let mut all: Vec<Series> = Vec::new();
@@ -86,7 +85,6 @@ fn longest(all: &[Series]) -> u8 {
     all.iter().map(|s| s.k).max().unwrap_or(0)
 }
 
-/// What the lines are, beside all charts.
 fn legend(area: &DrawingArea<SVGBackend<'_>, Shift>, all: &[Series]) -> Result<(), String> {
     let longest = longest(all);
     for (i, s) in all.iter().enumerate() {
@@ -153,7 +151,7 @@ const SAMPLE: i32 = 26;
 const DASH: (i32, i32) = (6, 4);
 /// A logarithm has no zero.
 const LEAST_DSSIM: f64 = 1e-5;
-/// Told apart also by those who see red and green alike (Okabe and Ito 2008).
+/// Colours that are distinct without red-green vision too (Okabe and Ito 2008).
 const COLORS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),

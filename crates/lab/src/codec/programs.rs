@@ -25,9 +25,9 @@ pub(crate) enum Program {
     Avif,
 }
 
-/// Of 9.
+/// Effort of 9.
 const JXL_EFFORT: &str = "3";
-/// Of 10.
+/// Speed of 10.
 const AVIF_SPEED: &str = "9";
 /// Distances of JPEG XL, coarse to fine.
 const DISTANCES: [f32; 8] = [12.0, 7.0, 4.0, 2.2, 1.2, 0.6, 0.25, 0.08];
@@ -42,7 +42,7 @@ impl Program {
         ("avif-aom-planes", Self::Avif),
     ];
 
-    /// Whether it can be run here.
+    /// Whether it is installed.
     pub(crate) fn is_installed(self) -> bool {
         self.commands().iter().all(|command| {
             let version = Command::new(command).arg("--version").stdin(Stdio::null()).output();
@@ -50,7 +50,6 @@ impl Program {
         })
     }
 
-    /// Encoder and decoder.
     fn commands(self) -> [&'static str; 2] {
         match self {
             Self::JpegXl | Self::JpegXlModular => ["cjxl", "djxl"],
@@ -104,7 +103,6 @@ impl Program {
         Ok(ms)
     }
 
-    /// Bytes of the picture in a file.
     fn picture_bytes(self, file: &[u8]) -> Result<usize, LabError> {
         match self {
             // Written without a container.
@@ -142,7 +140,7 @@ impl ImageCodec for Program {
         let decode_ms = self.decode(&coded, &found)?;
         let bytes = self.picture_bytes(&fs::read(&coded).map_err(failed)?)?;
         let found = fs::read(&found).map_err(failed)?;
-        // The byte that tells the bits of a sample.
+        // This byte is the number of bits per sample.
         if found.get(PNG_BITS_AT) != Some(&16) {
             return Err(self.failed(&"not a picture of 16 bits came back"));
         }
@@ -155,7 +153,7 @@ impl ImageCodec for Program {
     }
 }
 
-/// Where a PNG file says how many bits a sample has.
+/// Offset of the number of bits per sample in a PNG file.
 const PNG_BITS_AT: usize = 24;
 
 /// The raster with another number of bits a sample, and of its channels the first `channels`.

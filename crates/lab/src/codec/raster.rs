@@ -12,9 +12,7 @@ use isinglass_core::wire::control::one_line;
 /// Samples of one channel or of three, side by side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Raster {
-    /// Columns.
     pub(crate) width: u32,
-    /// Rows.
     pub(crate) height: u32,
     /// 1, or 3: red, green and blue.
     pub(crate) channels: u8,
@@ -42,25 +40,21 @@ fn max_sample(bits: u8) -> f32 {
     ((1u32 << bits) - 1) as f32
 }
 
-/// What became of a raster.
 #[derive(Clone, Debug)]
 pub(crate) struct Coded {
-    /// Bytes of the coded raster.
     pub(crate) bytes: usize,
-    /// As it is decoded.
     pub(crate) decoded: Raster,
-    /// Time to encode.
     pub(crate) encode_ms: f64,
-    /// Time to decode; none where the encoder itself tells what a decoder gets.
+    /// Time to decode; `None` if the encoder itself provides the decoder's result.
     pub(crate) decode_ms: Option<f64>,
 }
 
 /// A codec of rasters.
 pub(crate) trait ImageCodec {
-    /// Most bits of a sample.
+    /// Most bits per sample.
     fn max_bits(&self) -> u8;
 
-    /// Its settings from coarse to fine, by name; one where nothing is lost.
+    /// Names of its settings from coarse to fine; a lossless codec has one.
     fn levels(&self) -> Vec<String>;
 
     /// Encodes and decodes with setting `level`.

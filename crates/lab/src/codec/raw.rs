@@ -1,4 +1,4 @@
-//! Segments as they lie in memory, and a general compressor: what scenery sends.
+//! Segments as they are in memory, with a general compressor, as scenery sends them.
 
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
@@ -15,7 +15,6 @@ pub(crate) enum Compressor {
 }
 
 impl Compressor {
-    /// The name in tables.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Zstd => "raw-zstd",
@@ -24,7 +23,6 @@ impl Compressor {
         }
     }
 
-    /// The setting in tables.
     pub(crate) fn setting(self) -> &'static str {
         match self {
             Self::Zstd => "halves, level 3",
@@ -33,7 +31,6 @@ impl Compressor {
         }
     }
 
-    /// Compresses a frame.
     pub(crate) fn encode(self, frame: &LayeredFrame) -> Result<Vec<u8>, LabError> {
         let raw = raw_from_frame(frame);
         match self {
@@ -66,8 +63,8 @@ impl Compressor {
 }
 
 /// A byte of length for each list; then for each segment red, green, blue and optical depth as halves; then for each
-/// segment front and back: scenery's buffers for colour and depth, without the slots it leaves empty, and of half floats
-/// and 16-bit depths in place of single floats.
+/// segment front and back: scenery's buffers for colour and depth, without the slots it leaves empty, and of half
+/// floats and 16-bit depths in place of single floats.
 fn raw_from_frame(frame: &LayeredFrame) -> Vec<u8> {
     let mut raw: Vec<u8> = frame.offsets.windows(2).map(|w| (w[1] - w[0]) as u8).collect();
     let colors = frame.c_rg.iter().zip(&frame.c_b_tau).flat_map(|(rg, b_tau)| [rg, b_tau]);

@@ -1,17 +1,18 @@
-//! The search for the settings of a codec whose parts are coded apart: a climb from the coarsest settings to the finest.
+//! The search for the settings of a codec whose parts are coded apart: a climb from the coarsest settings to the
+//! finest.
 //!
-//! At each step every part is refined for trial, by one setting and by a few at once, and the refinement that lowers the
-//! distortion most for a byte is kept. Where rates and distortions add up and refinements are worth ever less, the states of
-//! the climb are the lower convex hull of all settings. They do not quite: a part that is coarse hides what another is
-//! worth, so nothing is taken over from the trials of the step before; and a setting may be worth less than both of its
-//! neighbours, as the coarsest step of a larger plane behind the finest of a smaller one, so the climb looks beyond it.
+//! At each step every part is refined for trial, by one setting and by a few at once, and the refinement that lowers
+//! the distortion most for a byte is kept. Where rates and distortions add up and refinements are worth ever less,
+//! the states of the climb are the lower convex hull of all settings. They do not quite: a part that is coarse hides
+//! what another is worth, so nothing is taken over from the trials of the step before; and a setting may be worth
+//! less than both of its neighbours, as the coarsest step of a larger plane behind the finest of a smaller one, so
+//! the climb looks beyond it.
 
 use std::collections::HashMap;
 
 /// A state of the climb, measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Height {
-    /// Bytes of the frame.
     pub(crate) bytes: f64,
     /// Distortion, summed over what is looked at.
     pub(crate) distortion: f64,
@@ -100,8 +101,8 @@ mod tests {
 
     #[test]
     fn a_setting_that_is_worth_nothing_does_not_hide_those_behind_it() {
-        // The third setting of the first part costs more than the second and is worse; the fourth is worth more than all that
-        // the other part has.
+        // The third setting of the first part costs more than the second and is worse; the fourth is worth more than
+        // all that the other part has.
         let first = [(100.0, 64.0), (200.0, 32.0), (300.0, 40.0), (400.0, 4.0)];
         let second = [(100.0, 8.0), (200.0, 7.0), (800.0, 6.5), (6400.0, 6.4)];
         let mut asked = Vec::new();

@@ -37,8 +37,7 @@ pub struct SequenceOptions {
     pub frames: u32,
     /// Whether it rests in the middle, for a fifth of the frames.
     pub stops: bool,
-    /// Frames that are compared with the truth, at most; of those that rest and the first, which none is before, nothing
-    /// is counted.
+    /// Most frames that are compared with the truth; resting ones and the first do not count.
     pub compared: u32,
 }
 
@@ -54,7 +53,7 @@ impl SequenceOptions {
         moves as f32 * self.degrees_per_second / FRAME_RATE_HZ as f32
     }
 
-    /// Whether frame `i` is seen from where the one before was.
+    /// Whether frame `i` has the camera of the previous one.
     fn is_resting(&self, i: u32) -> bool {
         let (from, to) = self.rest();
         self.stops && from < i && i <= to
@@ -65,8 +64,8 @@ impl SequenceOptions {
         (self.frames * 2 / 5, self.frames * 3 / 5)
     }
 
-    /// Whether frame `i` is seen from elsewhere than the one before. The first is no such frame: a codec that predicts
-    /// codes it as one that does not.
+    /// Whether frame `i` has another camera than the previous one. The first does not count: a predicting codec codes
+    /// it alone.
     fn is_moving(&self, i: u32) -> bool {
         i > 0 && !self.is_resting(i)
     }
@@ -79,65 +78,54 @@ impl SequenceOptions {
     }
 }
 
-/// What a moving camera costs with one codec at one setting.
+/// The cost of a moving camera with one codec at one setting.
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The codec.
-    pub codec: &'static str,
-    /// Its settings.
-    pub settings: String,
-    /// Whether frames are predicted from those before.
-    pub is_predicted: bool,
-    /// Degrees a second.
-    pub degrees_per_second: f32,
-    /// Frames of the sequence.
-    pub frames: u32,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) codec: &'static str,
+    pub(crate) settings: String,
+    /// Whether frames are predicted from earlier ones.
+    pub(crate) is_predicted: bool,
+    pub(crate) degrees_per_second: f32,
+    pub(crate) frames: u32,
     /// Mean bytes of a frame while the camera moves, without the first.
-    pub bytes_moving: f64,
-    /// Mean bytes while it rests; none if it never does.
-    pub bytes_resting: Option<f64>,
+    pub(crate) bytes_moving: f64,
+    /// Mean bytes while it rests; `None` if it never does.
+    pub(crate) bytes_resting: Option<f64>,
     /// Mean bytes of the same frames, each coded alone with the same setting.
-    pub bytes_intra: f64,
-    /// Megabits a second, rest included.
-    pub mbit_s_at_30_hz: f64,
-    /// Bytes of a moving frame less than those of one that is coded alone, percent.
-    pub saving_percent: f64,
-    /// Mean over compared frames that move, each turned from its own pose; not over the first.
-    pub distortion: Vec<Distortion>,
-    /// Of those the one at 0°, if it was asked for.
-    pub dssim: Option<f64>,
-    /// The same.
-    pub psnr_db: Option<f64>,
+    pub(crate) bytes_intra: f64,
+    /// Megabits per second, including the rest.
+    pub(crate) mbit_s_at_30_hz: f64,
+    /// Saving of a moving frame against one that is coded alone, percent.
+    pub(crate) saving_percent: f64,
+    /// Means over compared moving frames, each turned from its own pose; without the first.
+    pub(crate) distortion: Vec<Distortion>,
+    /// The one at 0°, if requested.
+    pub(crate) dssim: Option<f64>,
+    pub(crate) psnr_db: Option<f64>,
     /// Mean time to encode a frame that moves, on one thread; of blocks alone.
-    pub encode_ms: Option<f64>,
+    pub(crate) encode_ms: Option<f64>,
     /// Mean time to decode one of those that are compared.
-    pub decode_ms: Option<f64>,
-    /// Bytes of every frame.
-    pub bytes: Vec<usize>,
+    pub(crate) decode_ms: Option<f64>,
+    pub(crate) bytes: Vec<usize>,
 }
 
-/// What prediction gains in frames that move, at the same quality.
+/// The gain by prediction in moving frames, at the same quality.
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceBd {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
     /// The codec, with prediction against itself without.
-    pub codec: &'static str,
+    pub(crate) codec: &'static str,
     /// Turn from the frames' own poses, degrees.
-    pub angle_deg: f32,
+    pub(crate) angle_deg: f32,
     /// Mean difference of bytes at the same DSSIM, percent.
-    pub bd_rate_percent: Option<f64>,
+    pub(crate) bd_rate_percent: Option<f64>,
     /// Why there is none.
-    pub refused: Option<String>,
+    pub(crate) refused: Option<String>,
 }
 
-/// What a sequence is made of.
 pub(super) struct Scene<'a> {
     pub(super) source: &'a SceneSource,
     pub(super) judge: &'a Judge<'a>,
@@ -148,20 +136,19 @@ pub(super) struct Scene<'a> {
 
 /// Codes frames one after another.
 trait Coder {
-    /// The next frame, number `i`. If it `is_kept`, what is decoded is wanted: now, or later if the coder lags.
+    /// Codes the next frame, number `i`. If it `is_kept`, the decoded frame is wanted, now or later.
     fn push(&mut self, i: u32, frame: &LayeredFrame, is_kept: bool)
     -> Result<Option<LayeredFrame>, LabError>;
 
-    /// Whether decoded frames come in the end only.
+    /// Whether decoded frames only come at the end.
     fn lags(&self) -> bool {
         false
     }
 
-    /// All of it.
     fn finish(self: Box<Self>) -> Result<CodedSequence, LabError>;
 }
 
-/// A setting of a codec, and what codes with it.
+/// A setting of a codec, and its coder.
 struct Candidate<'a> {
     settings: String,
     is_predicted: bool,
@@ -192,13 +179,13 @@ impl Seen {
     }
 }
 
-/// Of frames that are compared, by number, see [`Judge::truths`].
+/// Truths of compared frames by number, see [`Judge::truths`].
 type Truths = BTreeMap<u32, Vec<Truth>>;
 
 #[derive(Default)]
 struct CodedSequence {
     bytes: Vec<usize>,
-    /// What a coder that lags decodes.
+    /// Frames that a lagging coder has decoded.
     kept: BTreeMap<u32, LayeredFrame>,
     /// Times of every frame if they are taken, and of decoding those kept.
     encode_ms: Vec<f64>,
@@ -393,11 +380,10 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
     }
 }
 
-/// Every frame alone.
+/// Codes every frame alone.
 struct Alone<'a> {
     contender: &'a Contender,
     judge: &'a Judge<'a>,
-    /// Setting of each part.
     at: [usize; 3],
     coded: CodedSequence,
 }
@@ -419,12 +405,11 @@ impl Coder for Alone<'_> {
     }
 }
 
-/// Blocks, alone or every frame predicted from the one before.
+/// Codes blocks, each frame alone or predicted from the previous one.
 struct InBlocks<'a> {
     coding: Coding,
     is_predicted: bool,
     pool: &'a ThreadPool,
-    /// What the receiver has.
     references: References,
     coded: CodedSequence,
 }
@@ -467,7 +452,7 @@ impl Coder for InBlocks<'_> {
     }
 }
 
-/// Blocks are given the qualities that are multiples of this.
+/// Step between qualities of blocks.
 const SEQUENCE_STEP: u8 = 20;
 
 #[cfg(test)]

@@ -121,7 +121,8 @@ fn finer_blocks_are_larger_and_nearer_and_prediction_saves_where_nothing_moves()
     assert!(fields["dssim"].is_f64() && fields["psnr_db"].is_f64(), "{fields}");
 }
 
-/// Depths matter at a turn only: settings that are best at the own pose are none that a search for both together asks for.
+/// Depths matter at a turn only: settings that are best at the own pose are none that a search for both together asks
+/// for.
 #[test]
 fn settings_are_searched_for_every_turn_as_well_as_for_all() {
     let searched = |angles: &[f32]| {

@@ -1,5 +1,5 @@
-//! How long the product's codec takes on several threads, from start to end: a frame coded alone, and one predicted from
-//! the frame before while the camera orbits.
+//! Times of the product's codec on several threads, wall clock: a frame coded alone, and one predicted from the
+//! previous one while the camera orbits.
 
 use std::time::Instant;
 
@@ -17,41 +17,36 @@ use crate::error::LabError;
 use isinglass_bench::progress::Progress;
 use isinglass_bench::scenes::SceneSource;
 
-/// Which times to take.
+/// The times to take.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TimeOptions {
     /// Numbers of threads.
     pub threads: Vec<usize>,
-    /// Rounds, of which the least time counts; everything takes turns.
+    /// Rounds of which the least time counts; everything takes turns.
     pub rounds: u32,
 }
 
-/// Times of one coding on so many threads.
+/// Times of one coding on this many threads.
 #[derive(Clone, Debug, Serialize)]
 pub struct TimeRow {
-    /// Name of the scene.
-    pub scene: String,
-    /// K of the rule.
-    pub k: u8,
-    /// The coding.
-    pub settings: &'static str,
-    /// Threads.
-    pub threads: usize,
+    pub(crate) scene: String,
+    pub(crate) k: u8,
+    pub(crate) settings: &'static str,
+    pub(crate) threads: usize,
     /// A frame that is coded alone.
-    pub intra: Times,
+    pub(crate) intra: Times,
     /// The last of a few frames that are each predicted from the one before; none where the coding does not predict.
-    pub inter: Option<Times>,
+    pub(crate) inter: Option<Times>,
 }
 
-/// What coding a frame costs: the least of all rounds.
+/// The cost of coding a frame: the least of all rounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Times {
-    /// To encode, milliseconds from start to end.
-    pub encode_ms: f64,
-    /// To decode, into a frame that can be looked at.
-    pub decode_ms: f64,
-    /// Bytes of the frame.
-    pub bytes: usize,
+    /// Time to encode, wall-clock milliseconds.
+    pub(crate) encode_ms: f64,
+    /// Time to decode into a displayable frame.
+    pub(crate) decode_ms: f64,
+    pub(crate) bytes: usize,
 }
 
 /// Takes the times of every coding for every number of threads.
@@ -115,7 +110,7 @@ fn sequence(coding: &Coding, frames: &[LayeredFrame]) -> Result<(Times, Option<T
         let start = Instant::now();
         let (decoded, _) = codec::decode_in(&chunks, &references, spare)?;
         let decode_ms = start.elapsed().as_secs_f64() * 1e3;
-        // As a client does.
+        // A client does the same.
         spare = Some(decoded);
         all.push(Times { encode_ms, decode_ms, bytes: encoded.num_bytes() });
         match reference {
@@ -136,11 +131,9 @@ impl Times {
     }
 }
 
-/// Of the orbit.
 const DEGREES_PER_SECOND: f64 = 30.0;
-/// Of the orbit: one alone, and predicted ones until their number of kept planes has settled.
+/// Frames of the orbit: one alone, and predicted ones until the number of kept planes has settled.
 const FRAMES: u32 = 4;
-/// What is timed.
 const CODINGS: [(&str, Coding); 4] = [
     ("blocks, quality 45", in_blocks(45)),
     ("blocks, quality 90", in_blocks(90)),

@@ -1,4 +1,4 @@
-//! WebP without loss. It has 8 bits a sample: planes of more are sent as two, high bytes and low bytes.
+//! Lossless WebP. It has 8 bits per sample, so wider planes are sent as two, high and low bytes.
 
 use std::io::Cursor;
 
@@ -7,7 +7,6 @@ use image_webp::{ColorType, WebPDecoder, WebPEncoder};
 use super::raster::{Coded, ImageCodec, Raster, code_through_bytes};
 use crate::error::LabError;
 
-/// WebP without loss.
 pub(crate) struct WebP;
 
 impl ImageCodec for WebP {

@@ -1,8 +1,8 @@
-//! The ways of making a picture from a layered frame, side by side: ours and those of the papers.
+//! Methods that make a picture of a layered frame: ours and those of the papers.
 //!
-//! The rivals run on the CPU, from *any* layered frame, so that every method can be asked what it makes of the same
-//! data: [`PointWarp`] flattens the lists to one colour and one depth a pixel, [`Slabs`] cuts them at planes. On a
-//! frame of its own rule (`single-depth`, `slabs`) that derivation changes nothing.
+//! The rivals run on the CPU, from *any* layered frame, so that all methods get the same data: [`PointWarp`] flattens
+//! the lists to one colour and one depth per pixel, [`Slabs`] cuts them at planes. On a frame of its own rule
+//! (`single-depth`, `slabs`) that derivation changes nothing.
 
 mod point_warp;
 mod slab_mesh;
@@ -63,7 +63,7 @@ impl Method {
         }
     }
 
-    /// The name in tables: what is ray-cast is called by the rule of the frame.
+    /// The name in tables: that of the frame's rule for the ray cast.
     pub fn name_on(self, rule: Rule) -> &'static str {
         if self == Self::Layers { rule.name() } else { self.name() }
     }
@@ -84,7 +84,7 @@ impl Method {
         if self == Self::Layers { backend } else { &Backend::Cpu }
     }
 
-    /// Makes a frame ready for any number of views. `bounds` is the box of the volume. Only [`Method::Layers`] runs on
+    /// Prepares a frame for any number of views. `bounds` is the box of the volume. Only [`Method::Layers`] runs on
     /// `backend`.
     pub fn prepare(
         self,
@@ -98,7 +98,7 @@ impl Method {
         }
     }
 
-    /// One picture of a frame. For several views take [`Method::prepare`].
+    /// One picture of a frame. For several views use [`Method::prepare`].
     pub fn draw(
         self,
         backend: &Backend,
@@ -112,7 +112,7 @@ impl Method {
         }
     }
 
-    /// None for the ray cast.
+    /// `None` for the ray cast.
     pub(crate) fn prepare_rival(self, frame: &LayeredFrame, bounds: &Aabb) -> Option<Views> {
         Some(match self {
             Self::Layers => return None,
@@ -155,12 +155,12 @@ pub enum Views {
 }
 
 impl Views {
-    /// The picture from a camera. Premultiplied linear.
+    /// The picture from a camera, premultiplied linear.
     pub fn view(&mut self, camera: &Camera) -> Result<Picture, LabError> {
         self.view_with(camera, &CastOptions::default())
     }
 
-    /// The same; what is ray-cast is cast as `options` say.
+    /// The same, with `options` for the ray cast.
     pub fn view_with(&mut self, camera: &Camera, options: &CastOptions) -> Result<Picture, LabError> {
         if !camera.is_valid() {
             return Err(isinglass_gpu::GpuError::Camera.into());
@@ -176,7 +176,7 @@ impl Views {
 }
 
 impl Method {
-    /// For the viewer, which has the ray cast itself.
+    /// The method for the viewer; `None` for the ray cast, which the viewer has itself.
     pub fn for_viewer(self) -> Option<Box<dyn NovelView>> {
         (self != Self::Layers).then(|| Box::new(ShownRival { method: self, kept: None }) as _)
     }

@@ -1,10 +1,10 @@
 //! Zellmann 2012, Image-based remote real-time volume rendering: every pixel of the last picture is a point at one
 //! representative depth, and the points are drawn from the new camera.
 //!
-//! Points are squares half as wide again as the pixel's area at its depth appears from the new camera, so that a plane
-//! parallel to the old picture has no cracks and one turned towards the new camera few; they are composited with *over* in an order that needs no sort ([`ScanOrder`]).
-//! The depth of a pixel is the mean depth of the light in it: each segment counts with what it adds to the pixel's
-//! opacity, at the mean depth of its own light.
+//! Points are squares half as wide again as the pixel's area at its depth appears from the new camera, so that a
+//! plane parallel to the old picture has no cracks and one turned towards the new camera few; they are composited
+//! with *over* in an order that needs no sort ([`ScanOrder`]). The depth of a pixel is the mean depth of the light in
+//! it: each segment counts with what it adds to the pixel's opacity, at the mean depth of its own light.
 
 use isinglass_core::camera::{Basis, Camera};
 use isinglass_core::kernels::raycast::opacity;
@@ -58,12 +58,12 @@ impl PointWarp {
         Self { basis: camera.basis(), colors, depths }
     }
 
-    /// The picture from a camera. Premultiplied linear.
+    /// The picture from a camera, premultiplied linear.
     pub fn view(&self, camera: &Camera) -> Picture {
         let new = camera.basis();
         let width = self.basis.width as usize;
         let splats = self.project(&Warp::new(&self.basis, &new), camera);
-        // Rows that each row of points touches, so that a band passes by most of them.
+        // Rows that each row of points touches, so that a band skips most of them.
         let reach: Vec<(u16, u16)> = splats
             .par_chunks(width)
             .map(|row| {

@@ -50,7 +50,7 @@ impl SlabMesh {
         Self { slabs, depths }
     }
 
-    /// The picture from a camera. Premultiplied linear.
+    /// The picture from a camera, premultiplied linear.
     pub fn view(&self, camera: &Camera) -> Picture {
         let triangles = self.triangles(camera);
         in_bands(camera, |mut band| {
@@ -62,7 +62,6 @@ impl SlabMesh {
         })
     }
 
-    /// The triangles, nearest first.
     fn triangles(&self, camera: &Camera) -> Vec<Triangle> {
         let (slabs, new) = (&self.slabs, camera.basis());
         let [columns, rows] = slabs.num_tiles;

@@ -33,7 +33,6 @@ pub struct Slabs {
     tiles: Vec<Tile>,
 }
 
-/// What is in a tile of a slab.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tile {
     /// Least and greatest view depth of its content, world units; least above greatest if there is none.

@@ -88,7 +88,6 @@ fn square(list: Vec<Segment>) -> Arc<LayeredFrame> {
     frame(|x, y| if inside.contains(&x) && inside.contains(&y) { list.clone() } else { vec![] })
 }
 
-/// Seeded lists with all that a list can have.
 fn busy_frame() -> Arc<LayeredFrame> {
     frame(|x, y| {
         let mut state = (y * SIDE + x).wrapping_mul(2_654_435_761);
@@ -129,7 +128,8 @@ fn moves_matter(method: Method, share: f32) -> bool {
     (shift(method, share) - 8.0).abs() < 0.1
 }
 
-/// Whether red matter in front and blue matter behind, in the same pixels, come apart as they should when the eye moves.
+/// Whether red matter in front and blue matter behind, in the same pixels, come apart as they should when the eye
+/// moves.
 fn separates(method: Method, front: f32, back: f32) -> bool {
     // So thin that red does not dim the part of blue behind it.
     let frame = square(vec![thin(front, RED, 0.01), thin(back, BLUE, 0.01)]);

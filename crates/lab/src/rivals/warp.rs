@@ -1,5 +1,5 @@
-//! What the methods that draw an old picture anew have in common: the map between two cameras' pixels, the order that
-//! needs no sort, and compositing into a band of rows.
+//! Common parts of the methods that redraw an old picture: the map between two cameras' pixels, the order that needs
+//! no sort, and compositing into a band of rows.
 
 use glam::Vec3;
 use isinglass_core::camera::{Basis, Camera};
@@ -11,13 +11,13 @@ use rayon::prelude::*;
 /// space in view depth w has the new homogeneous pixel coordinates (x'·w', y'·w', w') = w·(x·X + y·Y + Z) + O.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Warp {
-    /// X.
+    /// The vector X.
     pub(super) per_x: Vec3,
-    /// Y.
+    /// The vector Y.
     pub(super) per_y: Vec3,
-    /// Z.
+    /// The vector Z.
     pub(super) per_depth: Vec3,
-    /// O.
+    /// The vector O.
     pub(super) offset: Vec3,
 }
 
@@ -46,7 +46,8 @@ impl Warp {
 /// points that can meet in a new pixel lie on one line through the epipole. Let θ be a point's angle at the old eye
 /// from the direction of the new eye, and φ > θ its angle at the new eye: by the law of sines it is
 /// |eyes apart|·sin θ/sin(φ − θ) away from the new eye, which grows with θ. So if the new eye lies in front of the old,
-/// points nearer to the epipole are in front; if it lies behind, θ is counted from the other side and it is the reverse.
+/// points nearer to the epipole are in front; if it lies behind, θ is counted from the other side and it is the
+/// reverse.
 pub(super) struct ScanOrder {
     pub(super) rows: Vec<u32>,
     pub(super) columns: Vec<u32>,
@@ -69,19 +70,17 @@ impl ScanOrder {
     }
 }
 
-/// Some rows of a picture in the making: what is drawn goes behind what is there.
+/// Some rows of an unfinished picture; drawing goes behind what is there.
 pub(super) struct Band<'a> {
-    /// First row.
     pub(super) y0: usize,
     /// Row after the last.
     pub(super) y1: usize,
-    /// Columns.
     pub(super) width: usize,
     pixels: &'a mut [[f32; 4]],
 }
 
 impl Band<'_> {
-    /// Puts a premultiplied colour behind a pixel; `color` is not asked for if nothing shines through.
+    /// Puts a premultiplied colour behind a pixel; `color` is only called if something shines through.
     pub(super) fn put_behind(&mut self, x: usize, y: usize, color: impl FnOnce() -> [f32; 4]) {
         let pixel = &mut self.pixels[(y - self.y0) * self.width + x];
         let transmittance = 1.0 - pixel[3];
@@ -94,7 +93,7 @@ impl Band<'_> {
     }
 }
 
-/// A picture of the camera's size, drawn in bands at the same time.
+/// A picture of the camera's size, drawn in parallel bands.
 pub(super) fn in_bands(camera: &Camera, draw: impl Fn(Band<'_>) + Sync) -> Picture {
     let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
     let (width, height) = (picture.width as usize, picture.height as usize);
@@ -125,5 +124,5 @@ pub(super) fn bilinear(
     })
 }
 
-/// Rows of a band: enough bands for every thread, and few enough that looking through all that may touch one is cheap.
+/// Rows of a band: enough bands for every thread, and few enough to search each for its points.
 const BAND_ROWS: usize = 16;

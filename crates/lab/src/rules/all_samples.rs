@@ -1,27 +1,27 @@
-//! Every visible step as a segment of its own: what is left of the error when nothing is merged is that of the
-//! reconstruction between lists. For measurement, on the CPU alone.
+//! Every visible step as a segment of its own: the remaining error is that of the reconstruction between lists. For
+//! measurement on the CPU only.
 //!
-//! Lists have no greatest length, so the frame breaks that promise of [`isinglass_core::layer`] and no codec takes it; `header.k`
-//! is then 255. The raycaster does not mind.
+//! Lists have no greatest length. So the frame breaks a rule of [`isinglass_core::layer`], and no codec takes it;
+//! `header.k` is 255. The raycaster accepts it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::kernels::layering::close::{MIN_UNITS, segment_behind};
 use isinglass_core::kernels::layering::gather_rows;
-use isinglass_core::kernels::march::{Marcher, Advance, Scene, Sink, Step, Texels, with_texels};
+use isinglass_core::kernels::march::{Advance, Marcher, Scene, Sink, Step, Texels, with_texels};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 
 /// Why not every sample can be kept.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum AllSamplesError {
-    /// Too much memory.
+    /// They need too much memory.
     #[error("the frame has more than {0} samples; expected a smaller picture or volume")]
     TooMany(usize),
     /// A projection has no samples to composite.
     #[error("all samples of mode {0}, expected composite or iso")]
     Projection(Mode),
-    /// The 16 bits of a depth cannot tell steps apart.
+    /// 16-bit depths cannot distinguish the steps.
     #[error("a step is {found:.1} depth units thick, expected at least {min}", min = MIN_UNITS + 1)]
     TooThin {
         /// Thickness of the thinnest step.
@@ -77,7 +77,7 @@ fn generate_with<T: Texels>(
     if found < f32::from(MIN_UNITS + 1) {
         return Err(AllSamplesError::TooThin { found });
     }
-    // Nothing more is done for a frame that is refused.
+    // Work stops for a frame that will be rejected.
     let is_within = || num_steps.load(Ordering::Relaxed) <= limit;
     let frame = gather_rows(FrameHeader { k: u8::MAX, mode, ..header }, &is_within, |y, row| {
         let mut all = All::default();

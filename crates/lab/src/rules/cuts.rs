@@ -1,13 +1,12 @@
-//! Segments between planes at equal distances along a ray: what `equal-length` and `slabs` share.
+//! Segments between planes at equal distances along a ray, for `equal-length` and `slabs`.
 //!
-//! All matter between two planes is one segment; without matter there is none. A step that a plane falls into is split
-//! as a homogeneous medium.
+//! All matter between two planes is one segment; without matter there is none. A step across a plane is split as a
+//! homogeneous medium.
 
 use isinglass_core::kernels::march::{Advance, Sink, Step, TAU_MIN};
 
 use super::{OpenSegment, SegmentList, append, split};
 
-/// Cuts the content of one ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlaneCuts {
     k: usize,
@@ -25,7 +24,7 @@ pub(super) struct PlaneCuts {
 }
 
 impl PlaneCuts {
-    /// `k` intervals of the given length from the distance `first` on; the last takes whatever is behind it too.
+    /// `k` intervals of the given length from the distance `first` on; the last takes everything behind it too.
     pub(super) fn new(k: usize, first: f32, length: f32, spans_all: bool) -> Self {
         let (open, list) = (OpenSegment::default(), SegmentList::default());
         Self { k, first, length, spans_all, i: 0, open, transmittance: 1.0, list }
@@ -58,7 +57,6 @@ impl PlaneCuts {
         self.i += 1;
     }
 
-    /// The list.
     pub(super) fn finish(mut self) -> SegmentList {
         self.close();
         self.list

@@ -1,7 +1,7 @@
 //! Cuts at equal distances between the first and the last content (Brady 1997).
 //!
-//! March 1 finds where the content begins and ends, march 2 cuts it ([`super::cuts`]). Brady composites every segment of
-//! a ray on its own, whatever is in front of it, so matter behind opaque matter is kept.
+//! March 1 finds where the content begins and ends, march 2 cuts it ([`super::cuts`]). Brady composites every segment
+//! of a ray on its own, whatever is in front of it, so matter behind opaque matter is kept.
 
 use isinglass_core::kernels::march::{Advance, Sink, Step};
 

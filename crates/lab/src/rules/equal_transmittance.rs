@@ -25,7 +25,11 @@ impl Sink for Profile {
     fn step(&mut self, step: Step) -> Advance {
         self.transmittance *= 1.0 - step.alpha;
         self.s_last = step.s1;
-        if self.transmittance > TRANSMITTANCE_MIN { Advance::behind(self.transmittance) } else { Advance::Stop }
+        if self.transmittance > TRANSMITTANCE_MIN {
+            Advance::behind(self.transmittance)
+        } else {
+            Advance::Stop
+        }
     }
 }
 
@@ -65,7 +69,6 @@ impl TransmittanceCuts {
         append(open, piece);
     }
 
-    /// The list.
     pub(super) fn finish(mut self) -> SegmentList {
         if let Some(open) = self.open.take().filter(|o| o.tau > 0.0) {
             self.list.push(open);

@@ -1,35 +1,35 @@
-//! Segments of like colour (Frey 2013; Gupta 2022, section 3): a segment ends where the next sample differs from it by
-//! more than a threshold, and where matter ends.
+//! Segments of like colour (Frey 2013; Gupta 2022, section 3): a segment ends where the next sample differs from it
+//! by more than a threshold, and where matter ends.
 //!
-//! What is compared is the premultiplied colour of the segment over the length of the sample, and that of the sample, by
-//! their Euclidean distance. The threshold is found ray by ray, by bisection, so that the number of segments is at most
-//! K and at least 85 % of K, with one march for every threshold that is tried and one more that writes, as published.
-//! Nothing ends at opaque matter.
+//! What is compared is the premultiplied colour of the segment over the length of the sample, and that of the sample,
+//! by their Euclidean distance. The threshold is found ray by ray, by bisection, so that the number of segments is at
+//! most K and at least 85 % of K, with one march for every threshold that is tried and one more that writes, as
+//! published. Nothing ends at opaque matter.
 //!
 //! Gaps are not stored. Only on a ray with more than K pieces of matter some gaps must be: there a gap is compared
-//! like a sample, transparent ones being black, and ends a segment only if it differs. Whatever threshold is found, the
-//! K-th segment takes what is left.
+//! like a sample, transparent ones being black, and ends a segment only if it differs. Whatever threshold is found,
+//! the K-th segment takes what is left.
 
 use isinglass_core::kernels::march::{Advance, Sink, Step};
 use isinglass_core::kernels::raycast::opacity;
 
 use super::{OpenSegment, SegmentList, append};
 
-/// What is done with one ray: counted with a threshold, or written.
+/// Counts or writes the segments of one ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Homogeneity {
     k: usize,
     /// Length of a step, world units.
     h: f32,
     threshold: f32,
-    /// Whether a gap need not end a segment.
+    /// Whether a gap may lie inside a segment.
     bridges_gaps: bool,
-    /// Whether the segments are kept: at most K of them, the last with what is left.
+    /// Whether segments are kept: at most K, the last with everything that is left.
     writes: bool,
     open: OpenSegment,
-    /// Segments so far, the open one among them.
+    /// Number of segments so far, including the open one.
     count: usize,
-    /// Pieces of matter without a gap so far.
+    /// Number of pieces of matter without a gap so far.
     pieces: usize,
     transmittance: f32,
     list: SegmentList,
@@ -104,7 +104,7 @@ pub(super) fn list(k: usize, h: f32, mut march: impl FnMut(&mut Homogeneity)) ->
         } else {
             break;
         }
-        // Known from the first march on.
+        // This is known after the first march.
         bridges_gaps = pass.pieces > k || bridges_gaps;
         least = k - k * ACCEPTED_BELOW_PERCENT / 100;
         if high - low < BRACKET_LEAST {
@@ -119,13 +119,13 @@ pub(super) fn list(k: usize, h: f32, mut march: impl FnMut(&mut Homogeneity)) ->
     pass.list
 }
 
-/// Tried first; a ray that has at most K segments with it is accepted at once.
+/// The first threshold; a ray with at most K segments is accepted at once.
 const THRESHOLD_FIRST: f32 = 1e-4;
 /// Greatest distance of two colours, √3.
 const THRESHOLD_GREATEST: f32 = 1.732_050_8;
-/// A bracket of thresholds below this is not halved again; its upper end counts.
+/// A smaller bracket of thresholds is not halved again; its upper end counts.
 const BRACKET_LEAST: f32 = 1e-6;
-/// A count is accepted down to so many percent below K.
+/// Accepted counts reach down to this many percent below K.
 const ACCEPTED_BELOW_PERCENT: usize = 15;
 /// The first and the 21 halvings from √3 to the least bracket, and two for rounding.
 const MAX_TRIES: usize = 24;

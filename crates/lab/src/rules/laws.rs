@@ -9,7 +9,7 @@ use super::single_depth::{SingleDepth, THRESHOLD_SHARE};
 use super::*;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering::budget::longest_list;
-use isinglass_core::kernels::march::{MarchSettings, Advance, Sink, TRANSMITTANCE_MIN};
+use isinglass_core::kernels::march::{Advance, MarchSettings, Sink, TRANSMITTANCE_MIN};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Volume, Voxels};
@@ -33,7 +33,6 @@ struct Traced {
 struct Probe {
     name: &'static str,
     rays: Vec<Traced>,
-    /// View depths of the box.
     depths: (f32, f32),
     /// Sheets of the ray, as distances from the eye, if it is one of sheets.
     sheets: Vec<f32>,
@@ -261,9 +260,9 @@ fn has_equal_lengths(probe: &Probe) -> bool {
     })
 }
 
-/// Steps are parted where they differ: the least difference of a step from the segment that ends in front of it is not
-/// below the greatest from the segment that it is added to. No gap is inside of a segment. (Rays with more pieces than K
-/// are left out, as there some must be.) And nearly all rays with enough variation get their number.
+/// Steps are parted where they differ: the least difference of a step from the segment that ends in front of it is
+/// not below the greatest from the segment that it is added to. No gap is inside of a segment. (Rays with more pieces
+/// than K are left out, as there some must be.) And nearly all rays with enough variation get their number.
 fn parts_by_a_threshold(probe: &Probe) -> bool {
     let (mut varied, mut full) = (0, 0);
     let parts = probe.rays.iter().all(|ray| {
@@ -312,7 +311,8 @@ fn parts_by_a_threshold(probe: &Probe) -> bool {
     parts && full * 10 >= varied * 9
 }
 
-/// Between each two neighbouring planes of the frame, all matter of a ray is one segment, and no segment crosses a plane.
+/// Between each two neighbouring planes of the frame, all matter of a ray is one segment, and no segment crosses a
+/// plane.
 fn lies_between_planes(probe: &Probe) -> bool {
     let (first, last) = probe.depths;
     let plane = |ray: &Traced, i: usize| (first + (last - first) * i as f32 / K as f32) * ray.s_per_depth;

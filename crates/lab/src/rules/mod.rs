@@ -34,7 +34,7 @@ use crate::error::LabError;
 /// How the frame of a table is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Rule {
-    /// As the product makes it: merged up to an error that the whole frame shares (ours).
+    /// The product's rule: merged up to an error that the whole frame shares (ours).
     #[default]
     VisibilityMerge,
     /// Cuts at equal shares of the accumulated opacity; two marches (Lochmann 2016).
@@ -47,7 +47,7 @@ pub enum Rule {
     SingleDepth(Representative),
     /// Slabs of equal view depth, the same for every ray (Mueller 1999).
     Slabs,
-    /// Every sample is a segment: the floor that the way of reading lists sets. No codec takes such a frame.
+    /// Every sample is a segment: the error floor of the way of reading lists. No codec takes such a frame.
     AllSamples,
 }
 
@@ -88,8 +88,8 @@ impl Rule {
         }
     }
 
-    /// Those of `ks` that make different frames. One depth for a whole ray makes lists of one segment; all samples are
-    /// lists without an end, which a header calls 255.
+    /// The `ks` that make different frames. A single depth makes lists of one segment; all samples make unbounded
+    /// lists, which a header calls 255.
     pub fn ks(self, ks: &[u8]) -> Vec<u8> {
         match self {
             Self::SingleDepth(_) => vec![1],
@@ -98,13 +98,13 @@ impl Rule {
         }
     }
 
-    /// The rule that stands for this one in a mode: projections have one.
+    /// The rule that replaces this one in a mode: projections have only one.
     pub fn in_mode(self, mode: Mode) -> Self {
         if mode.is_projection() && self != Self::AllSamples { Self::VisibilityMerge } else { self }
     }
 
-    /// Makes the frame of what `renderer` draws, with `header.k` segments a list: on average for ours, else at most. Ours is
-    /// made by the renderer itself.
+    /// Makes the renderer's frame with `header.k` segments per list: on average for ours, else at most. Ours is made
+    /// by the renderer itself.
     pub fn generate(self, renderer: &mut Renderer, header: FrameHeader) -> Result<LayeredFrame, LabError> {
         match self.in_mode(renderer.scene().settings.mode) {
             Self::VisibilityMerge => Ok(renderer.generate(header)?),
@@ -113,7 +113,7 @@ impl Rule {
         }
     }
 
-    /// The same on the CPU. [`Self::AllSamples`] is made by [`all_samples::generate`] alone, and stands for ours here.
+    /// The same on the CPU. [`Self::AllSamples`] is only made by [`all_samples::generate`]; here ours replaces it.
     pub fn frame_of(self, scene: &Scene, header: FrameHeader) -> LayeredFrame {
         self.generate_while(scene, header, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header))
     }
@@ -127,7 +127,7 @@ impl Rule {
         }
     }
 
-    /// For a server that makes its frames so; none for ours.
+    /// The frame maker for a server; `None` for ours.
     pub fn frame_maker(self) -> Option<FrameMaker> {
         (self != Self::VisibilityMerge).then(|| {
             Arc::new(move |scene: &_, header, wanted: Wanted<'_>| self.generate_while(scene, header, wanted))
@@ -192,7 +192,7 @@ impl FromStr for Rule {
     }
 }
 
-/// The two parts of a step that is cut, as a homogeneous medium, behind the share `part` of its length.
+/// Splits a step as a homogeneous medium at the fraction `part` of its length.
 fn split(step: &Step, part: f32) -> (Step, Step) {
     let s_cut = step.s0 + (step.s1 - step.s0) * part;
     let piece = |s0, s1, tau| {
@@ -202,5 +202,5 @@ fn split(step: &Step, part: f32) -> (Step, Step) {
     (piece(step.s0, s_cut, step.tau * part), piece(s_cut, step.s1, step.tau * (1.0 - part)))
 }
 
-/// A part of a step without any opacity is divided by this; no visible one is so small.
+/// Least opacity that is divided by; no visible step is below it.
 const ALPHA_LEAST: f32 = 1e-30;

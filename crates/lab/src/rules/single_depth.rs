@@ -7,7 +7,7 @@ use isinglass_core::kernels::march::{Advance, Sink, Step, TRANSMITTANCE_MIN};
 
 use super::{OpenSegment, SegmentList, append};
 
-/// Where on its ray the colour is put.
+/// The depth on its ray that gets the colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Representative {
@@ -16,7 +16,7 @@ pub enum Representative {
     Mean,
     /// First content.
     Entry,
-    /// Last content that is seen: the front of its step, so that the segment lies inside the volume.
+    /// Last visible content: the front of its step, so that the segment lies inside the volume.
     Exit,
     /// Half-way between entry and exit.
     Midpoint,
@@ -34,16 +34,16 @@ impl Representative {
         [Self::Mean, Self::Entry, Self::Exit, Self::Midpoint, Self::Peak, Self::Gradient, Self::Threshold];
 }
 
-/// What is known of one ray.
+/// Facts about one ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SingleDepth {
-    /// Opacity whose place is looked for.
+    /// Opacity whose position is sought.
     alpha_sought: f32,
     /// The whole ray, from entry to exit.
     all: OpenSegment,
     /// Front of the last step.
     s_exit: f32,
-    /// Sums over the steps: what each adds to the picture, and that times its distance behind the entry.
+    /// Sums over the steps: contribution to the picture, and contribution times distance behind the entry.
     weight: f32,
     weighted_s: f32,
     transmittance: f32,
@@ -52,7 +52,7 @@ pub(super) struct SingleDepth {
     s_sought: Option<f32>,
 }
 
-/// The greatest value so far, and where it is.
+/// The greatest value so far, and its position.
 #[derive(Clone, Copy, Debug, Default)]
 struct Greatest {
     value: f32,
@@ -60,7 +60,7 @@ struct Greatest {
 }
 
 impl Greatest {
-    /// Of equal values the first counts, also if rounding tells them apart.
+    /// Of equal values the first counts, even if rounding separates them.
     fn add(&mut self, value: f32, s: f32) {
         if value > self.value * GREATER {
             *self = Self { value, s };
@@ -69,7 +69,7 @@ impl Greatest {
 }
 
 impl SingleDepth {
-    /// Looks for the place where the accumulated opacity reaches `alpha_sought`, among others.
+    /// Looks for all positions, including that where the accumulated opacity reaches `alpha_sought`.
     pub(super) fn new(alpha_sought: f32) -> Self {
         Self {
             alpha_sought,
@@ -84,7 +84,7 @@ impl SingleDepth {
         }
     }
 
-    /// After march 1: march 2, for [`Representative::Threshold`] alone.
+    /// March 2, which only [`Representative::Threshold`] needs.
     pub(super) fn again(&self) -> Self {
         Self::new(THRESHOLD_SHARE * self.all.alpha)
     }
@@ -130,7 +130,7 @@ impl Sink for SingleDepth {
     }
 }
 
-/// Share of the ray's opacity that [`Representative::Threshold`] looks for: that of the source's own program.
+/// Share of the ray's opacity for [`Representative::Threshold`], as in the source's program.
 pub(super) const THRESHOLD_SHARE: f32 = 0.8;
-/// A value counts as greater if it is by this factor: a thousandth, above any rounding and below anything seen.
+/// Factor by which a greater value must exceed another: above any rounding and below anything visible.
 const GREATER: f32 = 1.001;

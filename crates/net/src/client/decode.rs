@@ -108,7 +108,6 @@ impl Given {
     }
 }
 
-/// A frame, complete or not.
 struct Decoded {
     frame: LayeredFrame,
     /// Set if the frame is complete and others may be predicted from it.

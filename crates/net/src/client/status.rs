@@ -7,7 +7,6 @@ use isinglass_core::wire::Welcome;
 
 use super::{ConnectError, LinkStats, State, lock};
 
-/// The status of the connection.
 #[derive(Clone, Debug)]
 pub(super) struct Status {
     pub(super) state: State,
@@ -29,12 +28,10 @@ impl StatusBoard {
         Self { status: Mutex::new(status), changed: Condvar::new() }
     }
 
-    /// The current status.
     pub(super) fn read(&self) -> MutexGuard<'_, Status> {
         lock(&self.status)
     }
 
-    /// Changes the status.
     pub(super) fn update(&self, change: impl FnOnce(&mut Status)) {
         change(&mut lock(&self.status));
         self.changed.notify_all();

@@ -38,7 +38,6 @@ pub struct LinkCounters {
     pub down: DirectionCounters,
 }
 
-/// Counters that outlive the socket.
 #[derive(Debug, Default)]
 pub(crate) struct SharedCounters {
     up: Counters,

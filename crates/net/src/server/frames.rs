@@ -221,7 +221,7 @@ async fn all_delivered(streams: &[ChunkStream]) -> bool {
 #[derive(Debug)]
 struct ChunkStream {
     stream: SendStream,
-    /// The frame, until the first byte of its base is written.
+    /// The frame, until the first byte of the chunk is written.
     first_of: Option<FrameId>,
 }
 

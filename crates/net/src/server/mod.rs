@@ -96,7 +96,6 @@ struct ServerShared {
     options: ServerOptions,
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
-    /// Connections without a hello.
     pending: Arc<PendingHellos>,
     /// Notified when a place is given back.
     left: Arc<Notify>,

@@ -8,7 +8,6 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-/// The connections without a hello.
 #[derive(Debug, Default)]
 pub(super) struct PendingHellos {
     room: Mutex<Room>,
@@ -16,7 +15,6 @@ pub(super) struct PendingHellos {
 
 #[derive(Debug, Default)]
 struct Room {
-    /// The seats in order of arrival.
     seats: Vec<Occupied>,
     next: u64,
     /// Number turned away since the last log line, and the time of that line.

@@ -24,7 +24,6 @@ impl Folder {
         Self(folder)
     }
 
-    /// All files below, by their names.
     fn files(&self) -> Vec<(String, Vec<u8>)> {
         let mut found = Vec::new();
         let mut folders = vec![self.0.clone()];

@@ -1,4 +1,5 @@
-//! What tests ask of any window, whatever it shows: that all in it can be named, reached by keyboard, and lies on the screen.
+//! What tests ask of any window, whatever it shows: that all in it can be named, reached by keyboard, and lies on the
+//! screen.
 
 use egui::{Rect, Shape, accesskit};
 use egui_kittest::Harness;
@@ -42,8 +43,8 @@ pub(crate) fn assert_tab_reaches_all<S>(w: &mut Harness<'_, S>) {
     assert_eq!(wanted, Vec::<String>::new(), "not reached; reached were {reached:?}");
 }
 
-/// What lies outside `screen`, points: panes, and texts by what they say. What a pane cuts off can be scrolled to; the pane itself
-/// is to be on the screen.
+/// What lies outside `screen`, points: panes, and texts by what they say. What a pane cuts off can be scrolled to;
+/// the pane itself is to be on the screen.
 pub(crate) fn outside<S>(w: &Harness<'_, S>, screen: Rect) -> Vec<String> {
     // A line, or the shade around a letter, may reach over the edge it lies on.
     let room = screen.expand(2.0);

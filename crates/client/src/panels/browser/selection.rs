@@ -11,7 +11,6 @@ use crate::panels::style::named;
 #[derive(Default)]
 pub(crate) struct SelectionForm {
     chosen: Selection,
-    /// The newest header.
     outline: Option<Outline>,
     region: [[u32; 2]; 3],
     takes_region: bool,

@@ -61,7 +61,6 @@ struct Servers {
     start_gate: Option<Mutex<Receiver<()>>>,
     started: Mutex<Vec<(Selection, [u32; 3])>>,
     num_running: Arc<AtomicUsize>,
-    /// The threads on which servers ended.
     ended_on: Arc<Mutex<Vec<ThreadId>>>,
 }
 
@@ -498,7 +497,8 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     drop_file(&mut stage, "film.nrrd");
     until(&mut stage.window, "the volume", is_shown);
     assert!(stage.window.state().problem.is_none());
-    // Over a picture, what is no volume is the viewer's: a text that holds no preset is said so in its panel, which opens.
+    // Over a picture, what is no volume is the viewer's: a text that holds no preset is said so in its panel, which
+    // opens.
     drop_file(&mut stage, "notes.txt");
     until(&mut stage.window, "the viewer's message", |w| {
         !w.state().dropped.is_busy() && w.state().opening.is_none()

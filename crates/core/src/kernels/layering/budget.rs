@@ -141,7 +141,6 @@ struct PreviousFrame {
     k: u8,
     mode: Mode,
     pose: Pose,
-    /// The threshold of the next frame.
     threshold: f32,
 }
 

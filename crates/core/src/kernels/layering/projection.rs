@@ -60,7 +60,6 @@ struct ProjectionPiece {
     shown: glam::Vec3,
 }
 
-/// What is constant for all pieces of a ray.
 struct RayConstants {
     compositing: Compositing,
     lattice: Lattice,
@@ -165,7 +164,6 @@ impl Kept {
     }
 }
 
-/// The segments that are written.
 struct Written<'a> {
     list: &'a mut SegmentList,
     kept: Kept,
@@ -261,5 +259,4 @@ impl<const N: usize> Sink for ProjectionLister<'_, N> {
 const PEAK_SHARE: f32 = 0.75;
 /// Standard deviation of a uniform distribution, in lengths: 1/√12.
 const EVEN_DEVIATION: f32 = 0.288_675_13;
-/// Least brightness that is divided by.
 const BRIGHTNESS_LEAST: f32 = 1e-30;

@@ -93,7 +93,6 @@ impl<P: Piece> PieceStream<P> {
         self.coming_limit = COMING_SHARE * self.limit(s0);
     }
 
-    /// Ends the ray.
     pub(super) fn finish(&mut self, ray: &P::Ray, mut emit: impl FnMut(&P)) {
         if let Some(come) = self.coming.take() {
             self.push(ray, come, &mut emit);

@@ -26,7 +26,8 @@ fn scene_and_header() -> (Scene, FrameHeader) {
     (scene, header)
 }
 
-/// Counts how often the march asks: once a row. When the answer is no, at most the rows that are under way are finished.
+/// Counts how often the march asks: once a row. When the answer is no, at most the rows that are under way are
+/// finished.
 #[test]
 fn a_frame_that_is_given_up_is_left_at_the_next_row() {
     let (scene, header) = scene_and_header();

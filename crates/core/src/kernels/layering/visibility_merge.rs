@@ -1,20 +1,20 @@
 //! Lists by one march, whose segments err by no more than a threshold that the whole frame shares (ours). Twin of
-//! `shaders/layering/visibility_merge.wgsl`; the way from steps to segments is [`super::stream`]'s.
+//! `shaders/layering/visibility_merge.wgsl`; [`super::stream`] makes segments of steps.
 //!
-//! *Error of a segment.* A new ray reads a segment as a homogeneous medium. On its way through the matter that the segment
-//! stands for, the old ray collects the opacity α(s) and the colour C(s), through the medium α̂(s) and Ĉ(s); both agree
-//! at the two ends. The error is how far what is collected is displaced, in steps of length h, weighted by what can be
-//! seen of it:
+//! *Error of a segment.* A new ray reads a segment as a homogeneous medium. On its way through the segment's matter,
+//! the old ray collects the opacity α(s) and the colour C(s); through the medium it collects α̂(s) and Ĉ(s). Both
+//! agree at the two ends. The error is the displacement of what is collected, in steps of length h, weighted by its
+//! visibility:
 //!
 //! ```text
 //! e = max(κ, 0.1) · (L/h)^¼ · max(|α·(μ − μ̂)| + α·|σ − σ̂|, 6·|C·(μ_C − μ̂)|) / h
 //! ```
 //!
-//! κ is the transmittance in front, and L the length. μ and σ are the mean and the deviation of the distance at which opacity
-//! is collected. μ_C is the mean of that at which colour is. They follow from integrals of dα, s·dα, s²·dα and s·dC. These
-//! add up from piece to piece, so the error of a union costs a few operations, and errors that cancel do cancel. Those of the
-//! medium have closed forms (`even_moments`). Matter that cannot be seen keeps a tenth of its weight, as a turned camera sees
-//! it. The power of the length holds apart what is far apart.
+//! κ is the transmittance in front, and L the length. μ and σ are the mean and the standard deviation of the distance
+//! at which opacity is collected; μ_C is the mean for colour. They follow from integrals of dα, s·dα, s²·dα and s·dC.
+//! These are additive, so the error of a union costs a few operations, and opposite errors cancel. Those of the
+//! medium have closed forms (`even_moments`). Hidden matter keeps a tenth of its weight, because a turned camera sees
+//! it. The power of the length keeps distant matter apart.
 
 use glam::Vec3;
 
@@ -26,7 +26,6 @@ use crate::kernels::raycast::greater;
 /// A piece of a ray, by integrals over its steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MatterPiece {
-    /// The piece as one segment.
     pub(super) all: OpenSegment,
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
     visibility: f32,
@@ -41,7 +40,6 @@ pub(super) struct MatterPiece {
 pub(super) struct StepsPerLength(pub(super) f32);
 
 impl MatterPiece {
-    /// One step, with the transmittance in front of it.
     #[inline(always)]
     pub(super) fn of(step: &Step, transmittance: f32, ray: &StepsPerLength) -> Self {
         let length = (step.s1 - step.s0) * ray.0;
@@ -152,7 +150,6 @@ impl<'a> Lister<'a> {
         Self { ray, stream: PieceStream::new(threshold, longest, lattice), transmittance: 1.0, list }
     }
 
-    /// Ends the ray.
     pub(super) fn finish(mut self) {
         let list = self.list;
         self.stream.finish(&self.ray, |matter| list.push(matter.all));

@@ -247,7 +247,6 @@ pub(super) struct Collected<'a> {
     scene: &'a Scene,
     /// Greatest key; negative before any step.
     key: f32,
-    /// Integral of the shown colour.
     integral: Vec3,
 }
 

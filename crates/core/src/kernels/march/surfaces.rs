@@ -18,7 +18,6 @@ use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
 use crate::volume::{Sheet, Volume, has_lesser_bodies};
 
-/// The surfaces for lighting.
 pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
     let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
     surfaces.iter().map(sheet).collect()

@@ -75,7 +75,6 @@ pub(in crate::kernels) fn clip_by_planes(
 
 /// The parts of a ray in successive columns of lists, or between all list borders for the nearest list.
 pub(super) struct ColumnSpans<const N: usize> {
-    /// The number of parts.
     pub(super) num: usize,
     /// Least depth, in units.
     pub(super) lo: [f32; N],
@@ -184,7 +183,6 @@ impl<const N: usize> ColumnSpans<N> {
     }
 }
 
-/// The row of lists at a position.
 #[inline(always)]
 fn row_of(position: f32) -> i32 {
     // Rounding may give slightly negative positions; rows are clamped later.
@@ -204,7 +202,6 @@ pub(in crate::kernels) fn greater(a: f32, b: f32) -> f32 {
 
 /// The columns of lists along a line: a DDA along one axis.
 pub(in crate::kernels) struct Columns {
-    /// Step of the index.
     pub(in crate::kernels) step: i32,
     /// The line crosses the border at pixel position x at the parameter x·slope + offset; 0 and infinite for a line
     /// that crosses none.

@@ -8,7 +8,6 @@ use super::media::{Medium, unpacked};
 /// A batch of crossed parts of segments, in the order of the ray.
 pub(super) struct Pieces {
     pub(super) num: usize,
-    /// Optical depth.
     pub(super) tau: [f32; MAX_PIECES],
     pub(super) rest: [CrossedPiece; MAX_PIECES],
 }
@@ -72,7 +71,6 @@ pub(super) struct Sum {
     before: f32,
     /// Opacity of the column, mixed over its lists.
     mixed: f32,
-    /// Transmittance of the list.
     of_list: f32,
 }
 

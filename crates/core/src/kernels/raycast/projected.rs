@@ -1,12 +1,12 @@
-//! Casting a projection: nothing hides anything, so the order of segments does not matter. Twin of the branches for it in
-//! `shaders/raycast.wgsl`.
+//! Casts a projection: nothing hides anything, so the order of segments does not matter. Twin of the branches for it
+//! in `shaders/raycast.wgsl`.
 //!
-//! The two lists that a ray runs between are each reduced to one pair over a column, colour and key, and these mixed by
-//! nearness; of the columns the greatest key wins, or their colours add. A [`Medium`](super::media::Medium) holds
-//! - of the greatest: the colour in place of E and the key in place of σ;
-//! - of the mean: in place of E the segment's part of the integral over its list's way through the box ([`Way`]), in place of σ the
-//!   inverse of its length. A new ray takes of it the share that it crosses, and divides by its own way in the end. Both
-//!   ways are found alike, so at the frame's own pose they cancel out.
+//! Each of the two lists that a ray runs between is reduced to a colour and a key per column, and both are mixed by
+//! nearness. Over the columns the greatest key wins, or colours add. A [`Medium`](super::media::Medium) holds
+//! - for the greatest: the colour in place of E and the key in place of σ;
+//! - for the mean: in place of E, the segment's part of the integral over its list's path through the box ([`Way`]);
+//!   in place of σ, the inverse of its length. A new ray takes the share that it crosses, and divides by its own path
+//!   in the end. Both paths are found alike, so they cancel at the frame's own pose.
 
 use glam::Vec4;
 
@@ -39,7 +39,6 @@ impl Way {
 }
 
 impl Raycaster {
-    /// What a line collects.
     pub(super) fn project_line(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         match options.reconstruction {
             Reconstruction::Mixed => self.project::<LANES>(line, options),

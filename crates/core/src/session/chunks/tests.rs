@@ -306,7 +306,8 @@ fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
     assert_eq!(decode(&mut s), Some((5, true)));
 }
 
-/// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the late one.
+/// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the
+/// late one.
 #[test]
 fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
     let mut s = ChunksClient::default();

@@ -216,7 +216,6 @@ impl Extinction {
 
 /// Rows and columns of samples on a face.
 const FACE_SAMPLES: i32 = 128;
-/// Transmittance of a full cell.
 const FULL_TRANSMITTANCE: f32 = 1e-6;
 
 #[cfg(test)]
@@ -240,7 +239,8 @@ mod tests {
             let is_all = hi - lo < FACE_SAMPLES;
             assert_eq!(found.len() == (hi - lo + 1) as usize, is_all, "{lo}..={hi}");
         }
-        // Long along x. The faces across x have few voxels and count by their size: 5 of 9 rows of the others are above.
+        // Long along x. The faces across x have few voxels and count by their size: 5 of 9 rows of the others are
+        // above.
         let dims = [600u32, 9, 9];
         let at = |i: u32| i / 600 % 9;
         let voxels = (0..600 * 81).map(|i| if at(i) < 5 { 200 } else { 0 }).collect();
@@ -299,8 +299,8 @@ mod tests {
         let voxels = Voxels::U8(voxels.collect());
         let volume = Volume::new([side; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap();
         let share = |clip: Clip| share_above(&volume, &clip.region(&volume.bounds()), 1.0);
-        // In areas of a side: the plane √2, two sides whole and two cut in half. Above are the plane, of each half the rows
-        // at 0 to 2 from it, and of each whole side three rows at the edge where it meets the plane.
+        // In areas of a side: the plane √2, two sides whole and two cut in half. Above are the plane, of each half
+        // the rows at 0 to 2 from it, and of each whole side three rows at the edge where it meets the plane.
         let of_halves = 2.0 * (side + (side - 1) + (side - 2)) as f32 / (side * side) as f32;
         let of_whole = 2.0 * 3.0 / side as f32;
         let sqrt = std::f32::consts::SQRT_2;
@@ -313,7 +313,8 @@ mod tests {
 
     #[test]
     fn light_is_held_up_by_the_same_bodies_whether_a_plane_or_a_box_cuts() {
-        // Greater values from voxel 14 of 24 on: less than half of the faces of the whole, more of those from voxel 10 on.
+        // Greater values from voxel 14 of 24 on: less than half of the faces of the whole, more of those from voxel
+        // 10 on.
         let voxels = (0..24u32.pow(3)).map(|i| if i % 24 < 14 { 50 } else { 150 });
         let voxels = Voxels::U8(voxels.collect());
         let volume = Volume::new([24; 3], Vec3::ONE, voxels, (1.0, 0.0), Default::default()).unwrap();

@@ -124,8 +124,8 @@ fn a_plate_throws_a_shadow_where_the_light_says_and_as_soft_as_the_light_is_wide
         let shadow = Shade::shadow(&plate, &light(30.0, 0.0, softness), Detail::Final);
         (0..64).map(|i| at(&shadow, if along_x { [i, 32, 4] } else { [18, i, 4] })).collect()
     };
-    // The light comes from +x, so the shadow lies towards −x: from the top of the plate's near edge to the bottom of its
-    // far one. A cell's middle is at half.
+    // The light comes from +x, so the shadow lies towards −x: from the top of the plate's near edge to the bottom of
+    // its far one. A cell's middle is at half.
     let tan = 30f32.to_radians().tan();
     let hard = profile(0.0, true);
     let edges = [crossing(&hard, 0.5, 0), crossing(&hard, 0.5, 18)];

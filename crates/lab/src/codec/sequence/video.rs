@@ -1,23 +1,21 @@
-//! AV1 on the planes of a sequence: its encoder looks ahead, so what it makes of a frame comes some frames later.
+//! AV1 on the planes of a sequence. Its encoder looks ahead, so the results for a frame come some frames later.
 
 use std::collections::BTreeMap;
 
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
 use super::{CodedSequence, Coder};
-use crate::codec::av1::{Av1, Kind, Picture, QUANTIZERS, Av1Stream};
+use crate::codec::av1::{Av1, Av1Stream, Kind, Picture, QUANTIZERS};
 use crate::codec::contenders::{AVIF_SPEED, ladder};
 use crate::codec::layout::{Layout, Part};
 use crate::codec::raster::{ImageCodec, Raster};
 use crate::error::LabError;
 
-/// Planes as videos.
 pub(super) struct Video {
     codec: Av1,
     at: [usize; 3],
-    /// By part and plane.
+    /// Streams by part and plane.
     streams: [Vec<Av1Stream>; 3],
-    /// Planes of kept frames, by frame.
     planes: BTreeMap<u32, Kept>,
     bytes: Vec<usize>,
 }
